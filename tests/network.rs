@@ -371,3 +371,81 @@ fn an_emergency_stop_behind_a_waiting_request_needs_the_right_as_any_other() {
         assert_eq!(answer.contains("\"cause\":\"estop\""), estops > 0, "the wait ends by it: {answer}");
     }
 }
+
+/// The head of an answer, and its body unpacked if it is compressed.
+fn unpacked(address: &str, line: &str, headers: &str) -> (String, usize, Vec<u8>) {
+    let mut stream = connect(address);
+    let request = format!(
+        "{line} HTTP/1.1\r\nhost: {address}\r\n{headers}content-length: 0\r\nconnection: close\r\n\r\n"
+    );
+    stream.write_all(request.as_bytes()).unwrap();
+    let mut answer = Vec::new();
+    stream.read_to_end(&mut answer).unwrap();
+    let end = answer.windows(4).position(|four| four == b"\r\n\r\n").unwrap() + 4;
+    let head = String::from_utf8(answer[..end].to_vec()).unwrap();
+    let body = &answer[end..];
+    let mut text = Vec::new();
+    if head.contains("content-encoding: gzip\r\n") {
+        flate2::read::GzDecoder::new(body).read_to_end(&mut text).unwrap();
+    } else {
+        text.extend(body);
+    }
+    (head, body.len(), text)
+}
+
+#[test]
+fn long_answers_are_compressed_for_clients_that_accept_it_and_a_stop_never() {
+    let daemon = listening("");
+    let address = address(&daemon);
+    let gzip = "accept-encoding: gzip, br\r\n";
+    let is_compressed = |head: &str| head.contains("content-encoding: gzip\r\n");
+    for path in ["/v1/status", "/v1/patterns", "/v1/openapi.json"] {
+        let line = format!("GET {path}");
+        let (head, bytes, text) = unpacked(&address, &line, gzip);
+        assert!(is_compressed(&head) && head.contains("vary: accept-encoding\r\n"), "{head}");
+        assert!(head.contains(&format!("content-length: {bytes}\r\n")), "{head}");
+        assert!(serde_json::from_slice::<Value>(&text).unwrap().is_object());
+        assert!(2 * bytes < text.len(), "{path}: {bytes} of {} bytes", text.len());
+        let (head, bytes, text) = unpacked(&address, &line, "");
+        assert!(!is_compressed(&head) && bytes == text.len(), "{head}");
+    }
+    // Short answers, errors, and what makes the display safe.
+    for line in ["GET /v1/calibration", "GET /nowhere", "POST /v1/estop", "POST /v1/stop", "POST /v1/disarm"]
+    {
+        let (head, _, text) = unpacked(&address, line, gzip);
+        assert!(!is_compressed(&head), "{line}: {head}");
+        assert!(serde_json::from_slice::<Value>(&text).unwrap().is_object());
+    }
+    // An event stream.
+    let mut stream = connect(&address);
+    stream.write_all(format!("GET /v1/events HTTP/1.1\r\nhost: {address}\r\n{gzip}\r\n").as_bytes()).unwrap();
+    let mut head = [0; 200];
+    stream.read_exact(&mut head).unwrap();
+    let head = String::from_utf8_lossy(&head).into_owned();
+    assert!(head.contains("text/event-stream") && !is_compressed(&head), "{head}");
+}
+
+#[test]
+fn the_page_loads_without_a_token_and_says_what_the_browser_has() {
+    let daemon = listening("listen_token = \"always\"\n");
+    let address = address(&daemon);
+    let (head, _, page) = unpacked(&address, "GET /", "accept-encoding: gzip\r\n");
+    assert!(head.starts_with("HTTP/1.1 200 "), "{head}");
+    let tag = head.lines().find_map(|line| line.strip_prefix("etag: ")).unwrap();
+    let (again, bytes, _) =
+        unpacked(&address, "GET /", &format!("if-none-match: {tag}\r\naccept-encoding: gzip\r\n"));
+    assert!(again.starts_with("HTTP/1.1 304 ") && bytes == 0, "{again}");
+    let page = String::from_utf8(page).unwrap();
+    let named: Vec<&str> = page.split('"').filter(|part| part.starts_with("page/")).collect();
+    assert!(named.contains(&"page/estop.js") && named.len() >= 4, "{named:?}");
+    for name in named.into_iter().chain(["favicon.ico"]) {
+        let (head, ..) = unpacked(&address, &format!("GET /{name}"), "");
+        assert!(head.starts_with("HTTP/1.1 200 "), "{name}: {head}");
+    }
+    assert_answers(&ask(&address, "GET /v1/status", ""), 401, "unauthorized");
+    for role in ["observe", "operate"] {
+        let (_, _, status) = unpacked(&address, "GET /v1/status", &bearer(&create(&daemon, role)));
+        assert_eq!(serde_json::from_slice::<Value>(&status).unwrap()["role"], role);
+    }
+    assert_eq!(daemon.client().get::<Value>("/v1/status").unwrap()["role"], "operate");
+}

@@ -61,6 +61,8 @@ mod motions_offline;
 mod netlist;
 /// The API over TCP: hosts, origins, tokens and roles, floods; without `listen` the daemon does not listen.
 mod network;
+/// What the status says of the present: what the pins do, and who asks.
+mod now;
 /// The API reference: routes, answers and the book's copies agree with the OpenAPI document.
 mod openapi;
 /// `optimise`: files and documents, budgets, interruptions, mistakes.

@@ -10,7 +10,7 @@ use meissner_array::per_motor::PerMotor;
 use meissner_array::spec::Array;
 use meissner_array::strokes::{StrokeOptions, Strokes};
 use meissner_stream::link::{Clock, Traffic};
-use meissner_stream::queues::{End, Offset, Onset, Play, RestErrors};
+use meissner_stream::queues::{End, Movement, Offset, Onset, Play, RestErrors};
 use meissner_stream::{PlayBoard, Settings};
 
 /// The same estimate of every motor's rest error.
@@ -53,6 +53,7 @@ fn snapshot(connected: bool, state: State, play: Option<(u64, f64)>) -> Snapshot
         settings: Settings::of(meissner_array::spec::Array::paper()),
         rest_error_um: PerMotor::all(Array::paper(), 0.0),
         source: PerMotor::all(Array::paper(), ErrorSource::None),
+        movements: PerMotor::all(Array::paper(), Movement::default()),
         pins_seen: true,
         line_bytes_per_s: None,
         traffic: Traffic::default(),

@@ -103,8 +103,8 @@ pub use session::{
     MAX_ROWS, RecordedPlay, Session, SessionList, SessionPlays, SessionRequest, SessionStarted,
 };
 pub use status::{
-    ArmedStatus, ClockSample, DeviceInfo, MotorStatus, NO_DEVICE, ParticipantStatus, PlayAccepted,
-    QueuedPlay, Realtime, RunningPlay, Status,
+    ArmedStatus, ClockSample, DeviceInfo, MotorStatus, NO_DEVICE, ParticipantStatus, PinMovement,
+    PlayAccepted, QueuedPlay, Realtime, RunningPlay, Status,
 };
 pub use target::{
     RemovedTarget, StoredTarget, TargetDetails, TargetFile, TargetList, TargetMotion, TargetPopulation,

@@ -134,6 +134,9 @@ pub struct Session {
     #[serde(default)]
     #[schema(required, minimum = 0)]
     pub plays_lost: u64,
+    /// In the status: whether the client that asks shows the token of this session. Missing elsewhere.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub mine: Option<bool>,
 }
 
 impl Session {

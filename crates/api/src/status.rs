@@ -6,7 +6,7 @@ use crate::board::BoardStatus;
 use crate::pattern::FollowedMotion;
 use crate::receipt::ErrorSource;
 use crate::session::Session;
-use crate::token::NetworkStatus;
+use crate::token::{NetworkStatus, Role};
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
@@ -91,6 +91,21 @@ pub struct Realtime {
     pub mlock: bool,
 }
 
+/// What the daemon has ordered a pin to do in the 0.2 s before a moment. Position control corrects what the pin really does.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
+#[schema(examples(json!({"height_um": 31.0, "swing_um": 62.0, "hz": 60.0})))]
+pub struct PinMovement {
+    /// Middle between the highest and the lowest point, µm above rest.
+    #[schema(minimum = 0.0)]
+    pub height_um: f64,
+    /// From the lowest to the highest point, µm. 0: the pin does not move.
+    #[schema(minimum = 0.0)]
+    pub swing_um: f64,
+    /// Strokes per second; of a movement with fewer than two rises half as many as its changes of direction.
+    #[schema(minimum = 0.0)]
+    pub hz: f64,
+}
+
 /// The state of one motor.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct MotorStatus {
@@ -103,6 +118,11 @@ pub struct MotorStatus {
     #[serde(default)]
     #[schema(required)]
     pub calibrated: bool,
+    /// What the pin does now, whatever the play: renewed ten times a second while pins move. Null if that is not known: without a
+    /// device, after an emergency stop, while the position of the pins is unknown, or from an older daemon.
+    #[serde(default)]
+    #[schema(required)]
+    pub now: Option<PinMovement>,
 }
 
 /// The clocks of device and host at one instant.
@@ -202,9 +222,11 @@ pub struct ArmedStatus {
         "reset": "power", "uptime_s": 5400, "slack_ticks": 26, "stalls": 0, "usb_recoveries": 0, "output_faults": 0,
         "high_at_boot": []
     },
-    "motors": [{"rest_error_um": 0.4, "source": "telemetry", "calibrated": false}],
+    "motors": [{
+        "rest_error_um": 0.4, "source": "telemetry", "calibrated": false, "now": {"height_um": 31.0, "swing_um": 62.0, "hz": 60.0}
+    }],
     "calibrated": null,
-    "session": null,
+    "session": null, "role": "operate",
     "participant": {
         "participant": null, "max_amplitude_um": 400.0, "max_continuous_s": 600.0, "pause_s": 10.0,
         "continuous_used_s": 12.5, "continuous_left_s": 587.5, "max_session_s": 3600.0,
@@ -296,6 +318,10 @@ pub struct Status {
     #[serde(default)]
     #[schema(required)]
     pub session: Option<Session>,
+    /// What the client that asks may do: `operate` or `observe`, by the role of the access token that it shows. Null from an older daemon.
+    #[serde(default)]
+    #[schema(required)]
+    pub role: Option<Role>,
     /// The participant's limits, and what is used and left; null from an older daemon.
     #[serde(default)]
     #[schema(required)]

@@ -22,6 +22,8 @@ mod live;
 mod lower_stop;
 /// A line that loses bytes.
 mod motions;
+/// What the pins do now, in snapshots.
+mod movements;
 mod noise;
 mod on_time;
 mod position_control;

@@ -5,7 +5,9 @@
 use crate::daemon::engine::Engine;
 use crate::exposure::Now;
 use crate::receipts::{DeviceState, board_status};
-use meissner_api::{ClockSample, MotorStatus, QueuedPlay, Status};
+use firmware_protocol::message::State;
+use meissner_api::{ClockSample, MotorStatus, PinMovement, QueuedPlay, Session, Status};
+use meissner_stream::queues::Snapshot;
 use meissner_stream::time::HostInstant;
 use std::fmt::Write as _;
 
@@ -20,10 +22,15 @@ impl Engine {
         let snapshot = receipts.snapshot();
         let used = daemon.calibration.in_use().map(|stored| &stored.calibration);
         let is_calibrated = |motor: u8| used.is_some_and(|calibration| calibration.motor(motor).is_some());
-        let motor = |((&rest_error_um, &source), motor)| MotorStatus {
-            rest_error_um,
-            source,
-            calibrated: is_calibrated(motor),
+        let (role, mine) = daemon.asker();
+        let motor = |at: &Snapshot, motor: u8| {
+            let index = usize::from(motor);
+            MotorStatus {
+                rest_error_um: at.rest_error_um[index],
+                source: at.source[index],
+                calibrated: is_calibrated(motor),
+                now: movement(at, motor),
+            }
         };
         Status {
             state: state.to_owned(),
@@ -60,12 +67,13 @@ impl Engine {
                 .map(|board| board_status(&board)),
             contradictions: snapshot.map_or(0, |at| at.traffic.contradictions.total()),
             motors: snapshot
-                .map(|at| at.rest_error_um.iter().zip(&at.source).zip(0..).map(motor).collect())
+                .map(|at| at.settings.array.numbers().map(|number| motor(at, number)).collect())
                 .unwrap_or_default(),
             calibrated: used.map(|calibration| {
                 calibration.provenance().date.clone().unwrap_or_else(|| "without a date".to_owned())
             }),
-            session: daemon.session(),
+            session: daemon.session().map(|session| Session { mine: Some(mine), ..session }),
+            role: Some(role),
             participant: Some(daemon.exposure.status(Now::read())),
             realtime: Some(self.realtime),
             logbook_problem: daemon.publisher.session_record.problem().or_else(|| daemon.exposure.problem()),
@@ -102,4 +110,17 @@ impl Engine {
         }
         line
     }
+}
+
+/// What a pin does, unless nothing tells: after an emergency stop the lines are off, and the pin stands where it was.
+fn movement(at: &Snapshot, motor: u8) -> Option<PinMovement> {
+    if !at.connected || !at.position_known || at.state == State::Faulted {
+        return None;
+    }
+    let of = at.movements.get(usize::from(motor))?;
+    let tenths = |number: f64| (10.0 * number).round() / 10.0;
+    let um_per_pulse = at.settings.array.motor().um_per_pulse;
+    let [low, high] = [of.low, of.high].map(|pulses| f64::from(pulses) * um_per_pulse);
+    let (height_um, swing_um) = (tenths(f64::midpoint(low, high)), tenths(high - low));
+    Some(PinMovement { height_um, swing_um, hz: tenths(of.hz.into()) })
 }

@@ -1,7 +1,7 @@
 //! HTTP: the server, and the routes from a request to a handler.
 //!
 //! A request passes [`admission`] (the network's gate), then [`guard`] (sessions and rights), then its handler in [`handlers`]. A handler
-//! reads the [`body`], makes the request a command to the engine, and the result an [`answer`]. Work that touches the disk runs on a
+//! reads the [`body`], makes the request a command to the engine, and the result an [`answer`], which [`compress`] shortens. Work that touches the disk runs on a
 //! blocking thread, so that an emergency stop never waits for a disk. Every error, even for an unknown route, is
 //! `application/problem+json`.
 //!
@@ -12,6 +12,7 @@ mod admission;
 mod answer;
 pub(in crate::daemon) mod app;
 mod body;
+mod compress;
 mod doctor;
 mod guard;
 mod handlers;
@@ -27,7 +28,7 @@ use crate::daemon::page;
 use axum::Router;
 use axum::body::Body;
 use axum::http::{Method, Uri};
-use axum::middleware::from_fn_with_state;
+use axum::middleware::{from_fn, from_fn_with_state};
 use axum::routing::{MethodFilter, MethodRouter, on};
 use meissner_api::{Code, Problem, REFERENCE, Route};
 use std::sync::Arc;
@@ -36,7 +37,10 @@ use std::sync::Arc;
 pub(in crate::daemon) fn router(app: App) -> Router {
     let routes = Route::ALL.into_iter().fold(Router::new(), |router, route| {
         let guard = from_fn_with_state((app.clone(), route), guard::guard);
-        router.route(route.path(), handler(route).route_layer(guard))
+        let handler = handler(route).route_layer(guard);
+        let handler =
+            if compress::is_open_to(route) { handler.layer(from_fn(compress::layer)) } else { handler };
+        router.route(route.path(), handler)
     });
     let gate = from_fn_with_state(Arc::clone(&app.engine.gate), admission::layer);
     routes

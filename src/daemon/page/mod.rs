@@ -2,26 +2,28 @@
 //!
 //! The page is plain HTML, CSS and JavaScript modules without a build step. It uses only the API (`assets/api.js`), so the OpenAPI
 //! document covers everything that it does. `assets/estop.js` holds the parts that must work alone: the emergency stop, and the
-//! state with its age. The modules read the state there, and only that script shows it.
+//! state with its age. The modules read the state there, and only that script shows it. `served` answers requests for files: what a
+//! browser has, it does not load again.
 //!
 //! The page has four views, each with modules and a style sheet of its own. `assets/views.js` says how a module adds a part to a view,
 //! and `assets/control.js` how it says beside a control what came of it.
 //!
 //! Invariant: the page loads nothing from other sites, and its policy forbids that.
 
+mod served;
+
 use axum::Router;
-use axum::http::HeaderName;
-use axum::http::header::{CACHE_CONTROL, CONTENT_SECURITY_POLICY, CONTENT_TYPE, REFERRER_POLICY};
+use axum::extract::Path;
+use axum::http::HeaderMap;
 use axum::routing::get;
 
-/// The policy: scripts, styles and requests of this daemon alone; no frame around it.
-const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; connect-src 'self'; base-uri 'none'; \
-                      form-action 'none'; frame-ancestors 'none'";
+/// The address of the files but the first.
+const FOLDER: &str = "/page/";
 const STYLE: &str = "text/css; charset=utf-8";
 const SCRIPT: &str = "text/javascript; charset=utf-8";
 
 /// Address, media type and text of every file.
-const FILES: [(&str, &str, &str); 32] = [
+const FILES: &[(&str, &str, &str)] = &[
     ("/", "text/html; charset=utf-8", include_str!("assets/index.html")),
     ("/page/page.css", STYLE, include_str!("assets/page.css")),
     ("/page/play.css", STYLE, include_str!("assets/play.css")),
@@ -29,6 +31,8 @@ const FILES: [(&str, &str, &str); 32] = [
     ("/page/record.css", STYLE, include_str!("assets/record.css")),
     ("/page/device.css", STYLE, include_str!("assets/device.css")),
     ("/page/icon.svg", "image/svg+xml", include_str!("assets/icon.svg")),
+    // Browsers ask for it although the page names its icon.
+    ("/favicon.ico", "image/svg+xml", include_str!("assets/icon.svg")),
     ("/page/api.js", SCRIPT, include_str!("assets/api.js")),
     ("/page/array.js", SCRIPT, include_str!("assets/array.js")),
     ("/page/estop.js", SCRIPT, include_str!("assets/estop.js")),
@@ -58,20 +62,23 @@ const FILES: [(&str, &str, &str); 32] = [
 
 /// Whether a request is for a file of the page. They contain no secrets, so a client needs no token for them.
 pub(super) fn is_file(method: &str, path: &str) -> bool {
-    matches!(method, "GET" | "HEAD") && FILES.iter().any(|(known, ..)| *known == path)
+    let kept = path.strip_prefix(FOLDER).and_then(|rest| rest.split_once('/'));
+    let kept = kept.filter(|(version, _)| version.bytes().all(|byte| byte.is_ascii_hexdigit()));
+    let is_known =
+        |known: &str| known == path || kept.is_some_and(|(_, name)| known.strip_prefix(FOLDER) == Some(name));
+    matches!(method, "GET" | "HEAD") && FILES.iter().any(|(known, ..)| is_known(known))
 }
 
-/// The routes of the page.
+/// The routes of the page: each file at its address, and below `/page/VERSION/`, where a browser may keep it.
 pub(super) fn routes<S: Clone + Send + Sync + 'static>() -> Router<S> {
-    FILES.into_iter().fold(Router::new(), |router, (path, kind, text)| {
-        let head: [(HeaderName, &str); 4] = [
-            (CONTENT_TYPE, kind),
-            (CONTENT_SECURITY_POLICY, POLICY),
-            (REFERRER_POLICY, "no-referrer"),
-            // A newer daemon has newer files.
-            (CACHE_CONTROL, "no-cache"),
-        ];
-        router.route(path, get(async move || (head, text)))
+    FILES.iter().enumerate().fold(Router::new(), |router, (index, (path, ..))| {
+        let fresh = get(move |headers: HeaderMap| served::serve(index, None, headers));
+        let router = router.route(path, fresh);
+        let Some(name) = path.strip_prefix(FOLDER) else { return router };
+        let kept = get(move |Path(version): Path<String>, headers: HeaderMap| {
+            served::serve(index, Some(version), headers)
+        });
+        router.route(&format!("{FOLDER}{{version}}/{name}"), kept)
     })
 }
 
@@ -123,5 +130,10 @@ mod tests {
         assert!(
             !is_file("POST", "/") && !is_file("GET", "/v1/status") && !is_file("GET", "/page/../v1/status")
         );
+        assert!(is_file("GET", "/page/0123/app.js") && is_file("GET", "/favicon.ico"));
+        for path in ["/page/0123/status", "/page/v1/app.js", "/page/0123/../app.js", "/page/0123//", "/page/"]
+        {
+            assert!(!is_file("GET", path), "{path}");
+        }
     }
 }

@@ -100,6 +100,13 @@ impl State {
         checked.map_err(|problem| NoRight { problem, cause: &EndCause::OwnerReturned })
     }
 
+    /// What the requesting client may do, and whether it shows the token of the running session. The daemon itself may do anything.
+    pub(in crate::daemon) fn asker(&self) -> (Role, bool) {
+        let Some(Asker { caller, .. }) = Asker::find() else { return (Role::Operate, false) };
+        let role = caller.access.map_or(Some(Role::Operate), |id| self.rights.tokens.role(id));
+        (role.unwrap_or(Role::Observe), self.sessions.is_owner(caller.session()))
+    }
+
     /// Refuses a change by a client that may no longer make it: since its request came, a session may have begun, or its token may
     /// have been revoked. Outside a request the daemon itself acts, which may do anything.
     pub(in crate::daemon) fn check_asker(&self) -> Result<(), Problem> {

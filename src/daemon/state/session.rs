@@ -91,6 +91,11 @@ impl Sessions {
         self.closed_to(token).map(|(session, _)| session.id.clone())
     }
 
+    /// Whether this is the token of the running session.
+    pub(super) fn is_owner(&self, token: Option<&str>) -> bool {
+        self.running.as_ref().is_some_and(|running| token == Some(&*running.token))
+    }
+
     /// Counts an accepted play of the running session.
     pub(in crate::daemon) fn count_play(&mut self, session: Option<&str>) {
         if let Some(running) = self.running.as_mut().filter(|running| session == Some(&running.session.id)) {

@@ -4,6 +4,7 @@
 
 pub(in crate::daemon) mod check;
 pub(in crate::daemon) mod error;
+pub(in crate::daemon) mod gzip;
 pub(in crate::daemon) mod names;
 pub(in crate::daemon) mod panics;
 pub(in crate::daemon) mod runtime;

@@ -22,7 +22,7 @@ pub(super) use burst_controller::{BurstController, Times};
 pub use estimator::{Gains, MeasuredBurst};
 pub(super) use queued::Cutting;
 
-use crate::queues::RestErrors;
+use crate::queues::{Movement, RestErrors};
 use crate::settings::Settings;
 pub use bound::rest_bound_um;
 use firmware_protocol::array::MotorSet;
@@ -38,6 +38,8 @@ use replacement::Replacement;
 
 /// Without telemetry a stroke counts as played so long after it begins, ms: the device's verdict has come by then.
 const REPORTED_MS: u64 = 50;
+/// What a pin does now is what it did in so long a time, ms.
+const SPAN_MS: u64 = 200;
 
 /// Some of a play's strokes: those that begin at `from` or later and before `until`.
 #[derive(Clone, Copy, Debug)]
@@ -126,7 +128,9 @@ impl PositionControl {
             self.reckon_to(now);
         }
         self.account.over = over;
-        self.motors.iter_mut().for_each(BurstController::cut);
+        let cut_at = now.map_or(begun_by, |now| now.min(begun_by));
+        self.motors.iter_mut().for_each(|motor| motor.cut(cut_at));
+        self.account.moved_until = cut_at + u64::from(self.array.motor().most_pulses);
         self.replacement.clear();
         (self.last_sample, self.advanced_to) = (None, Tick(0));
         self.valid_from = None;
@@ -148,6 +152,7 @@ impl PositionControl {
     pub(super) fn connected(&mut self, telemetry: bool) {
         self.telemetry = telemetry;
         self.account = Account::default();
+        self.motors.iter_mut().for_each(BurstController::forget_trail);
     }
 
     /// Nothing is known of the pins: they may be as far off as the end stops.
@@ -476,7 +481,19 @@ impl PositionControl {
         errors
     }
 
-    /// The same of one motor.
+    /// What each pin does now: how far and how often it moved in the last [`SPAN_MS`], as planned.
+    pub(super) fn movements(&self, now: Tick) -> PerMotor<Movement> {
+        let rate = self.array.rate();
+        let span = [Tick(now.0.saturating_sub(rate.of_ms(SPAN_MS))), now];
+        PerMotor::from_fn(self.array, |motor| self.motors[usize::from(motor)].movement(span, rate))
+    }
+
+    /// Whether a pin may have moved in the last [`SPAN_MS`]. Moves that are still queued do not count.
+    pub(super) fn moved_lately(&self, now: Tick) -> bool {
+        now < self.account.moved_until + self.array.rate().of_ms(SPAN_MS)
+    }
+
+    /// [`Self::rest_error_um`] of one motor.
     #[inline]
     fn error_um(&self, motor: &BurstController, now: Tick) -> (f32, ErrorSource) {
         if self.has_recent_telemetry(now) && motor.fault().is_none() && !motor.is_blind(now) {
@@ -509,12 +526,15 @@ struct Account {
     uncounted: (u64, u64),
     /// Of each play, by its end: the end of its last stroke. The oldest makes room.
     over: heapless::Deque<(Tick, Tick), PLAYS>,
+    /// The latest end of any.
+    moved_until: Tick,
 }
 
 impl Account {
     /// Adds a burst of the play that ends at `until`.
     fn gone(&mut self, burst: &Burst, until: Tick) {
         let end = burst.end();
+        self.moved_until = end.max(self.moved_until);
         let (begun, pulses) = played_after(burst, self.counters_at, end);
         self.uncounted.0 += begun;
         self.uncounted.1 += pulses;

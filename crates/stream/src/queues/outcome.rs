@@ -108,6 +108,17 @@ impl RestErrors {
     }
 }
 
+/// How far and how often a pin moved in a span of time, as planned: without the corrections of position control.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Movement {
+    /// The lowest level, pulses above rest.
+    pub low: u16,
+    /// The highest level, pulses above rest.
+    pub high: u16,
+    /// Strokes per second, or half as many changes of direction.
+    pub hz: f32,
+}
+
 /// A finished play.
 #[derive(Debug)]
 pub struct Outcome {
@@ -168,6 +179,8 @@ pub struct Snapshot {
     pub rest_error_um: PerMotor<f32>,
     /// Where the estimates come from.
     pub source: PerMotor<ErrorSource>,
+    /// What each pin did in the 0.2 s before `tick`.
+    pub movements: PerMotor<Movement>,
     /// Telemetry shows all pins, or did until the last cut: a device sends none while it is disarmed.
     pub pins_seen: bool,
     /// Measured capacity of the line, bytes/s; `None` before the link probe.

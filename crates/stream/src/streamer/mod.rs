@@ -208,7 +208,9 @@ impl Streamer {
         self.operations.close(now, self.is_off(), emit);
         let connected = self.is_connected();
         let line = self.session.as_ref().and_then(Session::capacity);
-        let playing = !self.plays.is_empty() || self.state() == State::Returning;
+        // Also until a snapshot has shown that the pins are still.
+        let moved = self.tick_at(now).is_some_and(|tick| self.control.moved_lately(tick));
+        let playing = moved || !self.plays.is_empty() || self.state() == State::Returning;
         let every = if playing { SNAPSHOT_EVERY } else { IDLE_PING };
         if self.reports.take_due(now, connected, line, every) {
             let tick = self.tick_at(now).unwrap_or_default();
@@ -273,6 +275,7 @@ impl Streamer {
             settings: self.settings,
             rest_error_um: rest.um,
             source: rest.source,
+            movements: self.control.movements(tick),
             pins_seen: self.control.sees_all(),
             line_bytes_per_s: self.session.as_ref().and_then(Session::capacity),
             traffic: self.session.as_ref().map(Session::traffic).unwrap_or_default(),

@@ -1,6 +1,6 @@
 //! The burst controller of one motor: tracks the bursts sent and decides the pulse count of each.
 //!
-//! `correct` decides the counts, `rest` says where the pin rests between plays and without telemetry.
+//! `correct` decides the counts, `rest` says where the pin rests between plays and without telemetry, `trail` what the pin did lately.
 //!
 //! [`BurstController::correct`] finalises the count of a burst shortly before it begins. The [`Estimator`] predicts where the
 //! shaft will be then; the new count leads from there to the burst's level. The control is dead-beat: it corrects the whole known error
@@ -25,12 +25,14 @@
 
 mod correct;
 mod rest;
+mod trail;
 
 pub(crate) use correct::Times;
 
 use super::estimator::{Estimator, Gains, Travel, gain_index, sign};
 use super::queued::{Correction, Cutting, Forgotten, Queued};
 use super::telemetry_monitor::{Plausibility, TelemetryMonitor};
+use crate::queues::Movement;
 use firmware_protocol::controller::POOL;
 use firmware_protocol::stroke::Direction;
 use firmware_protocol::tick::Tick;
@@ -39,7 +41,9 @@ use meissner_array::motor::HalfTick;
 use meissner_array::reflected_walk::Bursts;
 use meissner_array::spec::Array;
 use meissner_array::strokes::{Burst, Step};
+use meissner_array::units::TickRate;
 use std::collections::VecDeque;
+use trail::{Passed, Trail};
 
 /// Bursts of one motor that may begin in [`Times::longest_age`]: strokes at 300 Hz, moves every 1.6 ms.
 const PAST: usize = 800;
@@ -53,6 +57,8 @@ pub(crate) struct BurstController {
     queue: VecDeque<Queued>,
     /// The level after the last burst that has left the queue, pulses above rest.
     level: u16,
+    /// The last bursts that have left the queue as played.
+    trail: Trail,
     /// The bursts that have begun since the pin was last at rest.
     bursts: Bursts,
     /// The last bursts that had begun when the queue was last cut.
@@ -92,6 +98,7 @@ impl BurstController {
             times: Times::of(array),
             queue,
             level: 0,
+            trail: Trail::new(),
             bursts: Bursts::default(),
             cut: heapless::Deque::new(),
             begun: 0,
@@ -368,6 +375,16 @@ impl BurstController {
         self.queue.iter().filter(|queued| queued.accepted).map(|queued| (queued.burst, queued.level))
     }
 
+    /// What the pin did from the first tick to the second, as planned.
+    pub(crate) fn movement(&self, span: [Tick; 2], rate: TickRate) -> Movement {
+        self.trail.movement(moves(&self.queue, self.level), self.level, span, rate)
+    }
+
+    /// Forgets what the pin did: the device's clock may have begun again.
+    pub(crate) fn forget_trail(&mut self) {
+        self.trail.clear();
+    }
+
     /// Advances to `tick`: takes bursts that have begun as played, and removes those that are over.
     ///
     /// The device has reported which steps before `known_to` it refused. At a step without a verdict, or that begins
@@ -405,6 +422,13 @@ impl BurstController {
         {
             for queued in self.queue.drain(..bursts) {
                 gone(&queued.burst, queued.until);
+                if queued.accepted {
+                    self.trail.passed(Passed {
+                        start: queued.burst.start,
+                        from: self.level,
+                        to: queued.level,
+                    });
+                }
                 self.level = queued.level;
             }
             self.begun -= bursts;
@@ -484,4 +508,12 @@ impl BurstController {
             self.estimator.relearn(&self.gains);
         }
     }
+}
+
+/// The bursts of a queue that the device has accepted, as moves from level to level; the first begins at `level`.
+fn moves(queue: &VecDeque<Queued>, level: u16) -> impl Iterator<Item = Passed> {
+    queue.iter().filter(|queued| queued.accepted).scan(level, |level, queued| {
+        let to = queued.level;
+        Some(Passed { start: queued.burst.start, from: std::mem::replace(level, to), to })
+    })
 }

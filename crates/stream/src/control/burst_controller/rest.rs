@@ -2,15 +2,20 @@
 //!
 //! Invariant: with a lower stop no pin is taken for lower than rest.
 
-use super::BurstController;
+use super::{BurstController, moves};
 use crate::control::estimator::{ASYMMETRY, Gains, after_rest, gain_index, sign};
 use firmware_protocol::stroke::Direction;
 use firmware_protocol::tick::Tick;
 use meissner_array::reflected_walk::{Bursts, ReflectedWalk, Spread};
 
 impl BurstController {
-    /// The device has flushed the queue and returns the pin.
-    pub(crate) fn cut(&mut self) {
+    /// The device has flushed the queue at `tick` and returns the pin.
+    pub(crate) fn cut(&mut self, tick: Tick) {
+        let Self { queue, trail, .. } = self;
+        for passed in moves(queue, self.level).take_while(|passed| passed.start < tick) {
+            trail.passed(passed);
+        }
+        trail.cut(tick);
         let rest_um = self.rest_um();
         // What is cut scatters like any other excursion.
         let um_per_pulse = self.um_per_pulse();

@@ -1,0 +1,175 @@
+//! What snapshots say that the pins do now, for each kind of play.
+
+use meissner_array::motor::SquareWave;
+use meissner_array::pattern::Pattern;
+use meissner_array::per_motor::PerMotor;
+use meissner_array::spec::Array;
+use meissner_array::strokes::{Sequence, Start, StrokeOptions};
+use meissner_stream::queues::{Command, Play};
+use meissner_stream::{Bandwidth, Line, Settings};
+use meissner_test_support::patterns::{self, drive};
+use meissner_test_support::rig::{self, Rig, last_snapshot};
+use std::time::Duration;
+
+/// Height, swing and strokes per second of each motor in the last snapshot.
+fn now(rig: &mut Rig) -> Vec<(f64, f64, f64)> {
+    let snapshot = last_snapshot(&rig.take_events());
+    let um = |pulses: u16| f64::from(pulses) * Array::paper().motor().um_per_pulse;
+    let of = |pin: &meissner_stream::queues::Movement| {
+        let (low, high) = (um(pin.low), um(pin.high));
+        (f64::midpoint(low, high), high - low, f64::from(pin.hz))
+    };
+    snapshot.movements.iter().map(of).collect()
+}
+
+#[track_caller]
+fn assert_near((height, swing, hz): (f64, f64, f64), wanted: (f64, f64, f64)) {
+    let off = [height - wanted.0, swing - wanted.1, hz - wanted.2];
+    assert!(off.iter().all(|off| off.abs() < 0.3), "{:?} instead of {wanted:?}", (height, swing, hz));
+}
+
+#[track_caller]
+fn assert_still(rig: &mut Rig) {
+    for pin in now(rig) {
+        assert_eq!(pin, (0.0, 0.0, 0.0));
+    }
+}
+
+fn pattern(rest: &str) -> Pattern {
+    Pattern::parse(&format!("format = 2\nname = \"test\"\n{rest}"), "test.toml").unwrap()
+}
+
+/// In open loop and in closed loop; the latter changes the pulses and not what was ordered.
+#[test]
+fn drives_show_their_amplitude_and_frequency_and_after_the_play_nothing() {
+    let drives = [drive(3, 60.0, 62.0), drive(4, 300.0, 40.0), drive(5, 12.0, 100.0), drive(6, 3.0, 50.0)];
+    let drives = patterns::pattern("four", Some(1.5), drives);
+    for open_loop in [true, false] {
+        let mut rig = Rig::armed(Line::default(), 1);
+        rig.run_ms(1_100);
+        assert_still(&mut rig);
+        rig.start_with(&drives, None, |play| play.open_loop = open_loop);
+        rig.run_ms(1_000);
+        let pins = now(&mut rig);
+        assert_near(pins[3], (31.0, 62.0, 60.0));
+        assert_near(pins[4], (20.0, 40.0, 300.0));
+        assert_near(pins[5], (50.0, 100.0, 12.0));
+        // Strokes of 3 Hz are longer than what is looked at: one or two changes of direction.
+        assert_near((pins[6].0, pins[6].1, 0.0), (25.0, 50.0, 0.0));
+        assert!([2.5, 5.0].contains(&pins[6].2), "{:?}", pins[6]);
+        assert_eq!(pins[7], (0.0, 0.0, 0.0));
+        rig.run_ms(1_300);
+        assert_still(&mut rig);
+    }
+}
+
+#[test]
+fn a_held_pin_shows_its_height_and_a_tone_about_a_height_both() {
+    let motions = pattern(
+        "[[ramp]]\nmotor = 9\nto_um = 200.0\nrise_s = 0.05\nhold_s = 1.5\nfall_s = 0.05\n\
+         [[tone]]\nmotor = 10\nfrequency_hz = 20.0\namplitude_um = 60.0\nabout_um = 50.0\nduration_s = 1.5\n\
+         envelope = { attack_s = 0.1, release_s = 0.1 }\n",
+    );
+    let mut rig = Rig::armed(Line::default(), 2);
+    rig.start(&motions, None);
+    rig.run_ms(1_000);
+    let pins = now(&mut rig);
+    assert_near(pins[9], (200.0, 0.0, 0.0));
+    let (height, swing, hz) = pins[10];
+    // The grid of the moves cuts the tops of a sine.
+    assert!((height - 50.0).abs() < 2.0 && (55.0..61.0).contains(&swing), "{height} um, {swing} um");
+    assert!((hz - 20.0).abs() < 0.7, "{hz} Hz");
+    rig.run_ms(1_200);
+    assert_still(&mut rig);
+}
+
+/// A stop while one pin is up and the others move.
+#[test]
+fn after_the_return_of_a_stopped_play_all_are_at_rest() {
+    let play = pattern(
+        "[[ramp]]\nmotor = 9\nto_um = 200.0\nrise_s = 0.05\nhold_s = 9.0\nfall_s = 0.05\n\
+         [[drive]]\nmotor = 4\nfrequency_hz = 60.0\namplitude_um = 80.0\nphase = 0.0\nstop_s = 9.0\n",
+    );
+    for stop in [|| Command::Stop, || Command::Disarm] {
+        let mut rig = Rig::armed(Line::default(), 3);
+        rig.start(&play, None);
+        rig.run_ms(1_000);
+        rig.send(stop());
+        rig.run_ms(110);
+        let pins = now(&mut rig);
+        assert_near(pins[9], (100.0, 200.0, 2.5));
+        assert_near((pins[4].0, pins[4].1, 0.0), (40.0, 80.0, 0.0));
+        rig.run_ms(400);
+        assert_still(&mut rig);
+    }
+}
+
+#[test]
+fn a_sequence_shows_the_pins_of_the_present_item() {
+    let items =
+        [drive(5, 100.0, 30.0), drive(6, 50.0, 90.0)].map(|drive| patterns::pattern("item", None, [drive]));
+    let mut sequence = Sequence::new(Array::paper());
+    for item in &items {
+        let item = sequence.compile(item, &StrokeOptions::default()).unwrap();
+        sequence.add(item, Some(0.8), Start::Gap(100.0)).unwrap();
+    }
+    let strokes = sequence.strokes().unwrap();
+    let bandwidth = Bandwidth::of(&strokes, &Settings::of(Array::paper()));
+    let mut rig = Rig::armed(Line::default(), 4);
+    rig.send(Command::Play(Box::new(Play { open_loop: true, bandwidth, ..Play::new(1, strokes) })));
+    rig.run_ms(700);
+    let pins = now(&mut rig);
+    assert_near(pins[5], (15.0, 30.0, 100.0));
+    assert_eq!(pins[6], (0.0, 0.0, 0.0));
+    rig.run_ms(900);
+    let pins = now(&mut rig);
+    assert_eq!(pins[5], (0.0, 0.0, 0.0));
+    assert_near(pins[6], (45.0, 90.0, 50.0));
+}
+
+#[test]
+fn a_live_play_shows_what_its_last_update_drives() {
+    let wave = |hz, um| SquareWave::new(Array::paper(), hz, um, 0.0).unwrap();
+    let mut rig = Rig::armed(Line::default(), 5);
+    let id = rig.start_live(PerMotor::all(Array::paper(), wave(60.0, 80.0)), Duration::from_secs(5));
+    rig.run_ms(600);
+    for pin in now(&mut rig) {
+        assert_near(pin, (40.0, 80.0, 60.0));
+    }
+    let waves =
+        PerMotor::from_fn(
+            Array::paper(),
+            |motor| if motor == 7 { wave(100.0, 50.0) } else { wave(60.0, 0.0) },
+        );
+    let update = meissner_stream::queues::LiveUpdate {
+        motions: waves.map(|wave| Some(wave.into())),
+        ..meissner_stream::queues::LiveUpdate::new(Array::paper(), id, 1, rig.now())
+    };
+    rig.send(Command::UpdateLive(Box::new(update)));
+    rig.run_ms(600);
+    let pins = now(&mut rig);
+    assert_near(pins[7], (25.0, 50.0, 100.0));
+    assert_eq!(pins[8], (0.0, 0.0, 0.0));
+    rig.send(Command::EndLive(id));
+    rig.run_ms(600);
+    assert_still(&mut rig);
+}
+
+/// Over a line that loses, repeats and damages, what the device has not taken does not count as a movement.
+#[test]
+fn each_pin_of_a_shipped_pattern_shows_what_its_drive_orders() {
+    let edge = rig::pattern("edge-45");
+    let mut rig = Rig::armed(rig::bad_line(), 6);
+    rig.start_closed(&edge, Some(2.0));
+    rig.run_ms(1_500);
+    let pins = now(&mut rig);
+    assert!(!edge.drives().is_empty());
+    for (motor, pin) in (0..).zip(pins) {
+        match edge.drives().iter().find(|drive| drive.motor == motor) {
+            Some(drive) => {
+                assert_near(pin, (drive.amplitude_um / 2.0, drive.amplitude_um, drive.frequency_hz));
+            }
+            None => assert_eq!(pin, (0.0, 0.0, 0.0)),
+        }
+    }
+}

@@ -1,0 +1,122 @@
+//! What `GET /v1/status` says of the present: what each pin does, whatever the play, and who asks.
+
+use crate::harness::{Daemon, TIMEOUT, wait_until};
+use meissner_api::{LiveAccepted, MotorStatus, PinMovement, SessionStarted, Status};
+use meissner_client::Client;
+use serde_json::{Value, json};
+use std::io::{BufRead, BufReader, Write};
+use std::os::unix::net::UnixStream;
+
+const STILL: PinMovement = PinMovement { height_um: 0.0, swing_um: 0.0, hz: 0.0 };
+
+fn motors(client: &mut Client) -> Vec<MotorStatus> {
+    client.get::<Status>("/v1/status").unwrap().motors
+}
+
+fn are_still(client: &mut Client) -> bool {
+    motors(client).iter().all(|motor| motor.now == Some(STILL))
+}
+
+/// Waits until this pin does this, and no other moves.
+#[track_caller]
+fn wait_for(client: &mut Client, motor: usize, wanted: PinMovement) {
+    let near = |is: f64, wanted: f64| (is - wanted).abs() <= 0.2;
+    wait_until(|| {
+        let all = motors(client);
+        all.iter().enumerate().all(|(at, other)| at == motor || other.now == Some(STILL))
+            && all[motor].now.is_some_and(|now| {
+                near(now.height_um, wanted.height_um)
+                    && near(now.swing_um, wanted.swing_um)
+                    && near(now.hz, wanted.hz)
+            })
+    });
+}
+
+fn stop(client: &mut Client) {
+    let _: Status = client.post("/v1/stop", &json!({})).unwrap();
+    wait_until(|| are_still(client));
+}
+
+#[test]
+fn every_kind_of_play_shows_what_its_pins_do_and_a_stop_that_they_rest() {
+    let daemon = Daemon::start();
+    let mut client = daemon.client();
+    // The position of the pins is not known yet.
+    assert!(motors(&mut client).iter().all(|motor| motor.now.is_none()));
+    daemon.armed();
+    wait_until(|| are_still(&mut client));
+
+    let drive = json!({"motor": 4, "frequency_hz": 60.0, "amplitude_um": 62.0, "phase": 0.0});
+    let one = json!({"format": 1, "name": "one", "drive": [drive]});
+    let _: Value = client.post("/v1/play", &json!({"pattern": one})).unwrap();
+    wait_for(&mut client, 4, PinMovement { height_um: 31.0, swing_um: 62.0, hz: 60.0 });
+    stop(&mut client);
+
+    let ramp = json!({"motor": 7, "to_um": 200.0, "rise_s": 0.05, "hold_s": 60.0, "fall_s": 0.05});
+    let held = json!({"format": 2, "name": "held", "ramp": [ramp]});
+    let _: Value = client.post("/v1/play", &json!({"pattern": held})).unwrap();
+    wait_for(&mut client, 7, PinMovement { height_um: 200.0, swing_um: 0.0, hz: 0.0 });
+    stop(&mut client);
+
+    let items = [json!({"pattern": "pin-60", "seconds": 60.0, "scale": 0.5})];
+    let _: Value = client.post("/v1/sequence", &json!({"items": items})).unwrap();
+    wait_for(&mut client, 9, PinMovement { height_um: 20.0, swing_um: 40.0, hz: 60.0 });
+    stop(&mut client);
+
+    let live: LiveAccepted = client.post("/v1/live", &json!({"timeout_ms": 20_000})).unwrap();
+    let mut lines = upgraded(&daemon, &live.path);
+    let update = json!({"seq": 1, "drives": [{"motor": 11, "frequency_hz": 100.0, "amplitude_um": 50.0}]});
+    lines.write_all(format!("{update}\n").as_bytes()).unwrap();
+    wait_for(&mut client, 11, PinMovement { height_um: 25.0, swing_um: 50.0, hz: 100.0 });
+    stop(&mut client);
+
+    // The pins of an edge that follows its pose.
+    let target = json!({"target": "edge-45", "model": "membrane", "timeout_ms": 20_000});
+    let live: LiveAccepted = client.post("/v1/live", &target).unwrap();
+    let _lines = upgraded(&daemon, &live.path);
+    let moving = |client: &mut Client| {
+        motors(client).iter().filter(|motor| motor.now.is_some_and(|now| now.swing_um > 0.0)).count()
+    };
+    wait_until(|| moving(&mut client) > 5);
+    stop(&mut client);
+
+    let _: Value = client.post("/v1/calibrate", &json!({})).unwrap();
+    wait_until(|| moving(&mut client) > 0);
+    stop(&mut client);
+
+    // The lines are off, wherever the pins are.
+    let _: Status = client.post("/v1/estop", &json!({})).unwrap();
+    assert!(motors(&mut client).iter().all(|motor| motor.now.is_none()));
+}
+
+/// A live connection in lines of JSON.
+fn upgraded(daemon: &Daemon, path: &str) -> UnixStream {
+    let mut stream = UnixStream::connect(daemon.socket()).unwrap();
+    stream.set_read_timeout(Some(TIMEOUT)).unwrap();
+    let head = format!(
+        "GET {path} HTTP/1.1\r\nhost: meissner\r\nconnection: upgrade\r\nupgrade: meissner-live\r\n\r\n"
+    );
+    stream.write_all(head.as_bytes()).unwrap();
+    let mut line = String::new();
+    BufReader::new(&stream).read_line(&mut line).unwrap();
+    assert!(line.starts_with("HTTP/1.1 101 "), "{line}");
+    stream
+}
+
+#[test]
+fn the_status_says_whether_the_running_session_is_that_of_the_client() {
+    let daemon = Daemon::start();
+    let [mut owner, mut other] = [daemon.client(), daemon.client()];
+    let started: SessionStarted = owner.post("/v1/sessions", &json!({"participant": "P07"})).unwrap();
+    owner.set_token(Some(started.token.clone()));
+    let mine = |client: &mut Client| client.get::<Status>("/v1/status").unwrap().session.unwrap().mine;
+    assert_eq!((mine(&mut owner), mine(&mut other)), (Some(true), Some(false)));
+    other.set_token(Some("0".repeat(32)));
+    assert_eq!(mine(&mut other), Some(false));
+    // The record tells nothing of who asks.
+    let listed: Value = owner.get("/v1/sessions/running").unwrap();
+    assert_eq!(listed.get("mine"), None);
+    // The answer to a command is a status, too.
+    let stopped: Status = owner.post("/v1/stop", &json!({})).unwrap();
+    assert_eq!(stopped.session.unwrap().mine, Some(true));
+}
