@@ -64,6 +64,10 @@ const FILES: &[(&str, &str, &str)] = &[
     ("/page/calibration.js", SCRIPT, include_str!("assets/calibration.js")),
     ("/page/plot.js", SCRIPT, include_str!("assets/plot.js")),
     ("/page/record.js", SCRIPT, include_str!("assets/record.js")),
+    ("/page/session.js", SCRIPT, include_str!("assets/session.js")),
+    ("/page/experiment.js", SCRIPT, include_str!("assets/experiment.js")),
+    ("/page/choice.js", SCRIPT, include_str!("assets/choice.js")),
+    ("/page/export.js", SCRIPT, include_str!("assets/export.js")),
 ];
 
 /// Whether a request is for a file of the page. They contain no secrets, so a client needs no token for them.

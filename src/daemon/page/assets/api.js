@@ -60,12 +60,30 @@ export async function call(method, path, body, ms = ANSWER_MS) {
   return answer(method, path, body === undefined ? undefined : JSON.stringify(body, number), ms);
 }
 
+// The text of an answer.
+export async function text(path, ms = ANSWER_MS) {
+  const signal = AbortSignal.any([pending.signal, AbortSignal.timeout(ms)]);
+  const response = await request("GET", path, undefined, signal);
+  return part(response.text(), signal);
+}
+
+// A JSON answer in which integers that a number of JavaScript cannot hold, as nanoseconds of the wall clock, are strings that begin with
+// `\u0000`.
+export async function exact(path, ms = ANSWER_MS) {
+  return JSON.parse((await text(path, ms)).replace(/"(?:[^"\\]|\\.)*"|(?<![\d.])-?\d{16,}(?![\d.eE])/g, (found) => (found.startsWith('"') ? found : `"\\u0000${found}"`)));
+}
+
 // Orders a play, in the session that the page shows: the daemon refuses it if another one runs.
 export async function order(path, body) {
   if (!known()) await poll();
   const status = known();
   if (!status) throw new Problem("not-known", "Nothing was ordered: the state is not known.");
-  return call("POST", path, status.session ? { ...body, session: status.session.id } : body, COMPILE_MS);
+  return orderIn(status.session?.id, path, body);
+}
+
+// Orders a play in this session; the daemon refuses it if another one runs, or none.
+export function orderIn(session, path, body) {
+  return call("POST", path, session ? { ...body, session } : body, COMPILE_MS);
 }
 
 // Stores a TOML file.

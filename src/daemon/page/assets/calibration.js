@@ -152,14 +152,13 @@ const STATES = { disarmed: "Arm first: the pins move.", faulted: "Reset first.",
 // Whether motors can be calibrated now, and if not, why.
 function showCalibrating() {
   const status = known();
-  const { play, device, session } = status ?? {};
+  const { play, device } = status ?? {};
   const runs = play?.pattern === CALIBRATION;
   if (runs && play.id !== ended) awaited = play.id;
   const why = !status ? "The state is not known."
     : runs ? `Calibrating for ${play.played_s.toFixed(0)} s. Keep the finger off.`
     : !device ? STATES["no-device"]
     : !device.telemetry ? "This device has no telemetry. A laser measures one motor after the other: `meissner calibrate` on the daemon's machine."
-    : session?.exclusive && !session.released ? `The exclusive session with ${session.participant} runs: only its owner may calibrate.`
     : status.state !== "armed" ? STATES[status.state] ?? `The state is ${status.state}.`
     : play || status.queued.length ? "A play runs or waits."
     : "";

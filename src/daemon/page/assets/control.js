@@ -1,5 +1,9 @@
 // The header's buttons, which change the device's state, and what all views use: elements, facts, dialogs, checks of fields, and
 // answers beside a control.
+//
+// A control that this window may not use is not offered: `data-needs="operate"` marks what changes something, and `data-needs="stop"`
+// what only stops or disarms. `showRights` decides, the header says why, and `page.css` hides the marked elements. E-STOP is never
+// hidden: it asks for another access token.
 
 import { call, headers, known, last, poll } from "./api.js";
 import { plain } from "./words.js";
@@ -25,12 +29,25 @@ export function showControls() {
   $("disarm").disabled = status !== null && status.state !== "armed";
   $("stop").disabled = status !== null && !status.play && !status.queued.length;
   write($("owner"), status ? owner(status) : "");
+  if (status) showRights(status);
 }
 
 // Whose session runs, and for whom the motors are armed.
 function owner({ session, armed }) {
-  const runs = session ? `Session of ${session.participant}${session.owner ? `, by ${session.owner}` : ""}${session.exclusive && !session.released ? ", exclusive" : ""}` : "No session";
+  const by = session?.mine ? ", by this window" : session?.owner ? `, by ${session.owner}` : "";
+  const runs = session ? `Session of ${session.participant}${by}${session.exclusive && !session.released ? ", exclusive" : ""}` : "No session";
   return armed ? `${runs} · armed by ${armed.by}` : runs;
+}
+
+// Shows what this window may do: everything, only stop and disarm, or only read. While the state is not known, that stays.
+function showRights({ role, session }) {
+  const isForeign = session?.exclusive && !session.released && !session.mine;
+  const [may, why] = role === "observe" ? ["read", "This window may only read: its access token has the role “observe”."]
+    : isForeign ? ["stop", `${session.owner ?? "Another client"} owns the exclusive session with ${session.participant}: this window may read, stop and disarm.`]
+      : ["all", ""];
+  document.documentElement.dataset.may = may;
+  $("may-not").hidden = !why;
+  write($("may-not"), why);
 }
 
 // An element of HTML.

@@ -28,10 +28,15 @@
   // The access token, for as long as the window is open. A link never holds it.
   const TOKEN = "meissner-token";
   const token = { get: () => sessionStorage.getItem(TOKEN), set: (value) => sessionStorage.setItem(TOKEN, value) };
+  // The token of the session that this window has started.
+  const SESSION = "meissner-session";
   // This name tells the daemon that a request comes from this window.
   const CLIENT = "meissner-client";
   if (!sessionStorage.getItem(CLIENT)) sessionStorage.setItem(CLIENT, crypto.getRandomValues(new Uint32Array(4)).join("-"));
-  const headers = (value = token.get()) => ({ "meissner-client": sessionStorage.getItem(CLIENT), ...(value ? { authorization: `Bearer ${value}` } : {}) });
+  const headers = (value = token.get()) => {
+    const session = sessionStorage.getItem(SESSION);
+    return { "meissner-client": sessionStorage.getItem(CLIENT), ...(value ? { authorization: `Bearer ${value}` } : {}), ...(session ? { [SESSION]: session } : {}) };
+  };
 
   // A clock stands still while the computer sleeps, and the other may be set back: the longer time counts.
   const instant = () => [performance.now(), Date.now()];
