@@ -5,7 +5,9 @@
 //! stated bound. It asserts nothing. Words after `--` choose loads by their names.
 
 use meissner::daemon::MEMORY_BOUND;
-use meissner_api::Status;
+use base64::Engine as _;
+use base64::engine::general_purpose::STANDARD;
+use meissner_api::{PlayRequest, Status};
 use meissner_benches::daemon::Daemon;
 use meissner_client::Events;
 use meissner_test_support::paper::MOTORS;
@@ -27,7 +29,7 @@ struct Kept {
     _events: Vec<Events>,
 }
 
-const LOADS: [(&str, Load); 11] = [
+const LOADS: [(&str, Load); 13] = [
     ("idle", |_| Ok(Kept::default())),
     ("import, 1 MB of dotted keys", |daemon| imports(daemon, 1, dotted)),
     ("six of them in parallel", |daemon| imports(daemon, 6, dotted)),
@@ -37,6 +39,19 @@ const LOADS: [(&str, Load); 11] = [
     ("17 plays of dotted keys", |daemon| plays(daemon, |_| dotted("p0"))),
     ("17 plays of the largest valid", |daemon| plays(daemon, |_| largest("p0"))),
     ("17 plays of 17 such", |daemon| plays(daemon, |number| largest(&format!("p{number}")))),
+    ("import, ten minutes at 1 kHz on all pins", |daemon| {
+        daemon.client()?.put::<Value>("/v1/patterns/p0", packed("p0"))?;
+        Ok(Kept::default())
+    }),
+    ("17 plays of that", |daemon| {
+        daemon.client()?.put::<Value>("/v1/patterns/p0", packed("p0"))?;
+        let mut client = daemon.client()?;
+        client.post::<Status>("/v1/arm", &json!({"assume_rest": true}))?;
+        for _ in 0..17 {
+            let _ = client.play(&PlayRequest { pattern: "p0".into(), ..PlayRequest::default() });
+        }
+        Ok(Kept::default())
+    }),
     ("64 clients with 1 MB bodies", bodies),
     ("48 event streams that do not read", streams),
     ("5000 refused plays, names of 15 kB", |daemon| {
@@ -105,6 +120,23 @@ fn largest(name: &str) -> String {
     text += "[provenance]\n";
     for key in 0..2040 {
         let _ = writeln!(text, "k{key} = {{ a = 1, b = [[1], [2]] }}");
+    }
+    text
+}
+
+/// Ten minutes of packed samples at 1 kHz for every motor: 77 MB.
+fn packed(name: &str) -> String {
+    let height = |sample: u32| 20.0 + (sample.wrapping_mul(2_654_435_761) >> 28) as f32;
+    let samples = |motor: usize| -> Vec<u8> {
+        (0..600_000).flat_map(|sample| height(sample + motor as u32).to_le_bytes()).collect()
+    };
+    let mut text = format!("format = 2\nname = \"{name}\"\nduration_s = 600.0\n");
+    for motor in 0..MOTORS {
+        let _ = write!(
+            text,
+            "[[wave]]\nmotor = {motor}\nrate_hz = 1000\nsamples = \"{}\"\n",
+            STANDARD.encode(samples(motor))
+        );
     }
     text
 }
