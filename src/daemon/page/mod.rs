@@ -21,7 +21,7 @@ const STYLE: &str = "text/css; charset=utf-8";
 const SCRIPT: &str = "text/javascript; charset=utf-8";
 
 /// Address, media type and text of every file.
-const FILES: [(&str, &str, &str); 28] = [
+const FILES: [(&str, &str, &str); 35] = [
     ("/", "text/html; charset=utf-8", include_str!("assets/index.html")),
     ("/page/page.css", STYLE, include_str!("assets/page.css")),
     ("/page/play.css", STYLE, include_str!("assets/play.css")),
@@ -39,6 +39,13 @@ const FILES: [(&str, &str, &str); 28] = [
     ("/page/control.js", SCRIPT, include_str!("assets/control.js")),
     ("/page/finger.js", SCRIPT, include_str!("assets/finger.js")),
     ("/page/designer.js", SCRIPT, include_str!("assets/designer.js")),
+    ("/page/compare.js", SCRIPT, include_str!("assets/compare.js")),
+    ("/page/history.js", SCRIPT, include_str!("assets/history.js")),
+    ("/page/number.js", SCRIPT, include_str!("assets/number.js")),
+    ("/page/paper.js", SCRIPT, include_str!("assets/paper.js")),
+    ("/page/picture.js", SCRIPT, include_str!("assets/picture.js")),
+    ("/page/rendering.js", SCRIPT, include_str!("assets/rendering.js")),
+    ("/page/thing.js", SCRIPT, include_str!("assets/thing.js")),
     ("/page/live.js", SCRIPT, include_str!("assets/live.js")),
     ("/page/maps.js", SCRIPT, include_str!("assets/maps.js")),
     ("/page/pad.js", SCRIPT, include_str!("assets/pad.js")),
