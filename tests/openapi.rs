@@ -12,10 +12,11 @@ use meissner_api::ArrayDetails;
 use meissner_api::route::{Answer, Body};
 use meissner_api::{
     ArmRequest, CalibrateRequest, CalibrationReport, Code, DoctorReport, Event, ImportedPattern,
-    LiveAccepted, LiveAnswer, LiveRequest, Method, PatternDetails, PatternList, PlayAccepted, PlayRequest,
-    Problem, REFERENCE, Receipt, RemovedPattern, RemovedTarget, ResetRequest, Route, Search, SearchRequest,
-    SearchState, SequenceRequest, Session, SessionList, SessionPlays, SessionRequest, SessionStarted, Status,
-    StoredTarget, TargetDetails, TargetList, TokenCreated, TokenInfo, TokenList, TokenRequest, openapi,
+    LiveAccepted, LiveAnswer, LiveRequest, Method, PatternDetails, PatternList, PatternPreview, PlayAccepted,
+    PlayRequest, Problem, REFERENCE, Receipt, RemovedPattern, RemovedTarget, ResetRequest, Route, Search,
+    SearchRequest, SearchState, SequenceRequest, Session, SessionList, SessionPlays, SessionRequest,
+    SessionStarted, Status, StoredTarget, TargetDetails, TargetList, TokenCreated, TokenInfo, TokenList,
+    TokenRequest, openapi,
 };
 use meissner_array::spec::{Array, ArraySpec, MAX_MOTORS};
 use schema::check;
@@ -170,6 +171,7 @@ fn every_route_has_examples_that_parse() {
             drop(ArraySpec::parse(&toml, "example").unwrap());
         }
         "PatternDetails" => parses::<PatternDetails>(example),
+        "PatternPreview" => parses::<PatternPreview>(example),
         "ImportedPattern" => parses::<ImportedPattern>(example),
         "RemovedPattern" => parses::<RemovedPattern>(example),
         "TargetList" => parses::<TargetList>(example),
@@ -367,6 +369,18 @@ fn a_daemon_s_answers_fit_the_document() {
     fits(Route::Pattern, &client.get("/v1/patterns/search:1").unwrap());
     fits(Route::SearchCancel, &client.delete("/v1/searches/1").unwrap());
     refused(Route::SearchCancel, client.delete("/v1/searches/2"));
+    refused(Route::SearchStart, client.post("/v1/searches", &json!({"object": {"name": "a"}})));
+    fits(
+        Route::SearchStart,
+        &client.post("/v1/searches", &json!({"object": "dot", "method": "field"})).unwrap(),
+    );
+    next(&mut events, |next| {
+        event(&next);
+        matches!(next, Event::Search { state: SearchState::Done, .. }).then_some(())
+    });
+    fits(Route::SearchShow, &client.get("/v1/searches/last").unwrap());
+    fits(Route::Preview, &client.get("/v1/patterns/search:2/preview?seconds=0.1").unwrap());
+    refused(Route::Preview, client.get("/v1/patterns/none/preview"));
     let started: Value =
         client.post("/v1/sessions", &json!({"participant": "P07", "exclusive": true})).unwrap();
     fits(Route::SessionStart, &started);

@@ -97,6 +97,7 @@ fn row(route: Route) -> Row {
         | Route::Events
         | Route::Patterns
         | Route::Pattern
+        | Route::Preview
         | Route::Targets
         | Route::Target
         | Route::SearchShow

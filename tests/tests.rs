@@ -77,6 +77,8 @@ mod pty;
 mod rails;
 /// The session record under faults: full disks, kills, clock jumps, and the messages of commands.
 mod record;
+/// Objects that are rendered over the API, and previews of patterns.
+mod renderings;
 /// `session replay`: the same orders at the same gaps, the recorded texts, what differs, what is refused.
 mod replay;
 /// `simulate` and `tradeoff`: documents, mistakes, the comparison of methods and its plot; the shipped scenes.

@@ -9,6 +9,7 @@ mod robustness;
 use super::arguments::{ArrayOption, Output};
 use super::output::give;
 use super::{object, pattern_file, progress};
+use crate::rendering::{AFTER_S, FIRST_FINGER, judged_s};
 use anyhow::{Result, bail};
 use clap::Args;
 use meissner_array::pattern::Pattern;
@@ -23,12 +24,8 @@ use serde::Serialize;
 use std::fmt::Write;
 use std::process::ExitCode;
 
-/// The first finger: no search and no table of rates was made with these.
-const FIRST_FINGER: u64 = 5000;
 /// The most fingers.
 const MOST_FINGERS: u64 = 100;
-/// After the object has left, afferents are counted for so long, s.
-const AFTER_S: f64 = 0.1;
 
 #[derive(Debug, Args)]
 pub(super) struct Judge {
@@ -112,8 +109,7 @@ pub(super) fn run(asked: &Judge) -> Result<ExitCode> {
         .collect();
     patterns.extend(presented(array, &object, &contact)?);
     let with_touch = patterns.iter().filter(|of| !of.is_traced);
-    let longest_s = with_touch.filter_map(|of| of.pattern.duration_s()).fold(touch.duration_s(), f64::max);
-    let seconds = longest_s.min(2.0 * touch.duration_s()) + AFTER_S;
+    let seconds = judged_s(touch, with_touch.filter_map(|of| of.pattern.duration_s()));
     let seconds_of = |of: &Presented| match of.pattern.duration_s() {
         Some(duration_s) if of.is_traced => duration_s.max(touch.duration_s()) + AFTER_S,
         _ => seconds,

@@ -2,15 +2,13 @@
 
 use super::{files, progress};
 use crate::file::{dir_of, open_regular};
+use crate::rendering::{self, keys_or_name, shipped, shipped_names};
 use anyhow::{Result, anyhow, bail};
-use include_dir::{Dir, File, include_dir};
 use meissner_input::message::nearest;
 use meissner_touch::{Contact, Object};
-use std::io::{ErrorKind, Read};
+use std::io::Read;
 use std::path::Path;
-use toml::Table;
-
-static SHIPPED: Dir<'_> = include_dir!("$CARGO_MANIFEST_DIR/objects");
+use toml::{Table, Value};
 
 /// The most bytes of a file that an object names: a height map of the largest size as 64-bit numbers.
 const MAX_NAMED_BYTES: u64 = 160 << 20;
@@ -19,32 +17,13 @@ const MAX_NAMED_BYTES: u64 = 160 << 20;
 pub(super) fn of_argument(argument: &str) -> Result<(Object, Contact)> {
     let object = read(argument)?;
     // Of rough objects it takes some seconds.
-    let contact = progress::metered(|progress| solved(argument, &object, progress))?;
-    Ok((object, contact))
+    let contact = progress::metered(|progress| rendering::contact(&object, progress));
+    Ok((object, contact.map_err(|error| anyhow!("{argument}: {error}"))?))
 }
 
 /// The contact of an object with the finger; errors call it `argument`.
 pub(super) fn contact(argument: &str, object: &Object) -> Result<Contact> {
-    solved(argument, object, &|_| ())
-}
-
-fn solved(argument: &str, object: &Object, progress: &dyn Fn(f64)) -> Result<Contact> {
-    let grains = object.grains(object.pitch_mm());
-    if grains.is_empty() {
-        bail!("{argument}: the object never lies under the finger: move it onto the fingertip");
-    }
-    Contact::with_progress(grains, object.touch().most_depth_mm(), progress)
-        .map_err(|error| anyhow!("{argument}: {error}"))
-}
-
-/// The lines that a trace follows.
-pub(super) fn lines(argument: &str, object: &Object) -> Result<Vec<Vec<[f64; 2]>>> {
-    if !object.touch().stays_in_place() {
-        bail!("{argument}: the object moves, and a trace moves by itself: press it, or take another method");
-    }
-    object.lines_mm().ok_or_else(|| {
-        anyhow!("{argument}: heights have no lines to trace: draw it with shape = \"lines\", or take another method")
-    })
+    rendering::contact(object, &|_| ()).map_err(|error| anyhow!("{argument}: {error}"))
 }
 
 /// The object of an argument.
@@ -59,11 +38,9 @@ pub(super) fn read(argument: &str) -> Result<Object> {
     Ok(Object::read(&text, argument, &mut open)?)
 }
 
-/// The keys of an argument's object; none if it needs other files.
-pub(super) fn keys(argument: &str) -> Result<Option<Table>> {
-    let text = text(argument)?;
-    let mut none = |_: &str| Err(ErrorKind::NotFound.into());
-    Ok(Object::read(&text, argument, &mut none).ok().and_then(|_| text.parse().ok()))
+/// The object of an argument for a pattern's provenance.
+pub(super) fn keys(argument: &str, name: &str) -> Result<Value> {
+    Ok(keys_or_name(&text(argument)?, name))
 }
 
 /// The text of a file, or of a shipped object.
@@ -75,10 +52,8 @@ fn text(argument: &str) -> Result<String> {
         }
         return Ok(text);
     }
-    let shipped = SHIPPED.get_file(format!("{argument}.toml")).and_then(File::contents_utf8);
-    shipped.map(ToOwned::to_owned).ok_or_else(|| {
-        let names = SHIPPED.files().filter_map(|file| file.path().file_stem()?.to_str());
-        let nearest = nearest(&names.collect::<Vec<_>>(), argument);
+    shipped(argument).map(ToOwned::to_owned).ok_or_else(|| {
+        let nearest = nearest(&shipped_names().collect::<Vec<_>>(), argument);
         anyhow!(
             "no object is called `{}`: did you mean `{nearest}`? The name of a file has a slash or ends in .toml",
             argument.escape_debug()

@@ -5,17 +5,17 @@
 use super::arguments::{Output, PaperArrayOption, choice};
 use super::output::{is_broken_pipe, say, say_file, say_json, tell};
 use super::{files, object, progress, text};
+use crate::rendering::{self, Way, levels, provenance};
 use anyhow::{Result, anyhow, bail};
 use clap::Args;
 use meissner_array::spec::Array;
 use meissner_input::message::escape;
-use meissner_render::{LONGEST_S, Levels, Method, STEP_S, TRACE_MM_S, render, trace};
+use meissner_render::{Levels, TRACE_MM_S};
 use meissner_touch::{Contact, Object};
-use serde::{Deserialize, Serialize};
+use serde::Serialize;
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::time::Instant;
-use toml::{Table, Value};
 
 /// The methods, for the help.
 pub(super) const METHODS: &[(&str, &str)] = &[
@@ -31,15 +31,6 @@ pub(super) const METHODS: &[(&str, &str)] = &[
 
 /// The speeds of a trace, mm/s.
 const TRACES_MM_S: std::ops::RangeInclusive<f64> = 1.0..=200.0;
-
-/// What `--method` names.
-#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-enum Way {
-    Trace,
-    #[serde(untagged)]
-    Touch(Method),
-}
 
 #[derive(Debug, Args)]
 pub(super) struct Render {
@@ -91,14 +82,10 @@ pub(super) fn run(asked: &Render) -> Result<ExitCode> {
         None => object.name().to_owned(),
     };
     let levels = progress::waiting("rendering", || heights(asked, array, &object, &contact))?;
-    let provenance = provenance(asked, object.name(), contact.grains().pitch_mm)?;
-    let pattern = levels.pattern(array, &name, provenance)?;
-    if pattern.motions().is_empty() {
-        bail!(
-            "{}: no pin moves for this object: press deeper or longer than 0.01 s, or bring it nearer to the pins",
-            asked.object
-        );
-    }
+    let keys = object::keys(&asked.object, object.name())?;
+    let provenance = provenance(keys, asked.method, contact.grains().pitch_mm, asked.trace_mm_s)?;
+    let pattern = rendering::pattern(&levels, array, &name, provenance)
+        .map_err(|error| anyhow!("{}: {error}", asked.object))?;
     let text = pattern.to_toml();
     if let Some(file) = &asked.file {
         files::beside(file)?.write(&text)?;
@@ -132,40 +119,17 @@ pub(super) fn run(asked: &Render) -> Result<ExitCode> {
 
 /// The heights of the method that was asked for.
 fn heights(asked: &Render, array: Array, object: &Object, contact: &Contact) -> Result<Levels> {
-    let name = &asked.object;
-    let Way::Touch(method) = asked.method else {
-        let speed_mm_s = asked.trace_mm_s.unwrap_or(TRACE_MM_S);
-        if !TRACES_MM_S.contains(&speed_mm_s) {
+    let speed_mm_s = asked.trace_mm_s.unwrap_or(TRACE_MM_S);
+    match asked.method {
+        Way::Trace if !TRACES_MM_S.contains(&speed_mm_s) => {
             bail!("--trace-mm-s {speed_mm_s}: must be 1 to 200 mm/s");
         }
-        return trace(array, &object::lines(name, object)?, speed_mm_s)
-            .map_err(|error| anyhow!("{name}: {error}"));
-    };
-    if asked.trace_mm_s.is_some() {
-        bail!("--trace-mm-s: only a trace has a speed: leave it out, or add --method trace");
+        Way::Touch(_) if asked.trace_mm_s.is_some() => {
+            bail!("--trace-mm-s: only a trace has a speed: leave it out, or add --method trace");
+        }
+        way => levels(array, object, contact, way, speed_mm_s)
+            .map_err(|error| anyhow!("{}: {error}", asked.object)),
     }
-    let lasts_s = object.touch().duration_s();
-    if lasts_s > LONGEST_S {
-        bail!("{name}: the touch lasts {lasts_s} s: at most {LONGEST_S} s are rendered, shorten it");
-    }
-    if lasts_s <= STEP_S {
-        bail!("{name}: the touch lasts {lasts_s} s, and pins move every {STEP_S} s: let it last longer");
-    }
-    Ok(render(array, contact, object.touch(), method))
-}
-
-fn provenance(asked: &Render, object: &str, pitch_mm: f64) -> Result<Table> {
-    let mut table = Table::new();
-    let mut put = |key: &str, value: Value| table.insert(key.to_owned(), value);
-    // The pattern holds its object, so that a report can draw both. An object that needs other files is only named.
-    put("object", object::keys(&asked.object)?.map_or_else(|| object.into(), Value::from));
-    put("method", Value::try_from(asked.method)?);
-    put("pitch_mm", pitch_mm.into());
-    if let (Way::Trace, speed) = (asked.method, asked.trace_mm_s) {
-        put("trace_mm_s", speed.unwrap_or(TRACE_MM_S).into());
-    }
-    put("program", format!("meissner {}", env!("CARGO_PKG_VERSION")).into());
-    Ok(table)
 }
 
 fn summary(document: &Document<'_>) -> String {

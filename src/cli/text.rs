@@ -17,7 +17,7 @@ use comfy_table::presets::{NOTHING, UTF8_FULL};
 use comfy_table::{CellAlignment, Table};
 use meissner_api::{
     ArmedStatus, ArrayDetails, ArrayGrid, BoardRecord, BoardStatus, EndCause, ErrorSource, Event, ItemState,
-    NO_DEVICE, ParticipantStatus, Receipt, Session, Status,
+    NO_DEVICE, ParticipantStatus, Receipt, SearchState, Session, Status,
 };
 use meissner_array::pattern::Drive;
 use meissner_array::units::TickRate;
@@ -280,12 +280,16 @@ pub(super) fn event(event: &Event) -> String {
                 "drifted: pins may be {um:.0} um off; `meissner home` between plays, or level them by hand"
             )
         }
-        Event::Search { id, state, target, progress, problem } => {
-            let state = serde_json::to_value(state).unwrap_or_default();
+        Event::Search { id, state, target, found, progress, problem } => {
             let problem = problem.as_ref().map_or_else(String::new, |problem| format!(": {problem}"));
-            let (state, count) = (state.as_str().unwrap_or_default(), progress.evaluations);
+            let count = progress.evaluations;
+            let state = match (state, found) {
+                (SearchState::Running, true) => "found".into(),
+                _ => serde_json::to_value(state).unwrap_or_default(),
+            };
             format!(
-                "search: {id} for {target}, {state} after {count} evaluations, {:.1} s{problem}",
+                "search: {id} for {target}, {} after {count} evaluations, {:.1} s{problem}",
+                state.as_str().unwrap_or_default(),
                 progress.seconds
             )
         }

@@ -1,7 +1,9 @@
 //! Converts a search's settings from the API's types to those of the design crate.
 
-use meissner_api::{SearchModel, SearchObjective, SearchSetting, SearchVerdict};
+use crate::rendering::Way;
+use meissner_api::{RenderMethod, SearchModel, SearchObjective, SearchSetting, SearchVerdict};
 use meissner_design::{Goal, Models, Setting, Verdict};
+use meissner_render::Method;
 
 pub(crate) const fn goal(of: SearchObjective) -> Goal {
     match of {
@@ -30,6 +32,16 @@ pub(crate) const fn setting(of: SearchSetting) -> Setting {
     }
 }
 
+pub(super) const fn way(of: RenderMethod) -> Way {
+    match of {
+        RenderMethod::Auto => Way::Touch(Method::Auto),
+        RenderMethod::Rate => Way::Touch(Method::Rate),
+        RenderMethod::Field => Way::Touch(Method::Field),
+        RenderMethod::Rule => Way::Touch(Method::Rule),
+        RenderMethod::Trace => Way::Trace,
+    }
+}
+
 pub(super) const fn verdict(of: &Verdict) -> SearchVerdict {
     let Verdict { on_hz, off_hz, cost_hz, auc } = *of;
     SearchVerdict { on: on_hz, off: off_hz, contrast: cost_hz, auc }
@@ -52,6 +64,10 @@ mod tests {
         }
         for of in [Setting::Default, Setting::AlwaysOn] {
             assert_eq!(setting(from_value(to_value(of).unwrap()).unwrap()), of);
+        }
+        for of in ["auto", "rate", "field", "rule", "trace"] {
+            let method = from_value(of.into()).unwrap();
+            assert_eq!(to_value(way(method)).unwrap(), of);
         }
         assert_eq!(
             (Goal::default(), goal(SearchObjective::default())),

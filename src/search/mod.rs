@@ -1,22 +1,30 @@
 //! Searches in a separate process: its job, its reports, and its work.
 //!
 //! The daemon starts this program again ([`command`]) and writes a [`Job`] to its stdin; [`work`] answers on stdout with
-//! [`Report`]s, one line of JSON each. A job is a search for a pattern, or a comparison of a live target's drives with searches
-//! (`compare`). A separate process keeps the search's memory, threads and faults away from the streaming process: its memory is
+//! [`Report`]s, one line of JSON each. A job is a search for a target's pattern, the rendering of an object (`render`), the preview of a
+//! pattern (`preview`), or a comparison of a live target's drives with searches (`compare`). A separate process keeps the search's memory, threads and faults away from the streaming process: its memory is
 //! bounded ([`MEMORY`]) and not locked, it has low priority, and the daemon can kill it at any time.
 //!
 //! Invariant: the process ends when the other end of its stdin closes, however the daemon ends.
 
 mod compare;
 pub(crate) mod convert;
+mod finger;
+mod preview;
+mod render;
 mod worker;
 
 pub use worker::work;
 
 pub use compare::{Compare, live_brief};
+pub use preview::Preview;
+pub use render::{Render, file_hashes};
 
 use convert::{goal, models, setting};
-use meissner_api::{LiveContrast, SEARCH_S, SearchProgress, SearchRequest, SearchResult};
+use meissner_api::{
+    LiveContrast, PatternPreview, Rendered, SEARCH_S, SearchProgress, SearchRequest, SearchResult,
+};
+use meissner_array::spec::Array;
 use meissner_design::{Budget, Request, Target};
 use serde::{Deserialize, Serialize};
 use std::ffi::OsStr;
@@ -28,7 +36,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 const NAME: &str = "meissner-search";
 /// The most data memory of a search, bytes. `docs/explanation/limits.md` names it.
 pub const MEMORY: u64 = 256 << 20;
-/// The longest line of either side, bytes: a pattern of 64 frames, every character escaped.
+/// The longest line of either side, bytes: a pattern of 64 frames, every character escaped; or an object with its files.
 pub const MAX_LINE: u64 = 8 << 20;
 /// The same as the daemon's predictor: on a busy machine a search still gets a ninth of a processor.
 const NICE: i32 = 10;
@@ -41,15 +49,16 @@ static IS_PROGRAM: AtomicBool = AtomicBool::new(false);
 pub struct Job {
     /// The description of its array.
     array: String,
-    /// The target's file.
-    target: String,
     task: Task,
 }
 
+/// A target is its file.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 enum Task {
-    Search(SearchRequest),
-    Compare(Compare),
+    Search { request: SearchRequest, target: String },
+    Compare { compare: Compare, target: String },
+    Render(Render),
+    Preview(Preview),
 }
 
 /// A report of a search.
@@ -60,8 +69,14 @@ pub enum Report {
     Progress(SearchProgress),
     /// The contrast at the poses so far. After the last pose the process ends.
     Contrast(LiveContrast),
-    /// Its result; the last line.
+    /// The file of the pattern for an object.
+    Found(String),
+    /// The result of a search for a target; the last line.
     Done(Box<SearchResult>),
+    /// The result of a rendering; the last line.
+    Rendered(Box<Rendered>),
+    /// A preview; the last line.
+    Previewed(Box<PatternPreview>),
     /// Why it failed; the last line.
     Failed(String),
 }
@@ -70,20 +85,36 @@ impl Job {
     /// A search for a pattern, whose target was found.
     #[must_use]
     pub fn search(request: SearchRequest, target: &Target) -> Self {
-        Self::new(Task::Search(SearchRequest { target: serde_json::Value::Null, ..request }), target)
+        let request = SearchRequest { target: None, ..request };
+        Self::new(target.array(), Task::Search { request, target: text(target) })
     }
 
     /// A comparison of a live target's drives with searches.
     #[must_use]
     pub fn compare(compare: Compare, target: &Target) -> Self {
-        Self::new(Task::Compare(compare), target)
+        Self::new(target.array(), Task::Compare { compare, target: text(target) })
     }
 
-    fn new(task: Task, target: &Target) -> Self {
-        // The job contains the target as its file. Strings, numbers and tables of them can always be written.
-        let array = target.array().text().to_owned();
-        Self { array, target: toml::to_string(&target.definition()).unwrap_or_default(), task }
+    /// The rendering of an object.
+    #[must_use]
+    pub fn render(render: Render, array: Array) -> Self {
+        Self::new(array, Task::Render(render))
     }
+
+    /// The preview of a pattern for this array.
+    #[must_use]
+    pub fn preview(preview: Preview, array: Array) -> Self {
+        Self::new(array, Task::Preview(preview))
+    }
+
+    fn new(array: Array, task: Task) -> Self {
+        Self { array: array.text().to_owned(), task }
+    }
+}
+
+/// The target's file. Strings, numbers and tables of them can always be written.
+fn text(target: &Target) -> String {
+    toml::to_string(&target.definition()).unwrap_or_default()
 }
 
 /// The request as the search takes it.

@@ -46,13 +46,19 @@ fn carry_out(job: &Job) -> Report {
     // The daemon's array may be a site's own.
     let known = ArraySpec::parse(&job.array, "array").map_err(|error| error.to_string());
     let known = known.and_then(|spec| Array::known(spec).map_err(|problem| problem.to_string()));
-    let target = known.and_then(|_| Target::read(&job.target, "target").map_err(|error| error.to_string()));
-    let done = target.and_then(|target| match &job.task {
-        Task::Search(request) => search(&target, request).map(|found| Report::Done(Box::new(found))),
-        Task::Compare(compare) => {
+    let read = |target: &str| Target::read(target, "target").map_err(|error| error.to_string());
+    let done = known.and_then(|array| match &job.task {
+        Task::Search { request, target } => Ok(Report::Done(Box::new(search(&read(target)?, request)?))),
+        Task::Compare { compare, target } => {
             let tell = |contrast| say(&Report::Contrast(contrast)).is_ok();
-            compare.carry_out(&target, tell).map(Report::Contrast)
+            compare.carry_out(&read(target)?, tell).map(Report::Contrast)
         }
+        Task::Render(render) => {
+            // If the daemon has ended, so does this process.
+            let tell = |text| drop(say(&Report::Found(text)));
+            Ok(Report::Rendered(Box::new(render.carry_out(array, tell)?)))
+        }
+        Task::Preview(preview) => Ok(Report::Previewed(Box::new(preview.carry_out()?))),
     });
     done.unwrap_or_else(Report::Failed)
 }

@@ -75,6 +75,7 @@ impl Route {
             | Self::Events
             | Self::Patterns
             | Self::Pattern
+            | Self::Preview
             | Self::Targets
             | Self::Target
             | Self::SearchShow

@@ -279,9 +279,9 @@ pub enum Event {
         /// The session.
         session: Box<Session>,
     },
-    /// How a search stands: at its start, at most five times a second meanwhile, and at its end.
+    /// How a search stands: at its start, at most five times a second meanwhile, when the pattern of an object can be played, and at its end.
     #[schema(examples(json!({
-        "event": "search", "id": 3, "state": "running", "target": "my-edge",
+        "event": "search", "id": 3, "state": "running", "target": "my-edge", "found": false,
         "progress": {"seconds": 0.4, "frame": 1, "frames": 1, "evaluations": 120, "value": 0.02}, "problem": null
     })))]
     Search {
@@ -289,8 +289,10 @@ pub enum Event {
         id: u64,
         /// How it stands.
         state: SearchState,
-        /// The target's name.
+        /// The name of the target or object.
         target: String,
+        /// Whether the pattern can be played as `search:ID`.
+        found: bool,
         /// How far it is.
         progress: SearchProgress,
         /// Why it failed, in one line; null if it did not.

@@ -14,7 +14,7 @@
 //! - [`end_cause`]: why a play ended before its end.
 //! - [`live`], [`live_record`]: live plays with the messages of their connections, and their part of a receipt.
 //! - [`doctor`]: the problems that the daemon finds on its machine, with advice.
-//! - [`target`], [`search`]: target shapes on the skin, and searches for their patterns.
+//! - [`target`], [`search`], [`rendering`]: target shapes on the skin, searches for their patterns, and renderings of objects.
 //! - [`token`]: access tokens of network clients.
 //! - [`event`]: what the daemon reports as it happens.
 //! - [`problem`]: errors, as `application/problem+json`.
@@ -53,6 +53,7 @@ pub mod pattern_choice;
 pub mod prediction;
 pub mod problem;
 pub mod receipt;
+pub mod rendering;
 pub mod request;
 pub mod route;
 pub mod search;
@@ -88,15 +89,19 @@ pub use receipt::{
     MotorRestError, MovedPin, OffsetRecord, OnsetRecord, OrderedCounts, PlayState, PulseCounts, Receipt,
     RefusedStroke,
 };
+pub use rendering::{
+    JudgedPattern, MAX_OBJECT_FILES, MAX_PREVIEW_FROM_S, MAX_PREVIEW_S, ObjectResponse, PatternPreview,
+    PreviewSpikes, RenderMethod, Rendered,
+};
 pub use request::{
     ArmRequest, CalibrateRequest, Fit, LatePolicy, MAX_WAIT_S, Mapping, PlayRequest, ResetRequest,
     parse_empty,
 };
 pub use route::{Method, Route};
 pub use search::{
-    FOUND_PREFIX, KEPT_SEARCHES, MAX_EVALUATIONS, SEARCH_S, Search, SearchModel, SearchObjective,
-    SearchProgress, SearchRequest, SearchResponse, SearchResult, SearchSetting, SearchState, SearchVerdict,
-    SearchVerdicts,
+    FOUND_PREFIX, KEPT_SEARCHES, MAX_EVALUATIONS, MAX_SEARCH_BODY, SEARCH_S, Search, SearchModel,
+    SearchObjective, SearchProgress, SearchRequest, SearchResponse, SearchResult, SearchSetting, SearchState,
+    SearchVerdict, SearchVerdicts,
 };
 pub use sequence::{InstantRecord, ItemRecord, ItemState, MAX_SEQUENCE_ITEMS, SequenceItem, SequenceRequest};
 pub use session::{

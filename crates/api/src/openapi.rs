@@ -8,10 +8,10 @@ use crate::problem::{Code, Problem};
 use crate::route::{Answer, Body, Method, Operation, Query, Route};
 use crate::{
     ArmRequest, CalibrateRequest, CalibrationReport, DoctorReport, Event, ImportedPattern, LiveAccepted,
-    LiveAnswer, LiveMessage, LiveRequest, PatternDetails, PatternList, PlayAccepted, PlayRequest, Receipt,
-    RemovedPattern, RemovedTarget, ResetRequest, Search, SearchRequest, SequenceRequest, Session,
-    SessionList, SessionPlays, SessionRequest, SessionStarted, Status, StoredTarget, TargetDetails,
-    TargetList, TokenCreated, TokenInfo, TokenList, TokenRequest,
+    LiveAnswer, LiveMessage, LiveRequest, PatternDetails, PatternList, PatternPreview, PlayAccepted,
+    PlayRequest, Receipt, RemovedPattern, RemovedTarget, ResetRequest, Search, SearchRequest,
+    SequenceRequest, Session, SessionList, SessionPlays, SessionRequest, SessionStarted, Status,
+    StoredTarget, TargetDetails, TargetList, TokenCreated, TokenInfo, TokenList, TokenRequest,
 };
 use serde_json::{Map, Value, json};
 use std::collections::BTreeMap;
@@ -34,6 +34,7 @@ use utoipa::OpenApi;
     LiveRequest,
     PatternDetails,
     PatternList,
+    PatternPreview,
     PlayAccepted,
     PlayRequest,
     Problem,
@@ -159,7 +160,7 @@ fn described(route: Route, operation: &Operation, example: &dyn Fn(&str) -> Valu
             {"name": name, "in": "path", "required": true, "description": text, "schema": {"type": "string"}}
         ]);
     }
-    if let Some(query) = operation.query {
+    for &query in operation.queries {
         let (name, text, schema) = match query {
             Query::Number { name, most, about } => {
                 (name, about, json!({"type": "number", "minimum": 0, "maximum": most}))

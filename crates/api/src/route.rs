@@ -4,6 +4,7 @@
 //! document from [`Route::operation`]. So the router and the document cannot name different routes.
 
 use crate::problem::Code;
+use crate::rendering::{MAX_PREVIEW_FROM_S, MAX_PREVIEW_S};
 use crate::request::MAX_WAIT_S;
 
 /// The routes, in the order of the API reference.
@@ -28,6 +29,7 @@ pub enum Route {
     Events,
     Patterns,
     Pattern,
+    Preview,
     Import,
     Remove,
     Targets,
@@ -135,8 +137,8 @@ pub struct Operation {
     pub description: &'static str,
     /// What the path's variable part means.
     pub parameter: Option<&'static str>,
-    /// Its query parameter.
-    pub query: Option<Query>,
+    /// Its query parameters.
+    pub queries: &'static [Query],
     /// What it takes.
     pub body: Body,
     /// HTTP statuses of success, each with its meaning.
@@ -218,6 +220,7 @@ impl Route {
         Self::Events,
         Self::Patterns,
         Self::Pattern,
+        Self::Preview,
         Self::Import,
         Self::Remove,
         Self::Targets,
@@ -444,11 +447,11 @@ impl Route {
                               answers when the play has ended, or after that time with the receipt as it is then. At most \
                               48 clients wait or listen to events, so that commands find places.",
                 parameter: Some("The play's id, or `last`"),
-                query: Some(Query::Number {
+                queries: &[Query::Number {
                     name: "wait",
                     most: MAX_WAIT_S,
                     about: "How long to wait for the play's end, s; without it the daemon answers at once",
-                }),
+                }],
                 answer: Answer::Json("Receipt"),
                 errors: &[&[Code::BadRequest, Code::NotFound], ANY],
                 ..Operation::get("/v1/plays/{id}")
@@ -483,14 +486,48 @@ impl Route {
                 summary: "Show a pattern",
                 description: "The pattern has the keys of its file.",
                 parameter: Some("The pattern's name, or `search:ID` for the pattern that a search has found"),
-                query: Some(Query::Sha256 {
+                queries: &[Query::Sha256 {
                     name: "sha256",
                     about: "Which text of that name: the stored one's SHA-256, or that of a text that was played and is in the session \
                             record; without it the stored one",
-                }),
+                }],
                 answer: Answer::Json("PatternDetails"),
                 errors: &[&[Code::BadRequest, Code::NotFound, Code::BadPattern, Code::Store], ANY],
                 ..Operation::get("/v1/patterns/{name}")
+            },
+            Self::Preview => Operation {
+                summary: "Show what pins and afferents do under a pattern",
+                description: "The heights of the pins by the motor model, every millisecond, and the spikes of the finger that also judges \
+                              renderings. A pattern is played once, on ideal motors of its own array; one without end goes on. A process like \
+                              that of a search computes it, within 10 s (`timeout`), and ends when the client hangs up. One preview is computed at a time; 8 \
+                              wait, and further ones are refused (`busy`). The pattern's file may have 4 MiB.",
+                parameter: Some("The pattern's name, or `search:ID` for the pattern that a search has found"),
+                queries: &[
+                    Query::Number {
+                        name: "from_s",
+                        most: MAX_PREVIEW_FROM_S,
+                        about: "The pattern's time from which it shows, s; without it 0",
+                    },
+                    Query::Number {
+                        name: "seconds",
+                        most: MAX_PREVIEW_S,
+                        about: "How much it shows, s, at least 0.001; without it 1",
+                    },
+                ],
+                answer: Answer::Json("PatternPreview"),
+                errors: &[
+                    &[
+                        Code::BadRequest,
+                        Code::NotFound,
+                        Code::BadPattern,
+                        Code::TooLarge,
+                        Code::Store,
+                        Code::Busy,
+                        Code::Timeout,
+                    ],
+                    ANY,
+                ],
+                ..Operation::get("/v1/patterns/{name}/preview")
             },
             Self::Import => Operation {
                 method: Method::Put,
@@ -500,10 +537,10 @@ impl Route {
                               name of the address, have a stroke or a motion, and at most 1 MiB, or 80 MiB with packed samples. Four imports are in work at a time; further \
                               ones wait, for 10 s at most.",
                 parameter: Some("The pattern's name"),
-                query: Some(Query::Flag {
+                queries: &[Query::Flag {
                     name: "replace",
                     about: "Whether to replace a pattern of that name; without it the daemon does not",
-                }),
+                }],
                 body: Body::Toml,
                 statuses: &[(201, "Stored under a new name"), (200, "Stored in place of an older pattern")],
                 answer: Answer::Json("ImportedPattern"),
@@ -542,10 +579,10 @@ impl Route {
                               `?replace=true` it replaces an older one of that name, and tells its SHA-256; without, it refuses \
                               (`exists`). The file must bear the name of the address, and have at most 64 KiB.",
                 parameter: Some("The target's name"),
-                query: Some(Query::Flag {
+                queries: &[Query::Flag {
                     name: "replace",
                     about: "Whether to replace a target of that name; without it the daemon does not",
-                }),
+                }],
                 body: Body::Target,
                 statuses: &[(201, "Stored under a new name"), (200, "Stored in place of an older target")],
                 answer: Answer::Json("StoredTarget"),
@@ -562,10 +599,11 @@ impl Route {
                 ..Operation::get("/v1/targets/{name}")
             },
             Self::SearchStart => Operation {
-                summary: "Search for a pattern for a target",
+                summary: "Search for a pattern for a target, or render an object",
                 description: "One search runs at a time, in a process of its own with low priority and at most 256 MiB. The event \
                               `search` reports how far it is and its end. The found pattern plays as `search:ID`; \
-                              `PUT /v1/patterns/{name}` stores its text.",
+                              `PUT /v1/patterns/{name}` stores its text. For an `object` it can be played as soon as the event says \
+                              `found`; until the search is `done`, one finger judges it. The body has at most 4 MiB.",
                 body: Body::Json("SearchRequest"),
                 statuses: &[(202, "Started")],
                 answer: Answer::Json("Search"),
@@ -659,11 +697,11 @@ impl Route {
                 summary: "Show the recorded plays of a session",
                 description: "The daemon reads the session record. An answer has at most 2000 rows; `from` leaves out the first.",
                 parameter: Some("The session's id"),
-                query: Some(Query::Number {
+                queries: &[Query::Number {
                     name: "from",
                     most: 1e9,
                     about: "How many plays to leave out; without it none",
-                }),
+                }],
                 answer: Answer::Json("SessionPlays"),
                 errors: &[&[Code::BadRequest, Code::NotFound, Code::Store, Code::Busy], ANY],
                 ..Operation::get("/v1/sessions/{id}/plays")
@@ -735,7 +773,7 @@ impl Operation {
             summary: "",
             description: "",
             parameter: None,
-            query: None,
+            queries: &[],
             body: Body::None,
             statuses: OK,
             answer: STATUS,

@@ -1,7 +1,7 @@
 //! Searches for a pattern: the request, the progress and the result.
 //!
-//! [`SearchRequest`] starts a search. [`Search`] shows it, with its [`SearchResult`] once it is done; the event `search` reports its
-//! [`SearchProgress`]. Play the found pattern by the name `search:ID`, or store its text.
+//! [`SearchRequest`] starts a search for a target, or the rendering of an object. [`Search`] shows it, with its [`SearchResult`] or [`Rendered`]
+//! pattern once it is done; the event `search` reports its [`SearchProgress`]. Play the found pattern by the name `search:ID`, or store its text.
 //!
 //! Invariant: a search that is over does not change.
 
@@ -9,10 +9,14 @@
 
 use crate::body::{bad, null_as_default, problem, read};
 use crate::problem::Problem;
+use crate::rendering::{MAX_OBJECT_FILES, RenderMethod, Rendered};
 use crate::target::TargetFile;
 use meissner_input::document::{given, in_range};
+use meissner_input::message::{is_plain, quote};
+use serde::de::IgnoredAny;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
+use std::collections::BTreeMap;
 use utoipa::ToSchema;
 use utoipa::openapi::schema::{AdditionalProperties, ObjectBuilder, OneOfBuilder, Ref, Schema, Type};
 
@@ -24,6 +28,13 @@ pub const SEARCH_S: (f64, f64, f64) = (10.0, 0.1, 600.0);
 pub const MAX_EVALUATIONS: u64 = 1_000_000;
 /// Ended searches that are kept.
 pub const KEPT_SEARCHES: usize = 4;
+/// The largest body of a search, with the files of its object, bytes.
+pub const MAX_SEARCH_BODY: usize = 4 << 20;
+
+/// Keys that are of a target's search alone.
+const OF_TARGETS: [&str; 6] = ["objective", "model", "setting", "robust", "seconds", "evaluations"];
+/// Keys that are of an object's rendering alone.
+const OF_OBJECTS: [&str; 2] = ["files", "method"];
 
 /// What a search maximises. ON afferents lie within reach of the shape, OFF are all others: `contrast` (mean rate of ON minus mean rate
 /// of OFF), `off-rms` and `off-rms-twice` (mean of ON minus once or twice the RMS of OFF), `near-off` (as `contrast`; OFF afferents near
@@ -65,16 +76,28 @@ pub enum SearchSetting {
     AlwaysOn,
 }
 
-/// A target, and how to search for a pattern for it.
+/// A target, and how to search for a pattern for it; or an object, and how to render it.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 #[schema(examples(json!({
     "target": {"name": "my-edge", "shape": "segment", "points": [[-4.0, 0.0], [4.0, 0.0]]}, "seconds": 1.0
 })))]
 pub struct SearchRequest {
-    /// The name of a target, or the target itself.
+    /// The name of a target, or the target itself. Excludes `object`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schema(schema_with = target_schema)]
-    pub target: Value,
+    pub target: Option<Value>,
+    /// The object whose response the pattern has to give: the name of a shipped one or of a target at rest, or the keys of an
+    /// [object file](object.md). Excludes `target` and the keys `objective`, `model`, `setting`, `robust`, `seconds` and `evaluations`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schema(schema_with = search_object_schema)]
+    pub object: Option<Value>,
+    /// The files that the object names, in base64, by name: PNG, NPY or CSV. At most 8. Only with `object`.
+    #[serde(default, deserialize_with = "null_as_default", skip_serializing_if = "BTreeMap::is_empty")]
+    pub files: BTreeMap<String, String>,
+    /// How the object's heights are found; without it `auto`. Only with `object`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub method: Option<RenderMethod>,
     /// What it maximises; without it `off-rms-twice`.
     #[serde(default, deserialize_with = "null_as_default")]
     pub objective: SearchObjective,
@@ -84,7 +107,7 @@ pub struct SearchRequest {
     /// What it may choose; without it `default`.
     #[serde(default, deserialize_with = "null_as_default")]
     pub setting: SearchSetting,
-    /// The seed of the search; without it 0.
+    /// The seed of the search, or of the noise when an object is rendered; without it 0.
     #[serde(default)]
     pub seed: u64,
     /// Whether it maximises the mean over eight populations of afferents, not one.
@@ -106,28 +129,34 @@ pub(crate) fn target_schema() -> Schema {
 }
 
 /// The keys of an object file are in `docs/reference/object.md`.
-pub(crate) fn object_schema() -> Schema {
-    let name =
-        ObjectBuilder::new().schema_type(Type::String).description(Some("The name of a target at rest."));
+fn object_schema_of(name: &str, keys: &str) -> Schema {
+    let name = ObjectBuilder::new().schema_type(Type::String).description(Some(name));
     let keys = ObjectBuilder::new()
         .schema_type(Type::Object)
-        .description(Some("The keys of an object file without files."))
+        .description(Some(keys))
         .additional_properties(Some(AdditionalProperties::FreeForm(true)));
     OneOfBuilder::new().item(name).item(keys).into()
 }
 
+/// The object of a live play.
+pub(crate) fn object_schema() -> Schema {
+    object_schema_of("The name of a target at rest.", "The keys of an object file without files.")
+}
+
+/// The object of a search.
+fn search_object_schema() -> Schema {
+    object_schema_of("The name of a shipped object or of a target at rest.", "The keys of an object file.")
+}
+
 impl SearchRequest {
-    /// Reads a body. The target itself is not checked.
+    /// Reads a body. The target or the object itself is not checked, nor are its files.
     ///
     /// # Errors
     /// A `bad-request` that names the key.
     pub fn parse(body: &[u8]) -> Result<Self, Problem> {
         let request: Self = read(body)?;
-        if !request.target.is_string() && !request.target.is_object() {
-            return Err(bad(
-                "`target` must be the name of a target, or an object with the keys of a target file",
-            ));
-        }
+        request.check_keys(body)?;
+        request.check_files()?;
         if request.seconds.is_some() && request.evaluations.is_some() {
             return Err(bad("`seconds` and `evaluations` exclude each other: leave one out"));
         }
@@ -143,6 +172,64 @@ impl SearchRequest {
             in_range("evaluations", count as f64, good, "1 to 1000000").map_err(problem)?;
         }
         Ok(request)
+    }
+
+    /// Refuses all but one of a target and an object, and keys of the other.
+    fn check_keys(&self, body: &[u8]) -> Result<(), Problem> {
+        let is_choice = |of: &Value| of.is_string() || of.is_object();
+        let (foreign, advice) = match (&self.target, &self.object) {
+            (Some(target), None) if is_choice(target) => (&OF_OBJECTS[..], "render an `object`"),
+            (None, Some(object)) if is_choice(object) => (&OF_TARGETS[..], "search for a `target`"),
+            (Some(_), None) => {
+                return Err(bad(
+                    "`target` must be the name of a target, or an object with the keys of a target file",
+                ));
+            }
+            (None, Some(_)) => {
+                return Err(bad(
+                    "`object` must be the name of an object, or an object with the keys of an object file",
+                ));
+            }
+            (Some(_), Some(_)) => {
+                return Err(bad("`target` and `object` exclude each other: leave one out"));
+            }
+            (None, None) => {
+                return Err(bad("`target` or `object` is missing: add the name of one, or its keys"));
+            }
+        };
+        // Null means that a key is absent.
+        let keys: BTreeMap<String, Option<IgnoredAny>> = serde_json::from_slice(body).unwrap_or_default();
+        match foreign.iter().find(|key| keys.get(**key).is_some_and(Option::is_some)) {
+            Some(key) => {
+                let of = if self.object.is_some() { "a target's search" } else { "an object's rendering" };
+                Err(bad(format!("`{key}` is a key of {of}: leave it out, or {advice}")))
+            }
+            None => Ok(()),
+        }
+    }
+
+    fn check_files(&self) -> Result<(), Problem> {
+        let count = self.files.len();
+        if count > MAX_OBJECT_FILES {
+            let detail = format!("`files` has {count} files: an object has at most {MAX_OBJECT_FILES}");
+            return Err(bad(detail));
+        }
+        let is_name = |name: &&String| {
+            (1..=100).contains(&name.len())
+                && *name != "."
+                && *name != ".."
+                && !name.contains('/')
+                && name.chars().all(is_plain)
+        };
+        match self.files.keys().find(|name| !is_name(name)) {
+            Some(name) => {
+                let name = quote(name);
+                Err(bad(format!(
+                    "`files` has {name}: must be the name of a file, at most 100 bytes, without a folder"
+                )))
+            }
+            None => Ok(()),
+        }
     }
 }
 
@@ -181,7 +268,7 @@ pub struct SearchProgress {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 #[schema(examples(json!({
     "id": 3, "state": "done", "target": "my-edge", "objective": "off-rms-twice", "model": "both", "setting": "default", "seed": 0,
-    "robust": false,
+    "robust": false, "method": null, "found": true,
     "progress": {"seconds": 1.2, "frame": 1, "frames": 1, "evaluations": 412, "value": 0.04},
     "problem": null,
     "result": {
@@ -200,14 +287,15 @@ pub struct SearchProgress {
             "model": "membrane", "places_mm": [[0.1, 0.2]], "on": [1.0], "found": [60.0], "naive_reach": [60.0], "naive_pitch": [60.0]
         },
         "warnings": []
-    }
+    },
+    "rendered": null
 })))]
 pub struct Search {
     /// Its id; the found pattern plays as `search:ID`.
     pub id: u64,
     /// How it stands.
     pub state: SearchState,
-    /// The target's name, which the found pattern bears, too.
+    /// The name of the target or object, which the found pattern bears, too.
     pub target: String,
     /// What it maximises.
     pub objective: SearchObjective,
@@ -215,18 +303,26 @@ pub struct Search {
     pub model: SearchModel,
     /// What it may choose.
     pub setting: SearchSetting,
-    /// The seed of the search.
+    /// The seed of the search, or of the noise when an object is rendered.
     pub seed: u64,
     /// Whether it maximises the mean over eight populations.
     pub robust: bool,
-    /// How far it is, or was at its end.
+    /// How an object is rendered; null for a target's search.
+    #[schema(required)]
+    pub method: Option<RenderMethod>,
+    /// Whether the pattern can be played as `search:ID`: for an object already while the search runs.
+    pub found: bool,
+    /// How far it is, or was at its end. Of a rendering only the time is known.
     pub progress: SearchProgress,
     /// Why it failed, in one line; null if it did not.
     #[schema(required)]
     pub problem: Option<String>,
-    /// What it has found; null unless it is `done`.
+    /// What it has found for a target; null unless it is `done`.
     #[schema(required)]
     pub result: Option<Box<SearchResult>>,
+    /// What it has found for an object; null unless it is `done`.
+    #[schema(required)]
+    pub rendered: Option<Box<Rendered>>,
 }
 
 /// What a search has found.
@@ -318,11 +414,29 @@ mod tests {
         let read = |text: &str| SearchRequest::parse(text.as_bytes());
         let request = read(r#"{"target":"edge-45","seconds":2,"objective":"auc","model":null}"#).unwrap();
         assert_eq!((request.objective, request.model), (SearchObjective::Auc, SearchModel::Both));
+        let object =
+            read(r#"{"object":"dot","target":null,"model":null,"method":"field","seed":3}"#).unwrap();
+        assert_eq!((object.target, object.method, object.seed), (None, Some(RenderMethod::Field), 3));
         assert_eq!(SearchRequest::parse(&serde_json::to_vec(&request).unwrap()).unwrap(), request);
         for (text, says) in [
-            (r#"{"seconds":2}"#, "`target` is missing: add the name of a target, or a target"),
+            (r#"{"seconds":2}"#, "`target` or `object` is missing: add the name of one, or its keys"),
+            (r#"{"target":null}"#, "`target` or `object` is missing"),
             (r#"{"target":3}"#, "`target` must be the name of a target"),
-            (r#"{"target":null}"#, "`target` must be the name of a target"),
+            (r#"{"object":[]}"#, "`object` must be the name of an object"),
+            (r#"{"object":"dot","target":"dot"}"#, "`target` and `object` exclude each other"),
+            (r#"{"object":"dot","model":"both"}"#, "`model` is a key of a target's search: leave it out"),
+            (r#"{"object":"dot","seconds":1}"#, "`seconds` is a key of a target's search"),
+            (r#"{"target":"dot","method":"rule"}"#, "`method` is a key of an object's rendering"),
+            (r#"{"target":"dot","files":{}}"#, "`files` is a key of an object's rendering"),
+            (
+                r#"{"object":"dot","method":"best"}"#,
+                "`method`: unknown variant `best`, expected one of `auto`",
+            ),
+            (
+                r#"{"object":"dot","files":{"a/b.png":""}}"#,
+                "`files` has `a/b.png`: must be the name of a file",
+            ),
+            (r#"{"object":"dot","files":{"..":""}}"#, "`files` has `..`: must be the name of a file"),
             (r#"{"target":"a","seconds":601}"#, "`seconds` is 601: must be 0.1 to 600 s"),
             (r#"{"target":"a","evaluations":0}"#, "`evaluations` is 0: must be 1 to 1000000"),
             (

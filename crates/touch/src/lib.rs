@@ -49,8 +49,8 @@ pub use contact::{Contact, ContactError, DEPTHS, MAX_BYTES, bytes, solve};
 pub use grains::Grains;
 pub use imprint::Imprint;
 pub use object::{
-    HeightMap, MARGIN_MM, MAX_FILE_BYTES, MAX_PIXELS, MAX_POINTS, MAX_SIDE_MM, Object, ObjectError, Open,
-    PITCHES_MM, Problem, Surface, no_files, surface_of,
+    DOT_MM, HeightMap, LINE_MM, MARGIN_MM, MAX_FILE_BYTES, MAX_PIXELS, MAX_POINTS, MAX_SIDE_MM, Object,
+    ObjectError, Open, PITCHES_MM, Problem, Surface, no_files, surface_of,
 };
 pub use response::respond;
 pub use skin::displacements_mm;

@@ -1,6 +1,6 @@
 """The program `meissner` on this machine: a daemon with the simulated array, simulation of afferents, search for patterns.
 
-The daemon has no API for simulation, search and rendering yet, so `simulate`, `design` and `render` run the installed program. It is found by
+The client has no calls for the daemon's searches, renderings and previews, so `simulate`, `design` and `render` run the installed program. It is found by
 `$MEISSNER_PROGRAM`, else on the `PATH`. NumPy is used where it is installed.
 """
 
@@ -132,7 +132,7 @@ def design(
 ) -> Design:
     """Find a pattern for a target shape: the name of a shipped target, or the path of a target file.
 
-    It runs `meissner optimise` on this machine, because the daemon has no API for searches yet. `objective`, `setting` and
+    It runs `meissner optimise` on this machine, because the client has no call for the daemon's searches. `objective`, `setting` and
     `model` are as there. `budget` is a number of evaluations or seconds as in `"20s"`; without it the search goes on until
     nothing improves. `name`: the pattern's; without it `TARGET-found`. `array`: the name of a shipped array, or the file of a
     description; without it the target's.

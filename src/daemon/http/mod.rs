@@ -21,7 +21,8 @@ pub(in crate::daemon) mod server;
 use crate::daemon::http::answer::ErrorResponse;
 use crate::daemon::http::app::App;
 use crate::daemon::http::handlers::{
-    calibration, events, live, metrics, motors, patterns, plays, searches, sessions, status, targets, tokens,
+    calibration, events, live, metrics, motors, patterns, plays, previews, searches, sessions, status,
+    targets, tokens,
 };
 use crate::daemon::page;
 use axum::Router;
@@ -73,6 +74,7 @@ fn handler(route: Route) -> MethodRouter<App> {
         Route::Events => on(method, events::events),
         Route::Patterns => on(method, patterns::list),
         Route::Pattern => on(method, patterns::show),
+        Route::Preview => on(method, previews::show),
         Route::Import => on(method, patterns::import),
         Route::Remove => on(method, patterns::remove),
         Route::Targets => on(method, targets::list),

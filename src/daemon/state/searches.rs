@@ -1,7 +1,7 @@
 //! The running search, and those that have ended.
 //!
 //! A search begins without a process, so that its place is taken at once; [`State::set_search_process`] adds the process. The first
-//! to end the search, its process or a client that cancels it, decides how it ended.
+//! to end the search, its process or a client that cancels it, decides how it ended. A pattern that it has found by then stays.
 //!
 //! Invariants: at most one search runs, and [`KEPT_SEARCHES`] that have ended are kept; the process of a running search was not
 //! waited for, so no other process can get its id.
@@ -9,7 +9,8 @@
 use crate::daemon::state::{Asker, Caller, State};
 use crate::store::Stored;
 use meissner_api::{
-    Code, Event, KEPT_SEARCHES, Problem, Search, SearchProgress, SearchRequest, SearchResult, SearchState,
+    Code, Event, KEPT_SEARCHES, Problem, Rendered, Search, SearchProgress, SearchRequest, SearchResult,
+    SearchState,
 };
 use rustix::process::{Pid, Signal, kill_process};
 use std::collections::VecDeque;
@@ -31,6 +32,7 @@ struct Running {
     caller: Option<Caller>,
     begun: Instant,
     process: Option<Pid>,
+    found: Option<Stored>,
 }
 
 #[derive(Debug)]
@@ -39,8 +41,14 @@ struct Ended {
     found: Option<Stored>,
 }
 
-/// The result of a search: as the API shows it, and the pattern.
-pub(in crate::daemon) type Found = (Box<SearchResult>, Stored);
+/// The result of a search.
+#[derive(Debug)]
+pub(in crate::daemon) enum Found {
+    /// For a target: as the API shows it, and the pattern.
+    Target(Box<SearchResult>, Stored),
+    /// For an object, whose pattern came before.
+    Object(Box<Rendered>),
+}
 
 impl Searches {
     pub(in crate::daemon) const fn is_running(&self) -> bool {
@@ -71,8 +79,8 @@ impl Searches {
                 format!("search {id} has found no pattern: `GET /v1/searches/{id}` says how it stands");
             Problem::new(Code::NotFound, detail)
         };
-        if self.running.as_ref().is_some_and(|it| it.search.id == id) {
-            return Err(none());
+        if let Some(running) = self.running.as_ref().filter(|it| it.search.id == id) {
+            return running.found.clone().ok_or_else(none);
         }
         self.ended(id)?.found.clone().ok_or_else(none)
     }
@@ -100,7 +108,7 @@ impl State {
     pub(in crate::daemon) fn begin_search(
         &mut self,
         request: &SearchRequest,
-        target: &str,
+        name: &str,
     ) -> Result<Search, Problem> {
         self.check_asker()?;
         if self.commands.is_closing() {
@@ -118,18 +126,22 @@ impl State {
         let search = Search {
             id: self.searches.last_id,
             state: SearchState::Running,
-            target: target.to_owned(),
+            target: name.to_owned(),
             objective,
             model,
             setting,
             seed,
             robust,
+            method: request.object.as_ref().map(|_| request.method.unwrap_or_default()),
+            found: false,
             progress: SearchProgress::default(),
             problem: None,
             result: None,
+            rendered: None,
         };
+        let (search_of, begun) = (search.clone(), Instant::now());
         self.searches.running =
-            Some(Running { search: search.clone(), caller, begun: Instant::now(), process: None });
+            Some(Running { search: search_of, caller, begun, process: None, found: None });
         self.publish_search(&search);
         Ok(search)
     }
@@ -152,13 +164,23 @@ impl State {
         self.publish_search(&search);
     }
 
+    /// Takes the pattern that the search has found for an object, and which it judges next.
+    pub(in crate::daemon) fn set_search_found(&mut self, id: u64, found: Stored) {
+        let Some(running) = self.searches.running.as_mut().filter(|it| it.search.id == id) else { return };
+        running.found = Some(found);
+        running.search.found = true;
+        running.search.progress.seconds = running.begun.elapsed().as_secs_f64();
+        let search = running.search.clone();
+        self.publish_search(&search);
+    }
+
     /// Takes the result of the search's process, or its failure; has no effect if the search was cancelled before.
     pub(in crate::daemon) fn end_search(&mut self, id: u64, outcome: Result<Found, String>) {
         if self.searches.running.as_ref().is_none_or(|it| it.search.id != id) {
             return;
         }
         match outcome {
-            Ok((result, found)) => self.settle_search(SearchState::Done, Some((result, found)), None),
+            Ok(found) => self.settle_search(SearchState::Done, Some(found), None),
             Err(problem) => self.settle_search(SearchState::Failed, None, Some(problem)),
         }
     }
@@ -183,13 +205,17 @@ impl State {
         self.settle_search(SearchState::Cancelled, None, None);
     }
 
-    fn settle_search(&mut self, state: SearchState, found: Option<Found>, problem: Option<String>) {
-        let Some(Running { mut search, begun, .. }) = self.searches.running.take() else { return };
+    fn settle_search(&mut self, state: SearchState, result: Option<Found>, problem: Option<String>) {
+        let Some(Running { mut search, begun, mut found, .. }) = self.searches.running.take() else { return };
         search.progress.seconds = begun.elapsed().as_secs_f64();
         (search.state, search.problem) = (state, problem);
+        match result {
+            Some(Found::Target(result, pattern)) => (search.result, found) = (Some(result), Some(pattern)),
+            Some(Found::Object(rendered)) => search.rendered = Some(rendered),
+            None => {}
+        }
+        search.found = found.is_some();
         self.publish_search(&search);
-        let (result, found) = found.unzip();
-        search.result = result;
         self.searches.ended.push_back(Ended { search: Arc::new(search), found });
         if self.searches.ended.len() > KEPT_SEARCHES {
             self.searches.ended.pop_front();
@@ -197,8 +223,9 @@ impl State {
     }
 
     fn publish_search(&mut self, search: &Search) {
-        let Search { id, state, target, progress, problem, .. } = search;
+        let Search { id, state, target, found, progress, problem, .. } = search;
         let (target, problem) = (target.clone(), problem.clone());
-        self.publish(&Event::Search { id: *id, state: *state, target, progress: *progress, problem });
+        let (id, state, found, progress) = (*id, *state, *found, *progress);
+        self.publish(&Event::Search { id, state, target, found, progress, problem });
     }
 }

@@ -37,15 +37,15 @@ impl Object {
         read(text, open).map_err(|fault: KeyError| fault.in_text(text).in_file(Some(file)))
     }
 
-    /// Reads the same keys as JSON, without files.
+    /// Reads the same keys as JSON; `open` gives the files that they name.
     ///
     /// # Errors
     /// The first thing that is wrong with it, in one line.
-    pub fn read_json(text: &str) -> Result<Self, ObjectError> {
-        let read = || {
+    pub fn read_json(text: &str, open: Open<'_>) -> Result<Self, ObjectError> {
+        let mut read = || {
             check_length(text)?;
             let Table(raw): Table<RawObject> = from_json(text, wanted)?;
-            raw.object(&mut no_files)
+            raw.object(open)
         };
         read().map_err(|fault: KeyError| fault.in_file(None))
     }

@@ -32,9 +32,10 @@ const COARSEST_MM: f64 = 0.4;
 const LIVE_MM: f64 = 0.1;
 /// Grains are chosen so coarse that there are at most this many.
 const ENOUGH: f64 = 12_000.0;
-/// Width of the lines of a target that is made an object, and diameter of its dots, mm.
-const LINE_MM: f64 = 0.8;
-const DOT_MM: f64 = 2.0;
+/// Width of the lines of a target that is made an object, mm.
+pub const LINE_MM: f64 = 0.8;
+/// Diameter of the dots of a target that is made an object, mm.
+pub const DOT_MM: f64 = 2.0;
 
 /// An object that touches a finger.
 #[derive(Clone, Debug, PartialEq)]

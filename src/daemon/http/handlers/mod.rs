@@ -7,6 +7,7 @@ pub(super) mod metrics;
 pub(super) mod motors;
 pub(super) mod patterns;
 pub(super) mod plays;
+pub(super) mod previews;
 pub(super) mod searches;
 pub(super) mod sessions;
 pub(super) mod status;

@@ -16,7 +16,7 @@ use axum::http::{StatusCode, Uri};
 use axum::response::Response;
 use meissner_api::{Code, Problem, RemovedTarget, StoredTarget, TargetDetails};
 use meissner_design::{MAX_BYTES, Target};
-use meissner_touch::{Object, Touch, surface_of};
+use meissner_touch::{Object, Touch, no_files, surface_of};
 use serde_json::{Value, json};
 
 impl From<TargetStoreError> for Problem {
@@ -56,7 +56,7 @@ pub(super) async fn find_object(app: &App, object: &Value) -> Answer<Object> {
         return Ok(Object::new(name, surface_of(target.shape()), Touch::default()));
     }
     let text = object.to_string();
-    let read = computing(move || Object::read_json(&text)).await?;
+    let read = computing(move || Object::read_json(&text, &mut no_files)).await?;
     Ok(read.map_err(|error| bad(format!("the object is refused: {error}")))?)
 }
 

@@ -1,0 +1,212 @@
+//! Renderings of objects: what the command `render` and the daemon's process for them share.
+//!
+//! An object is shipped ([`shipped`]), read by its user, or made of a target at rest ([`keys_of`]). [`contact`] presses it on the finger, [`levels`] finds
+//! the heights of the pins by one [`Way`], and [`pattern`] makes the pattern that plays them, with its [`provenance`].
+//!
+//! Invariant: equal keys, files, array and way give the same bytes. An error is one line without the object's name.
+
+use include_dir::{Dir, File, include_dir};
+use meissner_array::pattern::{Pattern, PatternError};
+use meissner_array::spec::Array;
+use meissner_design::Shape;
+use meissner_render::{LONGEST_S, Levels, Method, STEP_S, TRACE_MM_S, TraceError, render, trace};
+use meissner_touch::{Contact, ContactError, DOT_MM, LINE_MM, Object, Touch, no_files};
+use serde::{Deserialize, Serialize};
+use serde_json::{Map, Value, json};
+use toml::Table;
+
+static SHIPPED: Dir<'_> = include_dir!("$CARGO_MANIFEST_DIR/objects");
+
+/// The depth of the press of a target that is made an object, µm.
+const DEPTH_UM: f64 = 500.0;
+
+/// The first finger that judges a pattern: no search and no table of rates was made with it and those after it.
+pub(crate) const FIRST_FINGER: u64 = 5000;
+/// After the object has left, afferents are counted for so long, s.
+pub(crate) const AFTER_S: f64 = 0.1;
+
+/// How heights are found.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub(crate) enum Way {
+    /// A press that moves along the lines of the object.
+    Trace,
+    /// The touch of the object.
+    #[serde(untagged)]
+    Touch(Method),
+}
+
+/// Why an object is not rendered.
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum RenderingError {
+    #[error("the object never lies under the finger: move it onto the fingertip")]
+    NotUnderFinger,
+    #[error(transparent)]
+    Contact(#[from] ContactError),
+    #[error("the object moves, and a trace moves by itself: press it, or take another method")]
+    Moves,
+    #[error("heights have no lines to trace: draw it with shape = \"lines\", or take another method")]
+    NoLines,
+    #[error(transparent)]
+    Trace(#[from] TraceError),
+    #[error("the touch lasts {lasts_s} s: at most {LONGEST_S} s are rendered, shorten it")]
+    TooLong { lasts_s: f64 },
+    #[error("the touch lasts {lasts_s} s, and pins move every {STEP_S} s: let it last longer")]
+    TooShort { lasts_s: f64 },
+    #[error(
+        "no pin moves for this object: press deeper or longer than 0.01 s, or bring it nearer to the pins"
+    )]
+    Still,
+    #[error(transparent)]
+    Pattern(#[from] PatternError),
+}
+
+/// The file of a shipped object.
+pub(crate) fn shipped(name: &str) -> Option<&'static str> {
+    SHIPPED.get_file(format!("{name}.toml")).and_then(File::contents_utf8)
+}
+
+/// The keys of a shipped object.
+pub(crate) fn shipped_keys(name: &str) -> Option<Map<String, Value>> {
+    let keys: Table = shipped(name)?.parse().ok()?;
+    serde_json::to_value(keys).ok()?.as_object().cloned()
+}
+
+/// The names of the shipped objects.
+pub(crate) fn shipped_names() -> impl Iterator<Item = &'static str> {
+    SHIPPED.files().filter_map(|file| file.path().file_stem()?.to_str())
+}
+
+/// The keys of the object that has a target's shape: lines are 0.8 mm wide, dots have a diameter of 2 mm. It is pressed by 500 µm.
+pub(crate) fn keys_of(name: &str, shape: &Shape) -> Map<String, Value> {
+    let of_shape = match shape {
+        Shape::Polyline(points) => json!({"shape": "lines", "lines": [points], "width_mm": LINE_MM}),
+        Shape::Dots(points) => json!({"shape": "dots", "points": points, "diameter_mm": DOT_MM}),
+        // A disc without radius is a dot.
+        Shape::Disc { center_mm, radius_mm } => {
+            json!({"shape": "dots", "points": [center_mm], "diameter_mm": (2.0 * radius_mm).max(DOT_MM)})
+        }
+        Shape::Grating { period_mm, angle_deg, offset_mm } => {
+            let angle = angle_deg.to_radians();
+            // Without a negative zero.
+            let center_mm = [0.0 - offset_mm * angle.sin(), offset_mm * angle.cos()];
+            json!({
+                "shape": "grating", "period_mm": period_mm, "ridge_mm": LINE_MM, "angle_deg": angle_deg,
+                "center_mm": center_mm
+            })
+        }
+    };
+    let about = json!({"kind": "object", "name": name, "touch": {"press": {"depth_um": DEPTH_UM}}});
+    [about, of_shape].into_iter().filter_map(|keys| keys.as_object().cloned()).flatten().collect()
+}
+
+/// The contact of an object with the finger. Of rough objects it takes some seconds; `progress` is called with the completed share.
+pub(crate) fn contact(object: &Object, progress: &dyn Fn(f64)) -> Result<Contact, RenderingError> {
+    let grains = object.grains(object.pitch_mm());
+    if grains.is_empty() {
+        return Err(RenderingError::NotUnderFinger);
+    }
+    Ok(Contact::with_progress(grains, object.touch().most_depth_mm(), progress)?)
+}
+
+/// The heights of the pins. A trace has this speed, 1 to 200 mm/s.
+pub(crate) fn levels(
+    array: Array,
+    object: &Object,
+    contact: &Contact,
+    way: Way,
+    trace_mm_s: f64,
+) -> Result<Levels, RenderingError> {
+    let Way::Touch(method) = way else { return Ok(trace(array, &lines(object)?, trace_mm_s)?) };
+    let lasts_s = object.touch().duration_s();
+    if lasts_s > LONGEST_S {
+        return Err(RenderingError::TooLong { lasts_s });
+    }
+    if lasts_s <= STEP_S {
+        return Err(RenderingError::TooShort { lasts_s });
+    }
+    Ok(render(array, contact, object.touch(), method))
+}
+
+/// The lines that a trace follows.
+fn lines(object: &Object) -> Result<Vec<Vec<[f64; 2]>>, RenderingError> {
+    if !object.touch().stays_in_place() {
+        return Err(RenderingError::Moves);
+    }
+    object.lines_mm().ok_or(RenderingError::NoLines)
+}
+
+/// The keys of an object for the provenance; its name alone if it needs files, which a report has not.
+pub(crate) fn keys_or_name(text: &str, name: &str) -> toml::Value {
+    let keys = Object::read(text, name, &mut no_files).ok().and_then(|_| text.parse::<Table>().ok());
+    keys.map_or_else(|| name.into(), toml::Value::from)
+}
+
+/// What a pattern says about how it was made.
+pub(crate) fn provenance(
+    object: toml::Value,
+    way: Way,
+    pitch_mm: f64,
+    trace_mm_s: Option<f64>,
+) -> Result<Table, toml::ser::Error> {
+    let mut table = Table::new();
+    let mut put = |key: &str, value: toml::Value| table.insert(key.to_owned(), value);
+    // The pattern holds its object, so that a report can draw both.
+    put("object", object);
+    put("method", toml::Value::try_from(way)?);
+    put("pitch_mm", pitch_mm.into());
+    if way == Way::Trace {
+        put("trace_mm_s", trace_mm_s.unwrap_or(TRACE_MM_S).into());
+    }
+    put("program", format!("meissner {}", env!("CARGO_PKG_VERSION")).into());
+    Ok(table)
+}
+
+/// The pattern that plays the heights.
+pub(crate) fn pattern(
+    levels: &Levels,
+    array: Array,
+    name: &str,
+    provenance: Table,
+) -> Result<Pattern, RenderingError> {
+    let pattern = levels.pattern(array, name, provenance)?;
+    if pattern.motions().is_empty() { Err(RenderingError::Still) } else { Ok(pattern) }
+}
+
+/// How long fingers feel patterns of these durations in s, s: until the last has ended, but not much longer than the touch.
+pub(crate) fn judged_s(touch: &Touch, durations_s: impl Iterator<Item = f64>) -> f64 {
+    durations_s.fold(touch.duration_s(), f64::max).min(2.0 * touch.duration_s()) + AFTER_S
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use meissner_design::{shipped as target, shipped_names as targets};
+    use meissner_touch::surface_of;
+
+    /// The keys of a target's shape give the surface that a live play of the target has.
+    #[test]
+    fn a_target_at_rest_is_the_object_that_a_live_play_presses() {
+        let (mut compared, grid) = (0, [-7.3, -4.1, -1.2, -0.3, 0.0, 0.2, 0.9, 2.4, 5.2, 8.8]);
+        for name in targets() {
+            let shape = target(name).unwrap().shape().clone();
+            let keys = Value::Object(keys_of(name, &shape)).to_string();
+            let object = Object::read_json(&keys, &mut no_files).unwrap();
+            let other = Object::new(name, surface_of(&shape), Touch::default());
+            let times = |object: &Object| (object.touch().duration_s(), object.touch().most_depth_mm());
+            assert_eq!((object.name(), times(&object)), (name, times(&other)));
+            // Grains are cut in the frame of the surface, so their heights are compared on the skin.
+            let touches = |object: &Object, at: [f64; 2]| {
+                let pose = object.touch().pose(0.0);
+                let (sin, cos) = pose.angle_deg.to_radians().sin_cos();
+                let [x, y] = [at[0] - pose.x_mm, at[1] - pose.y_mm];
+                object.surface().height_mm([x * cos + y * sin, y * cos - x * sin]).is_some()
+            };
+            for at in grid.iter().flat_map(|x| grid.map(|y| [*x, y])) {
+                assert_eq!(touches(&object, at), touches(&other, at), "{name} at {at:?}");
+                compared += usize::from(touches(&object, at));
+            }
+        }
+        assert!(compared > 50, "{compared}");
+    }
+}

@@ -1,0 +1,333 @@
+//! Renderings of objects over the API, and previews of patterns: what they answer, what is refused, and the end of their processes.
+
+use crate::harness::{Daemon, document, ended, meissner, next, printed, problem, refusal, wait_until};
+use crate::searches::children;
+use base64::Engine;
+use base64::engine::general_purpose::STANDARD;
+use meissner_api::{Event, PatternPreview, RenderMethod, Rendered, Search, SearchState};
+use meissner_array::pattern::Pattern;
+use meissner_client::{Client, Events};
+use rustix::process::{Pid, Signal, kill_process};
+use serde_json::{Value, json};
+use sha2::Digest;
+use std::io::Write;
+use std::os::unix::net::UnixStream;
+
+/// The next event of a search: how it stands, and whether its pattern can be played.
+fn event(events: &mut Events) -> (SearchState, bool) {
+    next(events, |event| match event {
+        Event::Search { state, found, .. } => Some((state, found)),
+        _ => None,
+    })
+}
+
+/// Waits until a rendering has failed; returns why.
+fn failed(events: &mut Events) -> String {
+    next(events, |event| match event {
+        Event::Search { state: SearchState::Failed, problem, found: false, .. } => problem,
+        _ => None,
+    })
+}
+
+/// Renders an object and waits until it is judged.
+fn rendered(client: &mut Client, request: &Value) -> Rendered {
+    let mut events = client.events().unwrap();
+    let begun: Search = client.post("/v1/searches", request).unwrap();
+    assert_eq!((begun.state, begun.found, begun.rendered), (SearchState::Running, false, None));
+    // First the pattern can be played, then it is judged.
+    assert_eq!(event(&mut events), (SearchState::Running, false));
+    assert_eq!(event(&mut events), (SearchState::Running, true));
+    assert_eq!(event(&mut events), (SearchState::Done, true));
+    let search: Search = client.get(&format!("/v1/searches/{}", begun.id)).unwrap();
+    let method: RenderMethod =
+        serde_json::from_value(request["method"].clone()).unwrap_or(RenderMethod::Auto);
+    assert_eq!((search.found, search.method, search.result), (true, Some(method), None));
+    *search.rendered.unwrap()
+}
+
+fn bar(name: &str) -> Value {
+    json!({
+        "kind": "object", "name": name, "shape": "bar", "length_mm": 12, "width_mm": 0.8, "angle_deg": 30,
+        "touch": {"press": {"depth_um": 500, "hold_s": 0.1}}
+    })
+}
+
+/// An NPY file of heights, um, in base64.
+fn npy([rows, columns]: [usize; 2], um: impl Fn(usize, usize) -> f32) -> String {
+    let header = format!("{{'descr': '<f4', 'fortran_order': False, 'shape': ({rows}, {columns}), }}\n");
+    let length = u16::try_from(header.len()).unwrap().to_le_bytes();
+    let mut bytes = [b"\x93NUMPY\x01\x00", &length[..], header.as_bytes()].concat();
+    for row in 0..rows {
+        bytes.extend((0..columns).flat_map(|column| um(row, column).to_le_bytes()));
+    }
+    STANDARD.encode(bytes)
+}
+
+fn map(name: &str, file: &str) -> Value {
+    json!({
+        "kind": "object", "name": name, "shape": "heightmap", "file": file, "mm_per_pixel": 0.4,
+        "touch": {"press": {"depth_um": 500, "hold_s": 0.1}}
+    })
+}
+
+#[test]
+fn a_shipped_object_is_rendered_and_judged_as_by_the_commands_and_plays() {
+    let daemon = Daemon::start();
+    let mut client = daemon.armed();
+    let found = rendered(&mut client, &json!({"object": "edge-45"}));
+    let command = printed(meissner().args(["render", "edge-45"]));
+    assert_eq!(found.pattern.trim_end(), command.trim_end());
+    let told = document(meissner().args(["render", "edge-45", "--json"]));
+    assert_eq!(
+        json!([found.duration_s, found.highest_um, found.object["shape"]]),
+        json!([
+            told["duration_s"],
+            told["highest_um"],
+            Pattern::parse(&command, "p").unwrap().provenance()["object"]["shape"]
+        ])
+    );
+    let judged = document(meissner().args(["judge", "--object", "edge-45", "--fingers", "1", "--json"]));
+    for (name, of_command) in
+        [("auto", "render auto"), ("rule", "render rule"), ("vibrate-60", "within reach at 60 Hz")]
+    {
+        let found = found.judged.iter().find(|line| line.name == name).unwrap();
+        let lines = judged["lines"].as_array().unwrap();
+        let told = lines.iter().find(|line| line["name"] == of_command).unwrap();
+        for key in ["r", "error", "r_by_class", "error_by_class", "spikes"] {
+            assert_eq!(serde_json::to_value(found).unwrap()[key], told[key], "{name}: {key}");
+        }
+    }
+    assert_eq!(found.judged.len(), 3);
+    let of = &found.response;
+    let spikes = |trains: &Vec<Vec<f64>>| trains.iter().map(Vec::len).sum::<usize>();
+    for trains in [&of.real_s, &of.found_s, &of.rule_s] {
+        assert_eq!((trains.len(), of.places_mm.len(), of.class.len()), (566, 566, 566));
+        assert!(spikes(trains) > 100, "{}", spikes(trains));
+        assert!(trains.iter().flatten().all(|at_s| (0.0..=of.seconds).contains(at_s)));
+    }
+    assert_eq!(of.class.iter().filter(|class| *class == "SA1").count(), 200);
+    assert!(found.outline.iter().flatten().count() > 1 && found.warnings.is_empty(), "{found:?}");
+    // It plays without being stored, and a preview shows the finger that has judged it.
+    let mut events = client.events().unwrap();
+    let _: Value =
+        client.post("/v1/play", &json!({"pattern": "search:1", "pattern_sha256": found.sha256})).unwrap();
+    assert_eq!(ended(&mut events).pattern, "edge-45");
+    let preview: PatternPreview = client.get("/v1/patterns/search:1/preview?seconds=0.3").unwrap();
+    let early = |trains: &[Vec<f64>]| -> Vec<Vec<f64>> {
+        let of = |train: &Vec<f64>| train.iter().copied().filter(|at_s| *at_s < 0.3).collect();
+        trains.iter().map(of).collect()
+    };
+    assert_eq!(preview.sha256, found.sha256);
+    assert_eq!(early(&preview.spikes.times_s), early(&of.found_s));
+}
+
+#[test]
+fn drawn_objects_and_targets_at_rest_are_rendered() {
+    let daemon = Daemon::start();
+    let mut client = daemon.client();
+    let found = rendered(&mut client, &json!({"object": bar("drawn"), "method": "field"}));
+    let pattern = Pattern::parse(&found.pattern, "found").unwrap();
+    let object = pattern.provenance()["object"].as_table().unwrap();
+    assert_eq!((object["length_mm"].as_integer(), pattern.name()), (Some(12), "drawn"));
+    assert_eq!((found.object, found.judged[0].name.as_str()), (bar("drawn"), "field"));
+    // The rule does not judge itself twice.
+    let found = rendered(&mut client, &json!({"object": bar("drawn"), "method": "rule"}));
+    let names: Vec<_> = found.judged.iter().map(|line| line.name.as_str()).collect();
+    assert!(names == ["rule", "vibrate-60"] && found.response.rule_s == found.response.found_s, "{names:?}");
+    let found = rendered(&mut client, &json!({"object": bar("drawn"), "method": "trace"}));
+    assert_eq!(found.judged[0].name, "trace");
+    let text = "name = \"my-edge\"\nshape = \"segment\"\npoints = [[-4, 0], [4, 0]]\n";
+    let _: Value = client.put("/v1/targets/my-edge", text.to_owned()).unwrap();
+    let found = rendered(&mut client, &json!({"object": "my-edge", "method": "field"}));
+    assert_eq!(
+        (&found.object["shape"], found.outline),
+        (&json!("lines"), vec![vec![[-4.0, 0.0], [4.0, 0.0]]])
+    );
+    let _: Value = client.delete("/v1/targets/my-edge").unwrap();
+}
+
+/// A ridge in a map is the bar of its size.
+#[test]
+fn a_height_map_comes_with_its_file() {
+    let daemon = Daemon::start();
+    let mut client = daemon.client();
+    let heights = npy([30, 30], |_, column| if (14..16).contains(&column) { 0.0 } else { -2000.0 });
+    let request =
+        json!({"object": map("ridge", "ridge.npy"), "files": {"ridge.npy": heights}, "method": "field"});
+    let found = rendered(&mut client, &request);
+    assert!(found.outline.is_empty() && found.highest_um > 200.0, "{}", found.highest_um);
+    // The file is not in the pattern, so the pattern only names the object.
+    let pattern = Pattern::parse(&found.pattern, "found").unwrap();
+    assert_eq!(pattern.provenance()["object"].as_str(), Some("ridge"));
+    let ridge = json!({
+        "kind": "object", "name": "ridge", "shape": "bar", "length_mm": 12, "width_mm": 0.8, "angle_deg": 90,
+        "touch": {"press": {"depth_um": 500, "hold_s": 0.1}}
+    });
+    let bar = rendered(&mut client, &json!({"object": ridge, "method": "field"}));
+    let near = (found.highest_um - bar.highest_um).abs();
+    assert!(near < 0.1 * bar.highest_um, "{} {}", found.highest_um, bar.highest_um);
+    // The session record keeps the hash of the file, not the file.
+    let record = || -> String {
+        let days = std::fs::read_dir(daemon.path("state/meissner/logbook")).unwrap();
+        days.filter_map(|day| std::fs::read_to_string(day.unwrap().path()).ok()).collect()
+    };
+    let hash = request["files"]["ridge.npy"].as_str().map(|text| STANDARD.decode(text).unwrap());
+    let hash = format!("{:x}", sha2::Sha256::digest(hash.unwrap()));
+    wait_until(|| record().contains(&format!("{{\"ridge.npy\":\"{hash}\"}}")));
+}
+
+#[test]
+fn what_is_no_object_is_refused_in_one_line() {
+    let daemon = Daemon::start();
+    let mut client = daemon.client();
+    let unknown = problem(client.post("/v1/searches", &json!({"object": "egde-45"})));
+    assert_eq!((&*unknown.code, unknown.status), ("not-found", 404));
+    assert!(unknown.detail.contains("`egde-45`: did you mean `edge-45`?"), "{unknown}");
+    let changed = |key: &str, value: Value| {
+        let mut object = bar("drawn");
+        object[key] = value;
+        object
+    };
+    let png = |name: &str| json!({"object": map("m", name), "files": {name: "AAAA"}});
+    for (request, says) in [
+        (
+            json!({"object": changed("length_mm", json!(0))}),
+            "the object is refused: `length_mm` is 0: must be 0.1",
+        ),
+        (
+            json!({"object": changed("lenght_mm", json!(1))}),
+            "unknown key `lenght_mm`: did you mean `length_mm`?",
+        ),
+        (
+            json!({"object": changed("name", json!("../x"))}),
+            "`name` is `../x`: must be 1 to 64 of a-z, 0-9 and -",
+        ),
+        (json!({"object": changed("touch", json!({}))}), "`touch` needs one of press, scan and path"),
+        (json!({"object": {}}), "`kind` is missing"),
+        (json!({"object": map("m", "m.npy")}), "`files` has no `m.npy`: add it in base64"),
+        (json!({"object": map("m", "m.npy"), "files": {"m.npy": "*"}}), "`files.m.npy` is not base64"),
+        (
+            json!({"object": map("m", "../m.npy"), "files": {"../m.npy": ""}}),
+            "`files` has `../m.npy`: must be the name of",
+        ),
+        (json!({"object": bar("b"), "robust": true}), "`robust` is a key of a target's search"),
+    ] {
+        let refused = problem(client.post("/v1/searches", &request));
+        assert_eq!((&*refused.code, refused.status), ("bad-request", 400), "{refused}");
+        assert!(refused.detail.contains(says) && !refused.detail.contains('\n'), "{refused}");
+    }
+    let large = json!({"object": map("m", "m.npy"), "files": {"m.npy": "A".repeat(4 << 20)}});
+    assert_eq!(refusal(client.post("/v1/searches", &large)), ("too-large".into(), 413));
+    // What only the process finds out.
+    let mut events = client.events().unwrap();
+    let wide = json!({"object": map("m", "m.npy"), "files": {"m.npy": npy([1, 5000], |_, _| 0.0)}});
+    for (request, says) in [
+        (png("m.png"), "the object is refused: `file` is not a PNG file"),
+        (png("m.jpg"), "the name must end in .png or .npy"),
+        (wide, "has 5000 × 1 pixels: must be 1 to 4096 each"),
+        (
+            json!({"object": changed("center_mm", json!([50, 50]))}),
+            "drawn: the object never lies under the finger",
+        ),
+        (
+            json!({"object": changed("touch", json!({"press": {"depth_um": 500, "hold_s": 40}}))}),
+            " s: at most 30 s are rendered, shorten it",
+        ),
+        (
+            json!({"object": changed("touch", json!({"press": {"depth_um": 1}}))}),
+            "drawn: no pin moves for this object: press deeper",
+        ),
+    ] {
+        let _: Search = client.post("/v1/searches", &request).unwrap();
+        let problem = failed(&mut events);
+        assert!(problem.contains(says) && !problem.contains('\n'), "{problem}");
+    }
+}
+
+/// Judging a long touch takes a while: its pattern is there before, and stays when the search is cancelled.
+#[test]
+fn a_pattern_that_was_found_stays_when_its_search_is_cancelled() {
+    let daemon = Daemon::start();
+    let mut client = daemon.armed();
+    let mut events = client.events().unwrap();
+    let mut object = bar("long");
+    object["touch"] = json!({"press": {"depth_um": 500, "hold_s": 29}});
+    let _: Search = client.post("/v1/searches", &json!({"object": object, "method": "rule"})).unwrap();
+    assert_eq!(event(&mut events), (SearchState::Running, false));
+    assert_eq!(event(&mut events), (SearchState::Running, true));
+    let [process] = children(&daemon)[..] else { panic!("{:?}", children(&daemon)) };
+    // It can end now only if it is killed.
+    kill_process(Pid::from_raw(process).unwrap(), Signal::STOP).unwrap();
+    let _: Value = client.post("/v1/play", &json!({"pattern": "search:1", "seconds": 0.2})).unwrap();
+    let cancelled: Search = client.delete("/v1/searches/1").unwrap();
+    assert_eq!((cancelled.state, cancelled.found, cancelled.rendered), (SearchState::Cancelled, true, None));
+    assert_eq!(event(&mut events), (SearchState::Cancelled, true));
+    let shown: Value = client.get("/v1/patterns/search:1").unwrap();
+    assert_eq!(shown["pattern"]["name"], "long");
+    wait_until(|| children(&daemon).is_empty());
+}
+
+#[test]
+fn a_preview_shows_pins_and_spikes_of_any_pattern() {
+    let daemon = Daemon::start();
+    let mut client = daemon.client();
+    let preview: PatternPreview = client.get("/v1/patterns/edge-45/preview?from_s=0.1&seconds=0.25").unwrap();
+    let shown: Value = client.get("/v1/patterns/edge-45").unwrap();
+    assert_eq!(
+        (json!(preview.sha256), preview.from_s, preview.seconds),
+        (shown["sha256"].clone(), 0.1, 0.25)
+    );
+    let of_command = document(meissner().args([
+        "displacement",
+        "edge-45",
+        "--seconds",
+        "2",
+        "--first-s",
+        "0.1",
+        "--json",
+    ]));
+    let motors: Vec<usize> = serde_json::from_value(of_command["motors"].clone()).unwrap();
+    assert_eq!(preview.heights_um.len(), 24);
+    for (motor, heights_um) in preview.heights_um.iter().enumerate() {
+        let column = motors.iter().position(|moves| *moves == motor);
+        let told = |sample: usize| {
+            column.map_or(0.0, |column| of_command["displacement_um"][sample][column].as_f64().unwrap())
+        };
+        let told: Vec<f64> = (0..250).map(|sample| (told(sample) * 10.0).round() / 10.0).collect();
+        let near = |(a, b): (&f64, &f64)| (a - b).abs() < 0.11;
+        assert!(heights_um.len() == 250 && heights_um.iter().zip(&told).all(near), "motor {motor}");
+    }
+    let times = || preview.spikes.times_s.iter().flatten();
+    assert!(times().count() > 100, "{}", times().count());
+    assert!(times().all(|at_s| (0.1..=0.35).contains(at_s)));
+    // A site's own pattern.
+    let text = String::from_utf8(std::fs::read("patterns/dot.toml").unwrap()).unwrap();
+    let _: Value =
+        client.put("/v1/patterns/my-dot", text.replace("name = \"dot\"", "name = \"my-dot\"")).unwrap();
+    let own: PatternPreview = client.get("/v1/patterns/my-dot/preview?seconds=0.1").unwrap();
+    assert!(own.heights_um.iter().flatten().any(|um| *um > 10.0));
+    assert_eq!(refusal(client.get("/v1/patterns/none/preview")), ("not-found".into(), 404));
+    assert_eq!(refusal(client.get("/v1/patterns/search:1/preview")), ("not-found".into(), 404));
+    for query in ["seconds=3", "seconds=0", "from_s=-1", "from_s=61", "sconds=1", "seconds=NaN"] {
+        let refused = problem(client.get(&format!("/v1/patterns/edge-45/preview?{query}")));
+        assert!(refused.code == "bad-request" && refused.detail.contains(query), "{refused}");
+    }
+    assert!(children(&daemon).is_empty());
+}
+
+#[test]
+fn a_preview_ends_when_its_client_hangs_up() {
+    let daemon = Daemon::start();
+    let mut stream = UnixStream::connect(daemon.socket()).unwrap();
+    stream
+        .write_all(b"GET /v1/patterns/edge-45/preview?from_s=60&seconds=2 HTTP/1.1\r\nhost: x\r\n\r\n")
+        .unwrap();
+    wait_until(|| !children(&daemon).is_empty());
+    let process = children(&daemon)[0];
+    // It can end now only if it is killed.
+    kill_process(Pid::from_raw(process).unwrap(), Signal::STOP).unwrap();
+    drop(stream);
+    wait_until(|| children(&daemon).is_empty());
+    // Its place is free again.
+    let _: PatternPreview = daemon.client().get("/v1/patterns/edge-45/preview?seconds=0.01").unwrap();
+}
