@@ -96,169 +96,7 @@ test("an emergency stop that the daemon does not confirm says so", async () => {
   await page.waitForFunction(() => document.getElementById("alert").hidden, WAIT);
 });
 
-// Draws a line on the pad from one place to another, in mm, and lifts the pen.
-async function draw(page, from, to) {
-  await page.$eval("#pad .pad", (pad) => pad.scrollIntoView({ block: "center" }));
-  const places = await page.$eval("#pad .pad", (pad, places) => {
-    const matrix = pad.getScreenCTM();
-    return places.map(([x, y]) => new DOMPoint(x, -y).matrixTransform(matrix)).map(({ x, y }) => [x, y]);
-  }, [from, to]);
-  await page.mouse.move(...places[0]);
-  await page.mouse.down();
-  await page.mouse.move(...places[1], { steps: 5 });
-  await page.mouse.up();
-}
-
 const get = async (daemon, path) => (await fetch(`${daemon.url}${path}`)).json();
-
-test("a person draws an edge, finds its pattern, feels it and saves it", async () => {
-  const daemon = await new Daemon().start();
-  const page = await openView(daemon, "design");
-  await arm(page);
-  await draw(page, [-3, -3], [3, 3]);
-  await page.$eval("#budget", (input) => (input.value = "0.3"));
-  await press(page, "#find");
-  await shows(page, "search-note", "Found a pattern for drawn", SEARCHED);
-  await page.waitForSelector("#maps figure");
-  const { result, target } = await get(daemon, "/v1/searches/last");
-  assert.equal(target, "drawn");
-  const [[x, y], [u, v]] = result.definition.points;
-  assert.ok(Math.hypot(x + 3, y + 3) < 0.3 && Math.hypot(u - 3, v - 3) < 0.3, JSON.stringify(result.definition.points));
-  const titles = await page.$$eval("#maps figcaption strong", (all) => all.map((title) => title.textContent));
-  assert.deepEqual(titles, ["Target", "Found pattern", "Rule of thumb, within reach", "Rule of thumb, within one pitch"]);
-  const afferents = await page.$$eval("#maps figure", (figures) => figures.map((figure) => figure.querySelectorAll("circle:not(.pin-place)").length));
-  assert.deepEqual(afferents, [306, 306, 306, 306]);
-  assert.equal(await page.$$eval("#figures tbody tr", (rows) => rows.length), 6);
-  assert.ok((await text(page, "figures")).includes(result.models[0].naive_reach.contrast.toFixed(1)));
-  await press(page, "#feel");
-  await view(page, "play");
-  await shows(page, "receipt-summary", "drawn: done");
-  await view(page, "design");
-  assert.equal((await get(daemon, "/v1/plays/last")).pattern_sha256, result.sha256);
-  await page.$eval("#save-name", (input) => (input.value = "my-edge"));
-  await press(page, "#save");
-  await answers(page, "#save", "Saved pattern and target my-edge.");
-  const pattern = (await get(daemon, "/v1/patterns/my-edge")).pattern;
-  assert.deepEqual([pattern.name, pattern.provenance.target, pattern.provenance.definition.name], ["my-edge", "my-edge", "my-edge"]);
-  assert.deepEqual((await get(daemon, "/v1/targets/my-edge")).target, { ...result.definition, name: "my-edge" });
-  // Saving a second time is refused until the person confirms it.
-  await press(page, "#save");
-  await answers(page, "#save", "is stored already");
-  await press(page, "#replace");
-  await press(page, "#save");
-  await answers(page, "#save", "Saved pattern and target my-edge.");
-  await view(page, "play");
-  await page.waitForSelector('li[data-name="my-edge"]');
-  assert.deepEqual(page.complaints.filter((line) => !line.includes("409") && !line.includes("404")), []);
-});
-
-test("a pattern plays as soon as the pen lifts, if a person wants that", async () => {
-  const daemon = await new Daemon().start();
-  const page = await openView(daemon, "design");
-  await arm(page);
-  await page.$eval("#budget", (input) => (input.value = "0.2"));
-  await press(page, "#at-once");
-  await draw(page, [0, -4], [0, 4]);
-  // A key or a click before the play is ordered would withdraw the person's wish.
-  await shows(page, "search-note", "Found a pattern for drawn", SEARCHED);
-  await view(page, "play");
-  await shows(page, "receipt-summary", "drawn: done");
-  assert.equal((await get(daemon, "/v1/searches/last")).id, 1);
-});
-
-test("an emergency stop works while a play and a search run, and the search can be cancelled", async () => {
-  const daemon = await new Daemon().start();
-  const page = await openView(daemon, "design");
-  await arm(page);
-  await shows(page, "load", "rotating-edge");
-  await page.select("#load", "rotating-edge");
-  await page.waitForSelector("#find:not([disabled])");
-  await page.$eval("#budget", (input) => (input.value = "600"));
-  await press(page, "#find");
-  await shows(page, "search-progress", "evaluations", SEARCHED);
-  await view(page, "play");
-  await page.$eval("#seconds", (input) => (input.value = "600"));
-  await page.type("#search", "edge-45");
-  await page.click('li[data-name="edge-45"] button');
-  await shows(page, "state-text", "Playing edge-45");
-  await page.click("#estop");
-  await shows(page, "estop-note", "All lines are off.");
-  const status = await daemon.status();
-  assert.deepEqual([status.state, status.estops, status.play], ["faulted", 1, null]);
-  assert.equal((await get(daemon, "/v1/searches/last")).state, "running");
-  await view(page, "design");
-  await press(page, "#cancel");
-  await shows(page, "search-note", "Cancelled.");
-  assert.equal((await get(daemon, "/v1/searches/last")).state, "cancelled");
-  assert.equal(await page.$eval("#find", (button) => button.disabled), false);
-});
-
-test("the keyboard alone designs a target", async () => {
-  const daemon = await new Daemon().start();
-  const page = await openView(daemon, "design");
-  await shows(page, "state-text", "Disarmed");
-  await page.focus("#shape");
-  const pressed = async (...keys) => {
-    for (const key of keys) await page.keyboard.press(key);
-  };
-  // Letter, target, pad: each can be reached with the Tab key.
-  await pressed("Tab", "Tab");
-  assert.equal(await page.evaluate(() => document.activeElement.getAttribute("role")), "application");
-  await pressed("ArrowLeft", "ArrowLeft", "Enter", "ArrowRight", "ArrowRight", "ArrowRight", "ArrowRight", "ArrowUp", "Enter", "Backspace", "Enter");
-  assert.equal(await page.$eval("#points", (input) => input.value), "-1 0; 1 0.5");
-  await shows(page, "speak", "2 points, the last at 1, 0.5 mm.");
-  await page.focus("#find");
-  await pressed("Enter");
-  await shows(page, "search-note", "Found a pattern for drawn", SEARCHED);
-  // A letter is drawn as its dots.
-  await page.select("#shape", "braille");
-  assert.equal(await page.$$eval("#pad .shape-dot", (dots) => dots.length), 3);
-  await page.$eval("#points", (input) => ((input.value = "0 0; 20 0"), input.dispatchEvent(new Event("change"))));
-  await page.select("#shape", "dots");
-  assert.equal(await page.$eval("#points", (input) => input.value), "0 0; 9 0");
-  // A refusal of the daemon is shown beside the button, in the page's words.
-  await page.$eval("#reach", (input) => (input.value = "24"));
-  await press(page, "#find");
-  await answers(page, "#find", "Reach is 24: all 306 afferents are within reach");
-});
-
-test("a shape that is dragged plays live, and a window out of sight ends it (smoke)", async () => {
-  const daemon = await new Daemon("lead_ms = 100\n").start();
-  const page = await openView(daemon, "design");
-  await arm(page);
-  await page.select("#shape", "dots");
-  assert.equal(await page.$eval("#live-start", (button) => button.disabled), true);
-  await page.$eval("#points", (input) => ((input.value = "0 0"), input.dispatchEvent(new Event("change"))));
-  const live = async () => {
-    await press(page, "#live-start");
-    await page.waitForSelector("#live-pad:not([hidden])");
-    await shows(page, "live-note", "At 0.0, 0.0 mm");
-    await shows(page, "state-text", "Playing live");
-  };
-  await live();
-  assert.deepEqual(await page.$$eval("#live-pad .shape-dot", (dots) => dots.length), 1);
-  await page.$eval("#live-pad svg", (pad) => pad.scrollIntoView({ block: "center" }));
-  const box = await (await page.$("#live-pad svg")).boundingBox();
-  const [x, y] = [box.x + box.width / 2, box.y + box.height / 2];
-  await page.mouse.move(x, y);
-  await page.mouse.down();
-  await page.mouse.move(x + 40, y - 60, { steps: 8 });
-  await page.mouse.up();
-  const note = await text(page, "live-note");
-  const [, right, up] = /At ([\d.]+), ([\d.]+) mm, turned by 0°/.exec(note);
-  assert.ok(Number(right) > 0.5 && Number(up) > Number(right), note);
-  for (const key of ["ArrowLeft", "q", "q"]) await page.keyboard.press(key);
-  await shows(page, "live-note", "turned by 10°");
-  await page.waitForFunction(() => /; [1-9]\d* changes on the pins/.test(document.getElementById("live-note").textContent), WAIT);
-  await press(page, "#live-end");
-  await shows(page, "live-note", "Ended.");
-  const { live: updates, bursts } = await get(daemon, "/v1/plays/last");
-  assert.ok(updates.applied > 1 && bursts.replaced > 0, JSON.stringify(updates));
-  await live();
-  await page.evaluate(() => (Object.defineProperty(document, "hidden", { get: () => true }), document.dispatchEvent(new Event("visibilitychange"))));
-  await shows(page, "live-note", "Ended.");
-  assert.deepEqual(page.complaints.filter((line) => !line.includes("404")), []);
-});
 
 // Its pins stand in no rows, some of them outside of the finger.
 const SCATTERED = `name = "scattered"
@@ -372,35 +210,6 @@ test("an array of two pins that nearly touch and of pins far away is drawn as sm
   const pad = await drawn("#pad svg");
   assert.ok(pad.discs.every(([x, y], i) => Math.hypot(x - places[i][0], y + places[i][1]) < 1e-6), "the pad is in mm");
   assert.deepEqual(page.complaints.filter((line) => !line.includes("404")), []);
-});
-
-test("what is found for a target is for the daemon's array", async () => {
-  const daemon = await new Daemon('[array]\ndescription = "ubi-pen-3x3"\n').start();
-  const page = await openView(daemon, "design");
-  await arm(page);
-  await shows(page, "load", "edge-45");
-  await page.select("#load", "edge-45");
-  await page.$eval("#budget", (input) => (input.value = "0.2"));
-  await page.waitForSelector("#find:not([disabled])");
-  await press(page, "#find");
-  await shows(page, "search-note", "Found a pattern for edge-45", SEARCHED);
-  await press(page, "#feel");
-  // The pins of the array are known here.
-  await page.waitForFunction(() => document.querySelector('.finger .hand[visibility="visible"]'), WAIT);
-  await view(page, "play");
-  await shows(page, "receipt-summary", ": done");
-  await view(page, "design");
-  await page.waitForSelector("#save:not([disabled])");
-  await press(page, "#save");
-  await answers(page, "#save", "Saved pattern and target");
-  const { patterns } = await get(daemon, "/v1/patterns");
-  const saved = patterns.filter((pattern) => !pattern.library);
-  assert.deepEqual(saved.map((pattern) => pattern.array), ["ubi-pen-3x3"]);
-  await view(page, "play");
-  await page.waitForSelector(`li[data-name="${saved[0].name}"]`);
-  await page.$eval(`li[data-name="${saved[0].name}"]`, (item) => item.scrollIntoView());
-  await page.waitForSelector(`li[data-name="${saved[0].name}"] .thumbnail`);
-  assert.equal(await page.$$eval(`li[data-name="${saved[0].name}"] .thumbnail circle`, (pins) => pins.length), 9);
 });
 
 test("the doctor's findings come with verdicts and remedies", async () => {
@@ -669,8 +478,7 @@ for (const scheme of ["light", "dark"]) {
     await page.$eval("#receipt-more", (details) => (details.open = true));
     await view(page, "design");
     await page.select("#shape", "braille");
-    await press(page, "#find");
-    await page.waitForSelector("#maps figure", SEARCHED);
+    await page.waitForSelector("#thing-maps figure", SEARCHED);
     await view(page, "device");
     await page.waitForSelector("#fit-grid .plot");
     await page.waitForSelector("#findings li");

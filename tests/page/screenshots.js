@@ -1,6 +1,6 @@
 // Pictures of the page, for the book and for a review: node screenshots.js FOLDER. It prints how soon the page was painted.
 //
-// Each view while `edge-45` plays, with a pattern that was found, and the dialog of Arm; 390, 1400 and 3000 px wide, light and dark.
+// Each view while `edge-45` plays, with a thing that was rendered, and the dialog of Arm; 390, 1400 and 3000 px wide, light and dark.
 
 import { mkdirSync } from "node:fs";
 import { join } from "node:path";
@@ -10,14 +10,11 @@ const [folder] = process.argv.slice(2);
 mkdirSync(folder, { recursive: true });
 const browser = await launch();
 const daemon = await new Daemon().start();
-const first = await open(browser, daemon, 1400, 1000, "design");
+const first = await open(browser, daemon);
 await arm(first);
-await first.select("#load", "edge-45");
-await first.click("#find");
-await first.waitForSelector("#feel:not([disabled])", SEARCHED);
 await (await fetch(`${daemon.url}/v1/play`, { method: "POST", body: JSON.stringify({ pattern: "edge-45", seconds: 600 }) })).json();
 // What is to be seen in each view.
-const READY = { play: ".thumbnail", design: "#feel:not([disabled])", record: "#sessions-none:not([hidden])", device: "#findings li" };
+const READY = { play: ".thumbnail", design: "#thing-result:not([hidden], .older)", record: "#sessions-none:not([hidden])", device: "#findings li" };
 for (const width of [390, 1400, 3000]) {
   for (const scheme of ["light", "dark"]) {
     const page = await open(browser, daemon, width, width === 390 ? 844 : Math.max(1000, Math.round(width / 2)));
@@ -28,7 +25,11 @@ for (const width of [390, 1400, 3000]) {
     console.log(`${width} px, ${scheme}: ${paint}`);
     for (const [name, ready] of Object.entries(READY)) {
       await view(page, name);
-      await page.waitForSelector(ready, WAIT);
+      if (name === "design") {
+        await shows(page, "load", "edge-45");
+        await page.select("#load", "edge-45");
+      }
+      await page.waitForSelector(ready, SEARCHED);
       await page.screenshot({ path: join(folder, `${name}-${width}-${scheme}.png`) });
       await page.screenshot({ path: join(folder, `${name}-whole-${width}-${scheme}.png`), fullPage: true });
     }

@@ -1,282 +1,361 @@
-// The designer: the person draws or loads a target, the daemon searches for a pattern, and the page shows, plays and saves the
-// pattern found.
+// The view Design: the person draws a thing, and the page renders it, shows how near it comes, plays it and stores it. Folded away, the paper's
+// search looks for a vibration for the same drawing.
+//
+// A drawing (`doc`) has: `shape`; `lines`, its points; `at`, the middle of what is not drawn point by point; `text`; `numbers`, by the id of
+// their fields; `picture`, a height map's file; `loaded`, a target as the daemon has it; `touch` and `method`.
 
-import { call, order, put } from "./api.js";
+import { call } from "./api.js";
 import { array } from "./array.js";
-import { refuse, say, speak, valid } from "./control.js";
+import { element, refuse, say, speak } from "./control.js";
+import { History, keep, kept } from "./history.js";
 import { Live } from "./live.js";
-import { figures, maps } from "./maps.js";
+import { complain, number, numbers, right } from "./number.js";
 import { Pad } from "./pad.js";
+import { Paper } from "./paper.js";
+import { picture } from "./picture.js";
+import { Rendering } from "./rendering.js";
+import { drawn, live, off, rendering } from "./thing.js";
 import { part } from "./views.js";
 
 const $ = (id) => document.getElementById(id);
-const BRAILLE = "⠁⠃⠉⠙⠑⠋⠛⠓⠊⠚⠅⠇⠍⠝⠕⠏⠟⠗⠎⠞⠥⠧⠺⠭⠽⠵";
-// The amplitude of a new target, if the motors go so far, µm.
-const AMPLITUDE_UM = 80;
-const DRAWN = ["segment", "polyline", "dots"];
-const SHAPE_KEYS = ["name", "shape", "points", "center_mm", "radius_mm", "character", "dot_pitch_mm", "period_mm", "angle_deg", "offset_mm", "reach_mm", "amplitude_um"];
+// After the last change of a number, before the page asks for a rendering.
+const PAUSE_MS = 400;
+const METHODS = {
+  auto: "The nearest to the real thing, for a press and for a motion. Take this first.",
+  rate: "Strokes at full speed: for a motion, and to tell names and angles apart.",
+  field: "Pins take the shape of the skin: for a press whose place counts.",
+  rule: "Pins near the thing go their full travel: the plainest, sharp for an angle or a letter's name.",
+  trace: "A press follows the lines, one after another: for letters and shapes that the pins are too coarse for. Its time is its own.",
+};
+// Which things a field is for, by the id of its field, and its label is `ID-label`.
+const SHAPES = {
+  width: ["bar", "polyline"], diameter: ["dots", "braille"], text: ["braille"], pitch: ["braille"], picture: ["heightmap"], mm: ["heightmap"],
+  white: ["heightmap"], angle: ["braille", "heightmap"],
+};
+const TOUCHES = { depth: ["press", "scan"], rise: ["press"], hold: ["press"], fall: ["press"], speed: ["scan"], direction: ["scan"], distance: ["scan"] };
+const NUMBERS = ["width", "diameter", "pitch", "mm", "white", "angle", ...Object.keys(TOUCHES)];
+const TEXTS = ["text", "contact", "method"];
+const DRAWABLE = { segment: "bar", polyline: "polyline", dots: "dots" };
 
-// The middle of a Braille cell near the array's middle, mm. Its dots are two pitches apart: in rows and columns they lie right above pins.
+// The middle of a Braille cell near the array's middle, mm. Dots that are two pitches apart then lie right above pins.
 function cellCenter() {
   const { grid } = array();
   return grid ? [grid.columns, grid.rows].map((count) => (count % 2 ? 0 : grid.pitch_mm / 2)) : [0, 0];
 }
 
-function dots(letter) {
-  if (!array()) return [];
-  const bits = (BRAILLE.codePointAt(letter.charCodeAt(0) - 97) ?? 0x2800) - 0x2800;
-  const [[x, y], pitch] = [cellCenter(), 2 * array().pitch_mm];
-  const place = (dot) => [x + (Math.floor(dot / 3) - 0.5) * pitch, y + (1 - (dot % 3)) * pitch];
-  return [0, 1, 2, 3, 4, 5].filter((dot) => (bits >> dot) & 1).map((dot) => [place(dot)]);
-}
-
-// A value as TOML, tables in one line.
-function toml(value) {
-  if (Array.isArray(value)) return `[${value.map(toml).join(", ")}]`;
-  if (value === null || typeof value !== "object") return JSON.stringify(value);
-  return `{ ${Object.entries(value).map(([key, of]) => `${key} = ${toml(of)}`).join(", ")} }`;
-}
-
-const file = (target) => Object.entries(target).map(([key, value]) => `${key} = ${toml(value)}\n`).join("");
+const digits = (value) => String(+value.toFixed(3));
 
 export class Designer {
   #saved;
   #pad;
   #live;
+  #paper;
+  #rendering;
+  #history = new History();
+  #picture = null;
   // The loaded target in full, to keep the keys that the page does not show.
   #loaded = null;
-  #search = null;
-  // The pattern that was found, and its details once they are known, by its SHA-256.
-  #details = new Map();
-  // Whether the pattern found plays automatically: only if the person has touched nothing since the pen was lifted.
-  #atOnce = false;
+  #numbers = {};
+  #timer = 0;
+  // The drawing of before a reload, until the array is known.
+  #before = kept();
 
   // `saved`: called when a pattern has been stored.
   constructor(saved) {
     this.#saved = saved;
-    this.#pad = new Pad($("pad"), () => this.#drawn(), () => this.#lifted(), (text) => speak(text, "pad"));
-    this.#live = new Live(() => this.#liveRequest(), () => this.#outline());
-    const on = (id, event, run) => $(id).addEventListener(event, run);
-    on("shape", "change", () => this.#choose());
-    on("letter", "input", () => this.#drawn());
-    on("points", "change", () => this.#typed());
-    on("load", "change", () => this.#load($("load").value).then(() => say($("load"), ""), (error) => refuse($("load"), error)));
-    on("undo", "click", () => this.#pad.undo());
-    on("clear", "click", () => this.#pad.set([]));
-    on("find", "click", () => this.#find(false));
-    on("cancel", "click", () => this.#cancel());
-    on("feel", "click", () => this.#feel());
-    on("save-form", "submit", (event) => (event.preventDefault(), this.#save()));
-    for (const event of ["pointerdown", "keydown"]) document.addEventListener(event, () => (this.#atOnce = false), { capture: true });
-    document.addEventListener("array", () => this.#arrange());
-    this.#choose();
+    this.#pad = new Pad($("pad"), (by) => this.#drawn(by), (text) => speak(text, "pad"));
+    const changed = () => this.#buttons();
+    const doc = () => this.#doc();
+    this.#paper = new Paper({ doc, pad: this.#pad, changed, saved: () => (saved(), this.#list()) });
+    this.#rendering = new Rendering(() => (this.#keep(), this.#buttons()));
+    const request = () => {
+      const [object] = live(this.#doc());
+      return object && { object };
+    };
+    const check = () => right(...this.#fields());
+    this.#live = new Live({ pad: this.#pad, id: "thing-live", request, check, thing: () => drawn(this.#doc()), depth: () => number("depth"), changed });
+    this.#bind();
     part({
       view: "design",
       at: "designer-title",
       load: () => this.#start(),
       on: { search: (event) => this.#handle(event) },
-      hide: () => this.#live.end(),
+      hide: () => (this.#live.end(), this.#paper.end()),
     });
   }
 
-  #arrange() {
-    const { travel_um: most } = array().motor;
-    $("amplitude").max = most;
-    $("amplitude").value = Math.min($("amplitude").value || AMPLITUDE_UM, most);
-    this.#drawn();
-  }
-
-  // The stored targets, and the search that the daemon knows.
-  async #start() {
-    await this.#list();
-    const last = await call("GET", "/v1/searches/last").catch(() => null);
-    // A restarted daemon counts from 1; an event may have come before the answer.
-    if (!last) this.#search = null;
-    else if (last.state !== "running" || last.id !== this.#search?.id) this.#show(last);
-    this.#buttons();
+  #bind() {
+    const on = (id, event, run) => $(id).addEventListener(event, run);
+    on("shape", "change", () => this.#changed());
+    on("points", "change", () => this.#typed());
+    on("load", "change", () => this.#load($("load").value).then(() => say($("load"), ""), (error) => refuse($("load"), error)));
+    on("undo", "click", () => this.#step(-1));
+    on("redo", "click", () => this.#step(1));
+    on("clear", "click", () => (this.#pad.set([]), this.#changed()));
+    on("turn", "click", () => (this.#pad.set([this.#pad.points.toReversed()]), this.#changed()));
+    on("edit", "click", () => this.#edit());
+    for (const id of [...NUMBERS, ...TEXTS]) {
+      on(id, "change", () => this.#changed());
+      on(id, "input", () => {
+        clearTimeout(this.#timer);
+        this.#timer = setTimeout(() => this.#changed(), PAUSE_MS);
+      });
+    }
+    on("depth", "input", () => this.#live.press());
+    on("picture", "change", () => this.#take($("picture").files[0]));
+    const panel = $("designer-title").parentElement;
+    panel.addEventListener("dragover", (event) => event.preventDefault());
+    panel.addEventListener("drop", (event) => (event.preventDefault(), this.#take(event.dataTransfer.files[0])));
+    document.addEventListener("keydown", (event) => this.#key(event));
+    on("paper", "toggle", () => this.#mode());
+    on("thing-save-form", "submit", (event) => (event.preventDefault(), this.#save(false)));
+    on("thing-replace", "click", () => this.#save(true));
+    document.addEventListener("array", () => this.#arrange());
   }
 
   // The details of a pattern that was found here.
   details(sha256) {
-    return this.#details.get(sha256);
+    return this.#paper.details(sha256);
+  }
+
+  // The fields that the chosen thing and touch have.
+  #fields() {
+    const [shape, touch] = [$("shape").value, $("contact").value];
+    const isLoaded = shape === "loaded";
+    const of = (fields, choice) => Object.keys(fields).filter((id) => fields[id].includes(choice));
+    return [...of(SHAPES, shape), ...(isLoaded ? [] : ["contact", ...of(TOUCHES, touch)])];
+  }
+
+  #doc() {
+    // While a number is wrong, the one before it is drawn.
+    for (const id of NUMBERS) if (!Number.isNaN(number(id))) this.#numbers[id] = number(id);
+    return {
+      shape: $("shape").value, lines: this.#pad.lines, at: this.#pad.at, text: $("text").value.toLowerCase(), picture: this.#picture, loaded: this.#loaded,
+      numbers: { ...this.#numbers }, touch: $("contact").value, method: $("method").value,
+    };
+  }
+
+  // What can be undone, and survives a reload.
+  #state() {
+    const fields = Object.fromEntries([...NUMBERS, ...TEXTS].map((id) => [id, $(id).value]));
+    return { shape: $("shape").value, lines: this.#pad.lines, at: this.#pad.at, picture: this.#picture, loaded: this.#loaded, fields };
+  }
+
+  #restore({ shape, lines, at, picture, loaded, fields }) {
+    for (const [id, value] of Object.entries(fields)) if ($(id)) $(id).value = value;
+    [this.#picture, this.#loaded] = [picture, loaded];
+    $("shape").value = shape;
+    [this.#pad.lines, this.#pad.at] = [lines, at];
+    this.#show();
+  }
+
+  #arrange() {
+    this.#paper.arrange();
+    if (!this.#history.now) {
+      $("pitch").value = digits(2 * array().pitch_mm);
+      this.#pad.at = cellCenter();
+      this.#history.add(this.#state());
+      if (this.#before) this.#again(this.#before);
+    }
+    this.#show();
+  }
+
+  // Takes the drawing of before a reload; one of another page's version may lack something.
+  #again({ state }) {
+    try {
+      this.#restore(state);
+      this.#history.add(state);
+    } catch {
+      this.#before = null;
+    }
+  }
+
+  // Loads the stored targets, the paper's search and the rendering.
+  async #start() {
+    await this.#list();
+    await this.#paper.start();
+    const before = this.#before?.search ?? undefined;
+    this.#before = null;
+    // A daemon that was started again has no result.
+    if (!(await this.#rendering.resume(before))) this.#ask(false);
+    this.#buttons();
   }
 
   async #handle(event) {
-    if (this.#search && event.id < this.#search.id) return;
-    this.#show({ ...(this.#search?.id === event.id ? this.#search : {}), ...event });
-    if (event.state !== "done") return;
-    const atOnce = this.#atOnce && !document.hidden;
-    this.#atOnce = false;
-    if (atOnce) await this.#feel();
-    this.#show(await call("GET", `/v1/searches/${event.id}`));
+    if (this.#rendering.isMine(event.id)) await this.#rendering.handle(event);
+    else await Promise.all([this.#rendering.handle(event), this.#paper.handle(event)]);
   }
 
   async #list() {
     const { targets } = await call("GET", "/v1/targets");
-    const option = (text, value) => Object.assign(document.createElement("option"), { textContent: text, value });
+    const option = (text, value) => element("option", text, { value });
     const kind = (target) => `${target.name} (${target.shape}${target.moves ? ", moves" : ""}${target.library ? "" : ", site"})`;
-    $("load").replaceChildren(option(targets.length ? "Choose a target" : "No target is stored", ""), ...targets.map((target) => option(kind(target), target.name)));
+    $("load").replaceChildren(option(targets.length ? "Choose" : "No target is stored", ""), ...targets.map((target) => option(kind(target), target.name)));
+    this.#showLoaded();
+  }
+
+  #showLoaded() {
     $("load").value = this.#loaded?.target.name ?? "";
     if (!$("load").value) $("load").value = "";
   }
 
   async #load(name) {
     if (!name) return;
-    this.#loaded = await call("GET", `/v1/targets/${encodeURIComponent(name)}`);
-    const { target } = this.#loaded;
-    [$("reach").value, $("amplitude").value, $("target-name").value] = [target.reach_mm, target.amplitude_um, `${name}-new`.slice(0, 64)];
-    if (DRAWN.includes(target.shape) && !target.motion) {
-      $("shape").value = target.shape;
-      this.#choose();
-      this.#pad.set(target.points);
-    } else {
-      $("shape").value = "loaded";
-      this.#choose();
-    }
+    const loaded = await call("GET", `/v1/targets/${encodeURIComponent(name)}`);
+    this.#loaded = loaded;
+    $("shape").value = "loaded";
+    this.#paper.loaded(loaded.target);
+    $("thing-name").value = `${name}-rendered`.slice(0, 64);
+    this.#changed();
   }
 
-  #choose() {
-    const mode = $("shape").value;
-    const drawn = DRAWN.includes(mode);
-    this.#pad.mode = mode;
-    $("letter-label").hidden = mode !== "braille";
-    $("points-label").hidden = $("undo").hidden = $("clear").hidden = !drawn;
-    if (drawn) this.#pad.set(this.#pad.points);
-    else this.#drawn();
+  // Makes a drawing of the loaded target.
+  #edit() {
+    const { target } = this.#loaded;
+    $("shape").value = DRAWABLE[target.shape];
+    this.#pad.set([target.points]);
+    $("thing-name").value = `${target.name}-new`.slice(0, 64);
+    this.#changed();
+  }
+
+  async #take(file) {
+    if (!file) return;
+    try {
+      this.#picture = await picture(file);
+      $("shape").value = "heightmap";
+      say($("shape"), "");
+      this.#changed();
+    } catch (error) {
+      refuse($("shape"), error);
+    }
   }
 
   #typed() {
-    const numbers = ($("points").value.match(/-?\d+(\.\d+)?/g) ?? []).map(Number);
-    this.#pad.set(Array.from({ length: Math.floor(numbers.length / 2) }, (_, i) => numbers.slice(2 * i, 2 * i + 2)));
+    const lines = $("points").value.split("/").map(numbers);
+    if (lines.some((of) => of.length % 2)) return say($("points"), "The last point has no y: enter x y; x y.", "bad");
+    say($("points"), "");
+    const pairs = lines.map((of) => Array.from({ length: of.length / 2 }, (_, i) => of.slice(2 * i, 2 * i + 2)));
+    if (this.#pad.isDrawn) this.#pad.set(pairs);
+    else if (pairs[0].length) [this.#pad.at] = pairs[0];
+    return this.#changed();
   }
 
-  // Handles a change of the shape on the pad.
-  #drawn() {
-    $("points").value = this.#pad.points.map((point) => point.join(" ")).join("; ");
-    this.#pad.show(DRAWN.includes($("shape").value) ? undefined : this.#outline());
+  // The pen or the keys have drawn.
+  #drawn(by) {
+    if (by === "move") this.#show();
+    else this.#changed(by === "pen");
+  }
+
+  // Handles a change of the drawing that is complete. `byPen`: the pen has left the pad.
+  #changed(byPen = false) {
+    clearTimeout(this.#timer);
+    this.#show();
+    if (!complain(...this.#fields())) return this.#rendering.ask(null);
+    if (this.#history.add(this.#state())) this.#keep();
+    else if (this.#rendering.isAsked) return undefined;
     this.#buttons();
+    return this.#ask(byPen);
   }
 
-  // The lines of the shape.
-  #outline() {
-    const mode = $("shape").value;
-    const { points } = this.#pad;
-    return { braille: dots($("letter").value || " "), loaded: this.#loaded?.outline ?? [], dots: points.map((point) => [point]) }[mode] ?? [points];
+  #step(by) {
+    const state = this.#history.move(by);
+    if (!state) return;
+    this.#restore(state);
+    speak(by < 0 ? "Undone." : "Done again.", "pad");
+    this.#keep();
+    this.#ask(false);
   }
 
-  // A live play of the target; null without one, and for a target that moves by itself.
-  #liveRequest() {
-    const target = this.#target();
-    return target && !target.motion ? { target, objective: $("objective").value, model: $("model").value } : null;
+  #key(event) {
+    const key = event.key.toLowerCase();
+    if (!(event.ctrlKey || event.metaKey) || event.altKey || !["z", "y"].includes(key) || !$("pad").checkVisibility()) return;
+    // A field of text has an undo of its own.
+    if (this.#pad.isTaken || event.target.matches("input:not([type=checkbox], [type=file])")) return;
+    event.preventDefault();
+    this.#step(key === "y" || event.shiftKey ? 1 : -1);
   }
 
-  #lifted() {
-    if ($("at-once").checked && !$("find").disabled) this.#find(true);
+  #keep() {
+    const state = this.#history.now;
+    if (!state) return;
+    const search = this.#rendering.kept;
+    const isKept = keep({ state, search });
+    if (!isKept && state.picture) keep({ state: { ...state, picture: null }, search: null });
+    $("picture-kept").hidden = isKept || !state.picture;
   }
 
-  // The target as the daemon takes it; null if it is not complete.
-  #target() {
-    const mode = $("shape").value;
-    const { points } = this.#pad;
-    if (!array() || (mode === "loaded" && !this.#loaded)) return null;
-    if ((DRAWN.includes(mode) && points.length < (mode === "dots" ? 1 : 2)) || (mode === "braille" && !/^[a-z]$/.test($("letter").value))) return null;
-    const rest = mode === "loaded" ? this.#loaded.target : Object.fromEntries(Object.entries(this.#loaded?.target ?? {}).filter(([key]) => !SHAPE_KEYS.includes(key) && key !== "motion"));
-    const shape = { loaded: {}, braille: { shape: mode, character: $("letter").value, center_mm: cellCenter() } }[mode] ?? { shape: mode, points };
-    // A shape is one for any array; what is found for it is for this one.
-    return { ...rest, name: $("target-name").value, array: array().name, ...shape, reach_mm: $("reach").valueAsNumber, amplitude_um: $("amplitude").valueAsNumber };
-  }
-
-  async #find(atOnce) {
-    if (!valid("target-name", "reach", "amplitude", "budget")) return;
-    const settings = { seconds: $("budget").valueAsNumber, objective: $("objective").value, model: $("model").value, robust: $("robust").checked };
-    this.#atOnce = atOnce;
-    try {
-      const search = await call("POST", "/v1/searches", { target: this.#target(), ...settings });
-      // Events that came before the answer may be newer.
-      if (!this.#search || search.id > this.#search.id) this.#show(search);
-      say($("find"), "");
-    } catch (error) {
-      this.#atOnce = false;
-      refuse($("find"), error);
+  // Asks for the rendering of the drawing, or, in the other mode, for nothing but a search that the person wants.
+  #ask(byPen) {
+    if ($("paper").open) {
+      this.#rendering.ask(null);
+      if (byPen && $("at-once").checked) this.#paper.find(true);
+    } else if (array()) {
+      this.#rendering.ask(rendering(this.#doc()), byPen && $("thing-at-once").checked);
     }
   }
 
-  async #cancel() {
-    await call("DELETE", `/v1/searches/${this.#search.id}`).catch((error) => refuse($("cancel"), error));
+  // Shows the fields of the mode: the thing, or the paper's search.
+  #mode() {
+    $("thing").hidden = $("thing-out").hidden = $("paper").open;
+    $("paper-out").hidden = !$("paper").open;
+    this.#live.end();
+    this.#paper.end();
+    this.#ask(false);
   }
 
-  async #feel() {
-    if (!valid("feel-seconds")) return;
-    const { id } = this.#search;
+  async #save(replace) {
+    $("thing-save-ask").hidden = true;
+    if (!right("thing-name")) return;
+    const name = $("thing-name").value;
     try {
-      // Its pins are shown while it plays.
-      const known = call("GET", `/v1/patterns/search:${id}`).then((details) => this.#details.set(details.sha256, details), () => {});
-      await order("/v1/play", { pattern: `search:${id}`, seconds: $("feel-seconds").valueAsNumber, replace: true });
-      await known;
-      say($("feel"), "");
-    } catch (error) {
-      refuse($("feel"), error);
-    }
-  }
-
-  async #save() {
-    const { result, target: old } = this.#search;
-    const name = $("save-name").value;
-    const query = $("replace").checked ? "?replace=true" : "";
-    // The pattern has its target's name, and its provenance has it twice.
-    const pattern = result.pattern.replace(/^(name|target) = "([a-z0-9-]+)"$/gm, (text, key, found) => (found === old ? `${key} = "${name}"` : text));
-    try {
-      await put(`/v1/patterns/${name}${query}`, pattern);
-      await put(`/v1/targets/${name}${query}`, file({ ...result.definition, name }));
-      say($("save"), `Saved pattern and target ${name}.`);
+      await this.#rendering.save(name, replace);
+      say($("thing-save"), `Saved the pattern ${name}.`);
       this.#saved();
-      await this.#list();
     } catch (error) {
-      refuse($("save"), error);
+      if (error.code !== "exists" || replace) return void refuse($("thing-save"), error);
+      say($("thing-save"), "");
+      $("thing-save-ask").hidden = false;
+      $("thing-save-text").textContent = `A pattern ${name} is stored already.`;
+      speak($("thing-save-text").textContent, "answer");
     }
   }
 
-  #show(search) {
-    const before = this.#search;
-    this.#search = search;
-    const { progress, state, target } = search;
-    const part = `${progress.evaluations} evaluations${progress.frames > 1 ? `, frame ${progress.frame} of ${progress.frames}` : ""}, ${progress.seconds.toFixed(1)} s`;
-    $("search-progress").textContent = state === "running" ? part : "";
-    $("search-busy").hidden = state !== "running";
-    const isNew = before?.id !== search.id || before.state !== state;
-    // Announce the result only once, when it is complete.
-    if (state === "done" ? search.result && before?.result !== search.result : isNew) {
-      const words = { running: `Searching for ${target} …`, cancelled: "Cancelled.", failed: `Failed: ${search.problem}`, done: `Found a pattern for ${target}: ${part}.` };
-      $("search-note").textContent = words[state] + (search.result ? ` ${judge(search.result)}` : "");
-    }
-    if (state === "done" && isNew) $("save-name").value = target;
-    if (search.result && search.result !== before?.result) this.#showResult(search.result);
-    $("result").hidden = !search.result;
+  #show() {
+    const shape = $("shape").value;
+    const doc = this.#doc();
+    this.#pad.shape = shape;
+    const fields = this.#fields();
+    for (const id of [...Object.keys(SHAPES), ...Object.keys(TOUCHES), "contact"]) $(`${id}-label`).hidden = !fields.includes(id);
+    const isLoaded = shape === "loaded";
+    $("touch-own").hidden = !isLoaded;
+    $("points-label").hidden = isLoaded;
+    $("points-text").textContent = this.#pad.isDrawn ? (shape === "polyline" ? "Points, mm: x y; x y / next line" : "Points, mm: x y; x y") : "Middle, mm: x y";
+    $("points").value = (this.#pad.isDrawn ? doc.lines : [[doc.at]]).map((places) => places.map((place) => place.join(" ")).join("; ")).join(" / ");
+    this.#showLoaded();
+    $("white-text").textContent = doc.picture?.levels === 1 ? "µm for 1" : "µm for white";
+    $("picture-note").textContent = shape !== "heightmap" ? "" : doc.picture ? `${doc.picture.name}: ${doc.picture.size.map((pixels) => digits(pixels * doc.numbers.mm)).join(" × ")} mm. ${doc.picture.note}` : "Drop a PNG or NPY file here, or choose one.";
+    $("pitch-note").hidden = shape !== "braille";
+    const isTraced = shape !== "heightmap" && (isLoaded || doc.touch === "press");
+    $("method").querySelector('[value="trace"]').disabled = !isTraced;
+    if (!isTraced && doc.method === "trace") $("method").value = "auto";
+    $("method-note").textContent = METHODS[$("method").value];
+    $("where-note").textContent = off(doc);
+    this.#pad.show(drawn(doc));
     this.#buttons();
-  }
-
-  #showResult(result) {
-    const { figures: shown, legend } = maps(result);
-    $("maps").replaceChildren(...shown);
-    $("maps-note").textContent = legend;
-    $("figures").tBodies[0].replaceChildren(...figures(result));
-    $("result-warnings").textContent = result.warnings.join(" · ");
   }
 
   #buttons() {
-    const running = this.#search?.state === "running";
-    const done = this.#search?.state === "done";
-    $("find").disabled = running || !this.#target();
-    $("cancel").disabled = !running;
-    $("feel").disabled = !done;
-    $("save").disabled = !this.#search?.result;
-    $("undo").disabled = $("clear").disabled = !this.#pad.points.length;
+    const { shape } = this.#pad;
+    $("undo").disabled = this.#pad.isTaken || !this.#history.canUndo;
+    $("redo").disabled = this.#pad.isTaken || !this.#history.canRedo;
+    $("clear").hidden = !this.#pad.isDrawn;
+    $("clear").disabled = this.#pad.isTaken || !this.#pad.lines.length;
+    $("turn").hidden = shape !== "edge";
+    $("turn").disabled = this.#pad.points.length < 2;
+    $("edit").hidden = shape !== "loaded" || !(this.#loaded?.target.shape in DRAWABLE) || Boolean(this.#loaded.target.motion);
+    $("thing-live-why").textContent = live(this.#doc())[1];
+    $("thing-live-help").hidden = !this.#pad.isTaken;
     this.#live.buttons();
+    this.#paper.buttons();
   }
-}
-
-// Whether the search was worth it, in words.
-function judge({ ended, value, value_naive_reach: reach, value_naive_pitch: pitch }) {
-  const better = Math.max(reach, pitch) >= value;
-  return `${ended === "limit" ? "The time is used up." : "Nothing improves any more."} ${better ? "A rule of thumb reaches as much without a search." : "By the objective it is better than both rules of thumb."}`;
 }

@@ -1,12 +1,13 @@
-// A live play: the target's shape follows the pen, the wheel or the keys, and the daemon finds the drives at each place.
+// A live play: a thing, or a target's shape, follows the pen, the wheel or the keys on the pad, and the daemon finds the pins' heights or
+// drives at each place. Meanwhile nothing is drawn on the pad.
 //
 // The page sends signs of life while its window is visible. When hidden, closed or hung it sends none, and the daemon ends the
 // play.
 
 import { order } from "./api.js";
-import { refuse, say, speak, valid } from "./control.js";
+import { refuse, say, speak } from "./control.js";
 import { make } from "./finger.js";
-import { arrange, drawing, FINE_STEP, HALF_LENGTH, HALF_WIDTH, KEY_STEP, line, penAt } from "./pad.js";
+import { FINE_STEP, HALF_LENGTH, HALF_WIDTH, KEY_STEP, penAt } from "./pad.js";
 
 const $ = (id) => document.getElementById(id);
 // The daemon ends the play after such a silence.
@@ -19,105 +20,125 @@ const STEP_DEG = 5;
 const KEYS = { ArrowLeft: [-1, 0, 0], ArrowRight: [1, 0, 0], ArrowUp: [0, 1, 0], ArrowDown: [0, -1, 0], q: [0, 0, 1], e: [0, 0, -1] };
 const CAUSES = { stop: "Ended.", estop: "Ended: an emergency stop.", "client-silent": "Ended: the daemon heard nothing from this page for a second." };
 
-// The changing line of the live play.
-function note(text) {
-  $("live-note").textContent = text;
-  if (text) speak(text, "live");
-}
-
 const within = (value, most) => Math.min(most, Math.max(-most, value));
 
 export class Live {
+  #pad;
+  #id;
   #request;
-  #outline;
+  #check;
+  #thing;
+  #ordered;
+  #changed;
   #socket = null;
   #timer = 0;
   #pose = { x_mm: 0, y_mm: 0, angle_deg: 0 };
+  // How deep an object presses, µm; null for a target.
+  #depth = null;
+  #isLifted = false;
   // Where the pen and the shape were when the pen came down.
   #grip = null;
   #seq = 0;
   #unanswered = 0;
   #applied = 0;
-  #changed = false;
+  #hasChanged = false;
   #sentAt = 0;
   #answeredAt = 0;
   #ended = null;
   #shape = make("g", { class: "live-shape" });
 
-  // `request`: the live play's target and settings; null if there is none. `outline`: the lines of its shape.
-  constructor(request, outline) {
-    [this.#request, this.#outline] = [request, outline];
-    this.svg = drawing("");
-    this.svg.append(this.#shape);
-    for (const [name, value] of [["role", "application"], ["tabindex", "0"], ["aria-label", "Move the shape"], ["aria-describedby", "live-help"]]) this.svg.setAttribute(name, value);
-    const on = (place, event, run) => place.addEventListener(event, run);
-    on(this.svg, "pointerdown", (event) => this.#press(event));
-    on(this.svg, "pointermove", (event) => this.#drag(event));
-    for (const event of ["pointerup", "pointercancel"]) on(this.svg, event, () => (this.#grip = null));
-    on(this.svg, "wheel", (event) => (event.preventDefault(), this.#move([0, 0, -Math.sign(event.deltaY) * STEP_DEG])));
-    on(this.svg, "keydown", (event) => this.#key(event));
-    on($("live-start"), "click", () => this.#start());
-    on($("live-end"), "click", () => this.end());
-    on(document, "array", () => arrange(this.svg));
-    on(document, "visibilitychange", () => document.hidden && this.end());
-    $("live-pad").append(this.svg);
-    this.buttons();
+  // `pad`: where the shape moves. `id`: its buttons are `ID-start` and `ID-end`, and its line is `ID-note`. `request`: the body of the live
+  // play, and null if there is none. `check`: whether its fields are right, and says which is not. `thing`: the shape as elements of SVG. `depth`: how deep an object presses now. `changed`: called when it
+  // has begun or ended.
+  constructor({ pad, id, request, check, thing, depth, changed }) {
+    [this.#pad, this.#id, this.#request, this.#check, this.#thing, this.#ordered, this.#changed] = [pad, id, request, check, thing, depth, changed];
+    const on = (place, event, run) => place.addEventListener(event, (event) => this.#isOpen && run(event));
+    on(pad.svg, "pointerdown", (event) => this.#press(event));
+    on(pad.svg, "pointermove", (event) => this.#drag(event));
+    for (const event of ["pointerup", "pointercancel"]) on(pad.svg, event, () => (this.#grip = null));
+    on(pad.svg, "wheel", (event) => (event.preventDefault(), this.#move([0, 0, -Math.sign(event.deltaY) * STEP_DEG])));
+    on(pad.svg, "keydown", (event) => this.#key(event));
+    $(`${id}-start`).addEventListener("click", () => this.#start());
+    $(`${id}-end`).addEventListener("click", () => this.end());
+    document.addEventListener("visibilitychange", () => document.hidden && this.end());
+    pad.svg.append(this.#shape);
+  }
+
+  get #isOpen() {
+    return this.#socket instanceof WebSocket;
+  }
+
+  // The changing line of the live play.
+  #note(text) {
+    $(`${this.#id}-note`).textContent = text;
+    if (text) speak(text, "live");
   }
 
   buttons() {
-    $("live-start").disabled = this.#socket !== null || !this.#request();
-    const isOpen = this.#socket instanceof WebSocket;
-    $("live-end").disabled = !isOpen;
-    $("live-pad").hidden = !isOpen;
+    $(`${this.#id}-start`).disabled = this.#socket !== null || this.#pad.isTaken || !this.#request();
+    $(`${this.#id}-end`).disabled = !this.#isOpen;
   }
 
   async #start() {
-    if (!valid("target-name", "reach", "amplitude")) return;
+    if (!this.#check()) return;
+    const request = this.#request();
     this.#socket = "asked";
-    this.buttons();
-    note("Starting …");
+    this.#pad.isTaken = true;
+    this.#changed();
+    this.#note("Starting …");
     try {
-      const lines = this.#outline();
-      const { path } = await order("/v1/live", { ...this.#request(), timeout_ms: TIMEOUT_MS, replace: true });
-      this.#shape.replaceChildren(...lines.map(line));
+      const thing = this.#thing();
+      const { path } = await order("/v1/live", { ...request, timeout_ms: TIMEOUT_MS, replace: true });
+      this.#shape.replaceChildren(...thing);
       Object.assign(this.#pose, { x_mm: 0, y_mm: 0, angle_deg: 0 });
-      [this.#seq, this.#unanswered, this.#applied, this.#changed, this.#sentAt, this.#ended] = [0, 0, 0, false, 0, null];
+      this.#depth = request.object ? this.#ordered() : null;
+      this.#isLifted = false;
+      // An object touches from its first pose on.
+      [this.#seq, this.#unanswered, this.#applied, this.#hasChanged, this.#sentAt, this.#ended] = [0, 0, 0, this.#depth !== null, 0, null];
       this.#open(new WebSocket(new URL(path, location.href.replace(/^http/, "ws"))));
-      say($("live-start"), "");
+      say($(`${this.#id}-start`), "");
     } catch (error) {
-      this.#socket = null;
-      note("");
-      refuse($("live-start"), error);
+      this.#closed();
+      this.#note("");
+      refuse($(`${this.#id}-start`), error);
     }
-    this.buttons();
+    this.#changed();
+  }
+
+  #closed() {
+    this.#socket = this.#grip = null;
+    this.#pad.isTaken = false;
+    this.#shape.replaceChildren();
   }
 
   #open(socket) {
     this.#socket = socket;
     socket.addEventListener("open", () => {
       this.#answeredAt = performance.now();
-      if (document.hidden) this.end();
+      if (document.hidden || !this.#pad.svg.checkVisibility()) this.end();
       this.#show();
-      this.svg.focus({ focusVisible: false });
+      this.#pad.svg.scrollIntoView({ block: "nearest" });
+      this.#pad.svg.focus({ focusVisible: false });
       this.#timer = setInterval(() => this.#turn(), TURN_MS);
     });
     socket.addEventListener("message", ({ data }) => this.#answered(JSON.parse(data)));
     socket.addEventListener("close", () => {
       clearInterval(this.#timer);
-      this.#socket = this.#grip = null;
-      note(this.#ended === null ? "The connection is lost: the daemon ends the play." : (CAUSES[this.#ended] ?? `Ended: ${this.#ended}.`));
-      this.buttons();
+      this.#closed();
+      this.#note(this.#ended === null ? "The connection is lost: the daemon ends the play." : (CAUSES[this.#ended] ?? `Ended: ${this.#ended}.`));
+      this.#changed();
     });
   }
 
   // Sends the newest place, or a sign of life.
   #turn() {
     const now = performance.now();
-    if (now - this.#answeredAt > TIMEOUT_MS) note("No answer for a second: whether the play goes on is not known.");
-    const isUpdate = this.#changed && this.#unanswered < MOST_UNANSWERED;
+    if (now - this.#answeredAt > TIMEOUT_MS) this.#note("No answer for a second: whether the play goes on is not known.");
+    const isUpdate = this.#hasChanged && this.#unanswered < MOST_UNANSWERED;
     if (!isUpdate && now - this.#sentAt < SIGN_MS) return;
-    if (isUpdate) this.#changed = false;
-    this.#send(isUpdate ? { pose: this.#pose } : {});
+    if (isUpdate) this.#hasChanged = false;
+    const depth = this.#depth === null ? {} : { depth_um: this.#isLifted ? 0 : this.#depth };
+    this.#send(isUpdate ? { pose: { ...this.#pose, ...depth } } : {});
     this.#sentAt = now;
   }
 
@@ -136,7 +157,7 @@ export class Live {
     this.#unanswered -= 1;
     this.#answeredAt = performance.now();
     if (applied?.ticks.some((tick) => tick !== null)) this.#applied += 1;
-    if (problem) refuse($("live-start"), new Error(problem.detail));
+    if (problem) refuse($(`${this.#id}-start`), new Error(problem.detail));
     if (ended !== undefined) this.#ended = ended;
     else this.#show();
   }
@@ -144,28 +165,36 @@ export class Live {
   #show() {
     const { x_mm: x, y_mm: y, angle_deg: angle } = this.#pose;
     this.#shape.setAttribute("transform", `translate(${x} ${-y}) rotate(${-angle})`);
-    note(`At ${x.toFixed(1)}, ${y.toFixed(1)} mm, turned by ${angle.toFixed(0)}°; ${this.#applied} changes on the pins.`);
+    const depth = this.#depth === null ? "" : this.#isLifted ? ", lifted" : `, pressed by ${this.#depth} µm`;
+    this.#note(`At ${x.toFixed(1)}, ${y.toFixed(1)} mm, turned by ${angle.toFixed(0)}°${depth}; ${this.#applied} changes on the pins.`);
+  }
+
+  // Takes another depth, and lifts the object or presses it again.
+  press(isLifted = this.#isLifted) {
+    const depth = this.#ordered?.();
+    if (this.#depth === null || Number.isNaN(depth)) return;
+    [this.#depth, this.#isLifted, this.#hasChanged] = [depth, isLifted, true];
+    this.#show();
   }
 
   #move([x, y, angle]) {
-    if (!this.#socket) return;
     const { x_mm, y_mm, angle_deg } = this.#pose;
     Object.assign(this.#pose, { x_mm: within(x_mm + x, HALF_WIDTH), y_mm: within(y_mm + y, HALF_LENGTH), angle_deg: angle_deg + angle });
-    this.#changed = true;
+    this.#hasChanged = true;
     this.#show();
   }
 
   #press(event) {
     if (event.button > 0) return;
     event.preventDefault();
-    this.svg.focus({ focusVisible: false });
-    this.svg.setPointerCapture(event.pointerId);
-    this.#grip = { pen: penAt(this.svg, event), x_mm: this.#pose.x_mm, y_mm: this.#pose.y_mm };
+    this.#pad.svg.focus({ focusVisible: false });
+    this.#pad.svg.setPointerCapture(event.pointerId);
+    this.#grip = { pen: penAt(this.#pad.svg, event), x_mm: this.#pose.x_mm, y_mm: this.#pose.y_mm };
   }
 
   #drag(event) {
     if (!this.#grip) return;
-    const [x, y] = penAt(this.svg, event);
+    const [x, y] = penAt(this.#pad.svg, event);
     const { pen, x_mm, y_mm } = this.#grip;
     this.#move([x_mm + x - pen[0] - this.#pose.x_mm, y_mm + y - pen[1] - this.#pose.y_mm, 0]);
   }
@@ -174,6 +203,7 @@ export class Live {
     if (event.ctrlKey || event.metaKey || event.altKey) return;
     const step = KEYS[event.key.length > 1 ? event.key : event.key.toLowerCase()];
     if (event.key === "Escape") this.end();
+    else if (event.key === " ") this.press(!this.#isLifted);
     else if (!step) return;
     else {
       const mm = event.shiftKey ? FINE_STEP : KEY_STEP;

@@ -1,16 +1,14 @@
 // Maps of the predicted response: each afferent is a dot on the pad, whose colour and size show its rate. The figures stand beside
 // the maps.
 
+import { element } from "./control.js";
 import { colour, make } from "./finger.js";
 import { drawing, line } from "./pad.js";
 
 const RULES = [["naive_reach", "Rule of thumb, within reach"], ["naive_pitch", "Rule of thumb, within one pitch"]];
 
-function element(name, text = "", more = {}) {
-  return Object.assign(document.createElement(name), { textContent: text, ...more });
-}
-
-function map(title, text, places, rates, most, outline) {
+// `rates`: of the afferents at `places`; the largest of all maps is `most`. `outline`: lines that draw the shape.
+export function map(title, text, places, rates, most, outline) {
   const svg = drawing(`${title}: ${text}`);
   places.forEach(([x, y], i) => {
     const share = rates[i] / most;

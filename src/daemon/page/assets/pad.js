@@ -1,26 +1,31 @@
-// The pad on which a target is drawn: with a pen, a mouse, or the keys. Places are in mm from the array's middle, y towards the fingertip.
+// The pad on which a thing is drawn: with a pen, a mouse, or the keys. Places are in mm from the array's middle, y towards the fingertip.
 
 import { array, layout } from "./array.js";
 import { make } from "./finger.js";
 
-// The pad of the simulated finger is an ellipse; the daemon refuses points outside of it. Pins may stand outside.
+// The pad of the simulated finger is an ellipse. Pins may stand outside of it.
 export const [HALF_WIDTH, HALF_LENGTH] = [9, 12];
-const MOST_POINTS = 64;
+const MOST_POINTS = 200;
+// Further from the middle no thing can lie, mm.
+const MOST_MM = 100;
 // A line that is drawn freely gets a point at each of these steps; a click this near to a dot takes it away.
 const STEP = 1;
 export const KEY_STEP = 0.5;
 export const FINE_STEP = 0.1;
 const KEYS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };
-const MOST = { segment: 2, polyline: MOST_POINTS, dots: MOST_POINTS };
+// What is drawn: two ends, lines, points, or the place of the thing's middle.
+const MODES = { edge: "ends", bar: "ends", polyline: "lines", dots: "points", braille: "middle", heightmap: "middle" };
 
 const round = (mm) => Math.round(mm * 100) / 100;
 const apart = (a, b) => Math.hypot(a[0] - b[0], a[1] - b[1]);
+const within = (value, least, most) => Math.min(most, Math.max(least, value));
 
-// The nearest place on the pad in the direction of the middle.
-export function onPad([x, y]) {
-  const far = Math.max(1, Math.hypot(x / HALF_WIDTH, y / HALF_LENGTH) * 1.0001);
-  return [round(x / far), round(y / far)];
-}
+// How far a place is from the middle; 1 is the pad's border.
+const distance = ([x, y]) => Math.hypot(x / HALF_WIDTH, y / HALF_LENGTH);
+export const isOnPad = (place) => distance(place) <= 1;
+
+// The place itself, if it lies on the pad, or the nearest one in the direction of the middle.
+const onPad = (place) => (isOnPad(place) ? place : place.map((mm) => round(mm / (1.0001 * distance(place)))));
 
 // The place of the pen on a drawing of the pad, also beyond its border.
 export function penAt(svg, event) {
@@ -54,96 +59,143 @@ export function arrange(svg) {
 }
 
 export class Pad {
-  points = [];
-  mode = "segment";
+  // What is drawn: lines of points, and the middle of what is not drawn point by point.
+  lines = [];
+  at = [0, 0];
+  shape = "bar";
+  // A live play takes the pen and the keys.
+  isTaken = false;
   #cursor = [0, 0];
-  #pressed = false;
+  // Where the pen came down, what was drawn before, and whether the pen has moved since.
+  #pen = null;
   #changed;
-  #lifted;
   #say;
-  #shape = make("g");
+  #thing = make("g");
   #cross = make("path", { class: "cursor", d: "M-1 0H1M0 -1V1" });
 
-  // `changed`: called when the points have changed. `lifted`: called when the pen has left the pad. `say`: announces a line to
+  // `changed`: called with `move` while the pen draws, with `pen` when it has left the pad, and with `key`. `say`: announces a line to
   // screen readers.
-  constructor(place, changed, lifted, say) {
-    [this.#changed, this.#lifted, this.#say] = [changed, lifted, say];
+  constructor(place, changed, say) {
+    [this.#changed, this.#say] = [changed, say];
     this.svg = drawing("");
-    this.svg.append(this.#shape, this.#cross);
+    this.svg.append(this.#thing, this.#cross);
     for (const [name, value] of [["role", "application"], ["tabindex", "0"], ["aria-label", "Pad to draw on"], ["aria-describedby", "pad-help"]]) this.svg.setAttribute(name, value);
     this.svg.addEventListener("pointerdown", (event) => this.#press(event));
-    this.svg.addEventListener("pointermove", (event) => this.#pressed && this.#move(onPad(penAt(this.svg, event))));
+    this.svg.addEventListener("pointermove", (event) => this.#pen && this.#move(this.#place(event)));
     this.svg.addEventListener("pointerup", (event) => this.#lift(event));
-    this.svg.addEventListener("pointercancel", () => (this.#pressed = false));
+    this.svg.addEventListener("pointercancel", () => (this.#pen = null));
     this.svg.addEventListener("keydown", (event) => this.#key(event));
     place.append(this.svg);
     document.addEventListener("array", () => arrange(this.svg));
   }
 
-  // Shows these lines, which cannot be drawn on, or the drawn points.
-  show(outline) {
-    const drawn = this.mode === "dots" ? this.points.map((point) => [point]) : [this.points, ...this.points.map((point) => [point])];
-    const lines = outline ?? drawn.filter((places) => places.length);
-    this.#shape.replaceChildren(...lines.map(line));
+  get points() {
+    return this.lines.flat();
+  }
+
+  get isDrawn() {
+    return MODES[this.shape] !== "middle" && this.shape in MODES;
+  }
+
+  // Shows the thing, as elements of SVG.
+  show(thing) {
+    this.#thing.replaceChildren(...thing);
+    this.#thing.toggleAttribute("hidden", this.isTaken);
     this.#cross.setAttribute("transform", `translate(${this.#cursor[0]} ${-this.#cursor[1]})`);
   }
 
-  set(points) {
-    this.points = points.slice(0, MOST[this.mode] ?? MOST_POINTS).map(onPad);
-    this.#changed();
+  // Sets what is drawn, in full.
+  set(lines) {
+    let left = MOST_POINTS;
+    this.lines = lines.map((places) => {
+      const kept = places.slice(0, left).map((place) => place.map((mm) => round(within(mm, -MOST_MM, MOST_MM))));
+      left -= kept.length;
+      return kept;
+    }).filter((places) => places.length);
   }
 
-  undo() {
-    this.set(this.points.slice(0, -1));
-    this.#say(`${this.points.length} points are left.`);
+  // The place of the pen within the drawing.
+  #place(event) {
+    const { x, y, width, height } = this.svg.viewBox.baseVal;
+    const [across, up] = penAt(this.svg, event);
+    return [round(within(across, x, x + width)), round(within(up, -y - height, -y))];
   }
 
   #press(event) {
-    if (!(this.mode in MOST) || event.button > 0) return;
+    if (this.isTaken || !(this.shape in MODES) || event.button > 0) return;
     event.preventDefault();
     this.svg.focus({ focusVisible: false });
     this.svg.setPointerCapture(event.pointerId);
-    this.#pressed = true;
-    this.#add(onPad(penAt(this.svg, event)));
+    const down = this.#place(event);
+    this.#pen = { down, before: this.lines, at: this.at, hasMoved: false };
+    if (MODES[this.shape] !== "middle") this.#add(down);
+    this.#changed("move");
   }
 
-  // Adds a point of the pen or of the keys. A complete edge begins again, and an existing dot is removed.
+  // Adds a point of the pen or of the keys. A complete edge or bar begins again, and an existing dot is removed.
   #add(at) {
     this.#cursor = at;
-    if (this.mode === "dots") {
-      const rest = this.points.filter((point) => apart(point, at) >= STEP);
-      this.set(rest.length < this.points.length ? rest : [...this.points, at]);
+    const { points } = this;
+    const mode = MODES[this.shape];
+    if (mode === "points") {
+      const rest = points.filter((point) => apart(point, at) >= STEP);
+      this.set([rest.length < points.length ? rest : [...points, at]]);
+    } else if (mode === "ends") {
+      this.set([points.length === 1 ? [...points, at] : [at]]);
     } else {
-      this.set([...(this.mode === "segment" && this.points.length > 1 ? [] : this.points), at]);
+      this.set([...this.lines.slice(0, -1), [...(this.lines.at(-1) ?? []), at]]);
     }
   }
 
   #move(at) {
-    const first = this.points[0];
-    if (this.mode === "segment" && first && apart(first, at) >= STEP) this.set([first, at]);
-    else if (this.mode === "polyline" && this.points.length && apart(this.points.at(-1), at) >= STEP) this.set([...this.points, at]);
+    const { down, before, hasMoved } = this.#pen;
+    const mode = MODES[this.shape];
+    if (mode === "points" || (!hasMoved && apart(down, at) < (mode === "middle" ? FINE_STEP : STEP))) return;
+    this.#pen.hasMoved = true;
+    if (mode === "ends") this.set([[down, at]]);
+    else if (mode === "middle") this.at = [0, 1].map((axis) => round(this.#pen.at[axis] + at[axis] - down[axis]));
+    // A drawn stroke is a line of its own; a click goes on with the last one.
+    else if (!hasMoved) this.set([...before, [down, at]]);
+    else if (apart(this.lines.at(-1).at(-1), at) >= STEP) this.set([...this.lines.slice(0, -1), [...this.lines.at(-1), at]]);
+    this.#changed("move");
   }
 
   #lift(event) {
-    if (!this.#pressed) return;
-    this.#move(onPad(penAt(this.svg, event)));
-    this.#pressed = false;
-    this.#lifted();
+    if (!this.#pen) return;
+    this.#move(this.#place(event));
+    this.#pen = null;
+    this.#changed("pen");
+  }
+
+  // Takes the last point away.
+  #back() {
+    this.set([...this.lines.slice(0, -1), (this.lines.at(-1) ?? []).slice(0, -1)]);
+    this.#say(`${this.points.length} points are left.`);
   }
 
   #key(event) {
-    if (!(this.mode in MOST) || event.ctrlKey || event.metaKey || event.altKey) return;
+    if (this.isTaken || !(this.shape in MODES) || event.ctrlKey || event.metaKey || event.altKey) return;
     const step = KEYS[event.key];
     if (step) {
       const mm = event.shiftKey ? FINE_STEP : KEY_STEP;
-      this.#cursor = onPad([this.#cursor[0] + mm * step[0], this.#cursor[1] + mm * step[1]]);
-      this.show();
+      const from = this.isDrawn ? this.#cursor : this.at;
+      const to = [0, 1].map((axis) => round(within(from[axis] + mm * step[axis], -MOST_MM, MOST_MM)));
+      this.#cursor = onPad(to);
+      if (!this.isDrawn) this.#cursor = this.at = to;
+      this.#changed(this.isDrawn ? "move" : "key");
       this.#say(`${this.#cursor[0]}, ${this.#cursor[1]} mm`);
-    } else if (event.key === "Enter" || event.key === " ") {
+    } else if (this.isDrawn && (event.key === "Enter" || event.key === " ")) {
       this.#add(this.#cursor);
+      this.#changed("key");
       this.#say(`${this.points.length} points, the last at ${this.#cursor[0]}, ${this.#cursor[1]} mm.`);
-    } else if (event.key === "Backspace" || event.key === "Delete") {
-      this.undo();
+    } else if (this.shape === "polyline" && event.key.toLowerCase() === "n") {
+      // The next point begins another line.
+      this.set([...this.lines, [this.#cursor]]);
+      this.#changed("key");
+      this.#say(`Line ${this.lines.length} begins at ${this.#cursor[0]}, ${this.#cursor[1]} mm.`);
+    } else if (this.isDrawn && (event.key === "Backspace" || event.key === "Delete")) {
+      this.#back();
+      this.#changed("key");
     } else {
       return;
     }

@@ -1,0 +1,73 @@
+// Files of height maps: PNG in grey with 8 or 16 bits, and NPY, go to the daemon as they are. The daemon takes no colours, so the brightness
+// of any other image becomes an array.
+
+import { element } from "./control.js";
+
+// The daemon takes requests of 4 MiB, and base64 adds a third.
+const MOST_BYTES = 3_000_000;
+const MOST_NAME = 60;
+// Cells of the drawing on the pad, along the longer side.
+const CELLS = 40;
+const PNG = [0x89, 0x50, 0x4e, 0x47];
+const GREY = 0;
+
+async function base64(bytes) {
+  const url = await new Promise((done, fail) => {
+    const reader = new FileReader();
+    reader.onload = () => done(reader.result);
+    reader.onerror = () => fail(new Error("the file cannot be read: choose it again"));
+    reader.readAsDataURL(new Blob([bytes]));
+  });
+  return url.slice(url.indexOf(",") + 1);
+}
+
+// The brightness of an image's pixels at a size, row by row.
+async function brightness(image, width, height) {
+  const context = element("canvas", "", { width, height }).getContext("2d");
+  context.fillRect(0, 0, width, height);
+  context.drawImage(image, 0, 0, width, height);
+  const { data } = context.getImageData(0, 0, width, height);
+  return Array.from({ length: width * height }, (_, i) => Math.round( 0.2126 * data[4 * i] + 0.7152 * data[4 * i + 1] + 0.0722 * data[4 * i + 2]));
+}
+
+// An NPY file of bytes, as integers of 16 bits, which the daemon takes.
+function npy(rows, columns, bytes) {
+  const head = `{'descr': '<i2', 'fortran_order': False, 'shape': (${rows}, ${columns}), }`;
+  // The data begins at a multiple of 64 bytes; ten of them stand before the header.
+  const length = Math.ceil((head.length + 11) / 64) * 64 - 10;
+  const text = `${head.padEnd(length - 1)}\n`;
+  return new Uint8Array([0x93, ...new TextEncoder().encode("NUMPY"), 1, 0, length & 255, length >> 8, ...new TextEncoder().encode(text), ...bytes.flatMap((byte) => [byte, 0])]);
+}
+
+// Columns and rows of an NPY file; the daemon reads the rest.
+function shape(bytes) {
+  const found = /'shape':\s*\((\d+),\s*(\d+)/.exec(new TextDecoder("latin1").decode(bytes.slice(0, 1000)));
+  if (!found) throw new Error("the file is no NPY array of two dimensions: choose another one");
+  return [Number(found[2]), Number(found[1])];
+}
+
+// A height map of a file: `name` and `data` (base64) for the daemon, `size` in pixels, `levels` (the number of white; 1 for arrays),
+// `cells` (a coarse drawing: columns, rows and brightness) or null, and `note`, what the person should know.
+export async function picture(file) {
+  if (file.size > MOST_BYTES) throw new Error(`${file.name} has ${(file.size / 1e6).toFixed(1)} MB: at most ${MOST_BYTES / 1e6} MB, make it smaller`);
+  const bytes = new Uint8Array(await file.arrayBuffer());
+  const name = file.name.replace(/[^\w.-]/g, "-").slice(-MOST_NAME);
+  if (/\.npy$/i.test(name)) return { name, data: await base64(bytes), size: shape(bytes), levels: 1, cells: null, note: "" };
+  let image;
+  try {
+    image = await createImageBitmap(new Blob([bytes]));
+  } catch {
+    throw new Error(`${file.name} is no image that this browser can read: choose a PNG or NPY file`);
+  }
+  const size = [image.width, image.height];
+  const [columns, rows] = size.map((pixels) => Math.max(1, Math.min(pixels, Math.round((CELLS * pixels) / Math.max(...size)))));
+  const cells = { columns, rows, grey: await brightness(image, columns, rows) };
+  // Where PNG has the bits of a pixel and the kind of its colours.
+  const [bits, colours] = [bytes[24], bytes[25]];
+  if (PNG.every((byte, i) => bytes[i] === byte) && colours === GREY && (bits === 8 || bits === 16)) {
+    return { name: name.replace(/(\.png)?$/i, ".png"), data: await base64(bytes), size, levels: 2 ** bits - 1, cells, note: "" };
+  }
+  const array = npy(size[1], size[0], await brightness(image, ...size));
+  if (array.length > MOST_BYTES) throw new Error(`${file.name} has ${size.join(" × ")} pixels: too many for an image that is not grey, make it smaller`);
+  return { name: `${name.replace(/\.\w+$/, "")}.npy`, data: await base64(array), size, levels: 255, cells, note: "Its brightness counts, not its colours." };
+}

@@ -1,0 +1,539 @@
+// The view Design in a real browser, against a real daemon with the simulated array: things that are drawn, rendered and felt, and the
+// paper's search.
+//
+// No test asserts on real time; the time limits only end a test that hangs.
+
+import assert from "node:assert/strict";
+import { after, before, test } from "node:test";
+import { crc32, deflateSync } from "node:zlib";
+import { answers, arm, Daemon, endAll, launch, open as openIn, press, SEARCHED, shows, text, view, WAIT } from "./daemon.js";
+
+let browser;
+const open = (daemon) => openIn(browser, daemon, 1400, 1000, "design");
+const get = async (daemon, path) => (await fetch(`${daemon.url}${path}`)).json();
+const ask = async (daemon, method, path, body) => (await fetch(`${daemon.url}${path}`, { method, headers: { "content-type": "application/json" }, body: JSON.stringify(body) })).json();
+const faults = (page) => page.complaints.filter((line) => !line.includes("409") && !line.includes("404"));
+
+before(async () => {
+  browser = await launch();
+});
+after(async () => {
+  await browser?.close();
+  await endAll();
+});
+
+// Places on the pad, mm, as places in the window.
+async function places(page, mm) {
+  await page.$eval("#pad .pad", (pad) => pad.scrollIntoView({ block: "center" }));
+  return page.$eval("#pad .pad", (pad, mm) => {
+    const matrix = pad.getScreenCTM();
+    return mm.map(([x, y]) => new DOMPoint(x, -y).matrixTransform(matrix)).map(({ x, y }) => [x, y]);
+  }, mm);
+}
+
+// Draws a line on the pad from one place to another, in mm, and lifts the pen.
+async function draw(page, from, to) {
+  const [begin, end] = await places(page, [from, to]);
+  await page.mouse.move(...begin);
+  await page.mouse.down();
+  await page.mouse.move(...end, { steps: 5 });
+  await page.mouse.up();
+}
+
+// Enters a value as a person does who then leaves the field.
+const enter = (page, id, value) => page.$eval(`#${id}`, (field, value) => {
+  field.value = value;
+  field.dispatchEvent(new Event("input", { bubbles: true }));
+  field.dispatchEvent(new Event("change", { bubbles: true }));
+}, value);
+
+// Waits until a rendering that fulfils a condition is judged and shown, and returns it.
+async function rendered(page, daemon, condition = () => true) {
+  for (;;) {
+    const search = await get(daemon, "/v1/searches/last").catch(() => ({}));
+    assert.notEqual(search.state, "failed", search.problem);
+    if (search.state === "done" && condition(search)) {
+      await page.waitForSelector("#thing-result:not([hidden], .older)", SEARCHED);
+      return search;
+    }
+    await new Promise((done) => setTimeout(done, 50));
+  }
+}
+
+const openPaper = async (page) => {
+  await page.$eval("#paper", (details) => (details.open = true));
+  await page.waitForFunction(() => document.getElementById("thing").hidden, WAIT);
+};
+
+test("a bar that is drawn is rendered, compared with the real thing, felt and saved", async () => {
+  const daemon = await new Daemon().start();
+  const page = await open(daemon);
+  await arm(page);
+  await draw(page, [-4, 0.5], [4, 0.5]);
+  const search = await rendered(page, daemon);
+  const { rendered: result } = search;
+  const { length_mm: length, width_mm: width, center_mm: middle, touch } = result.object;
+  assert.ok(Math.abs(length - 8) < 0.3 && width === 0.8 && Math.hypot(middle[0], middle[1] - 0.5) < 0.3, JSON.stringify(result.object));
+  assert.equal(touch.press.depth_um, 500);
+  // Maps of the thing and of the display for each class, with all afferents; a raster of each.
+  const maps = await page.$$eval("#thing-maps .pair", (pairs) => pairs.map((pair) => [pair.querySelector("h4").firstChild.textContent, [...pair.querySelectorAll("figure")].map((figure) => [figure.querySelector("strong").textContent, figure.querySelectorAll(".dot").length])]));
+  assert.deepEqual(maps, [["SA1", 200], ["RA", 306], ["PC", 60]].map(([kind, count]) => [kind, [["Real thing", count], ["Display", count]]]));
+  assert.deepEqual(await page.$$eval("#thing-rasters .raster", (all) => all.map((svg) => [...svg.querySelectorAll(".spikes")].every((path) => path.getAttribute("d").length > 20))), [true, true]);
+  // The line has the numbers of the API.
+  const [found, rule] = result.judged;
+  const verdict = await text(page, "thing-verdict");
+  assert.ok(verdict.startsWith("Nearer to the thing than the plain press by "), verdict);
+  assert.ok(verdict.includes(`SA1 ${found.error_by_class[0].toFixed(2)} (${rule.error_by_class[0].toFixed(2)})`) && verdict.includes("than the vibration at 60 Hz"), verdict);
+  assert.equal(await page.$$eval("#thing-figures tbody tr", (all) => all.length), result.judged.length);
+  await shows(page, "speak", "Found a pattern for drawn. Nearer to the thing");
+  await press(page, "#thing-feel");
+  await view(page, "play");
+  await shows(page, "receipt-summary", "drawn: done");
+  assert.equal((await get(daemon, "/v1/plays/last")).pattern_sha256, result.sha256);
+  await view(page, "design");
+  await enter(page, "thing-name", "my-bar");
+  await press(page, "#thing-save");
+  await answers(page, "#thing-save", "Saved the pattern my-bar.");
+  assert.equal((await get(daemon, "/v1/patterns/my-bar")).pattern.name, "my-bar");
+  // The page asks before it replaces a pattern.
+  await press(page, "#thing-save");
+  await shows(page, "thing-save-ask", "A pattern my-bar is stored already.");
+  await press(page, "#thing-replace");
+  await answers(page, "#thing-save", "Saved the pattern my-bar.");
+  assert.equal(await page.$eval("#thing-save-ask", (line) => line.hidden), true);
+  await view(page, "play");
+  await page.waitForSelector('li[data-name="my-bar"]');
+  assert.deepEqual(faults(page), []);
+});
+
+test("each thing and touch becomes its object, and numbers take a comma", async () => {
+  const daemon = await new Daemon().start();
+  const page = await open(daemon);
+  await shows(page, "state-text", "Disarmed");
+  const object = async (condition) => (await rendered(page, daemon, ({ rendered }) => condition(rendered.object))).rendered.object;
+  await enter(page, "width", "1,25");
+  await enter(page, "points", "-3,5 0; 3,5 0");
+  const bar = await object(({ shape }) => shape === "bar");
+  assert.deepEqual([bar.width_mm, bar.length_mm, bar.center_mm], [1.25, 7, [0, 0]]);
+  await page.select("#shape", "edge");
+  const edge = await object(({ shape }) => shape === "edge");
+  assert.equal(edge.angle_deg ?? 0, 0);
+  await press(page, "#turn");
+  assert.equal(Math.abs((await object(({ shape, angle_deg }) => shape === "edge" && angle_deg)).angle_deg), 180);
+  await page.select("#shape", "polyline");
+  await enter(page, "points", "-3 3; 3 3 / 0 3; 0 -3");
+  const lines = await object(({ shape }) => shape === "lines");
+  assert.deepEqual(lines.lines, [[[-3, 3], [3, 3]], [[0, 3], [0, -3]]]);
+  await page.select("#method", "trace");
+  assert.equal((await rendered(page, daemon, ({ method }) => method === "trace")).rendered.method, "trace");
+  await shows(page, "method-note", "A press follows the lines");
+  await page.select("#contact", "scan");
+  await enter(page, "speed", "20,5");
+  await enter(page, "direction", "90");
+  const scan = await rendered(page, daemon, ({ rendered: { object } }) => object.touch.scan?.direction_deg === 90);
+  assert.deepEqual([scan.method, scan.rendered.object.touch.scan.speed_mm_s, scan.rendered.object.touch.scan.distance_mm], ["auto", 20.5, 20], "a trace does not scan");
+  await page.select("#contact", "press");
+  await page.select("#shape", "braille");
+  await enter(page, "text", "Hi");
+  await enter(page, "pitch", "2.34");
+  const braille = await object(({ shape, text }) => shape === "braille" && text === "hi");
+  assert.deepEqual([braille.dot_pitch_mm, braille.diameter_mm], [2.34, 2]);
+  assert.equal(await page.$$eval("#pad .shape-dot", (dots) => dots.length), 5);
+  // A wrong number is named, and nothing is asked.
+  const { id } = await get(daemon, "/v1/searches/last");
+  await enter(page, "depth", "deep");
+  assert.equal(await page.$eval("#depth", (field) => field.nextElementSibling.textContent), "Enter a number, 1 to 2000.");
+  assert.equal(await page.$eval("#thing-feel", (button) => button.disabled), true);
+  assert.equal((await get(daemon, "/v1/searches/last")).id, id);
+  await enter(page, "depth", "300");
+  assert.equal((await object(({ touch }) => touch.press?.depth_um === 300)).shape, "braille");
+  // A shipped object by its name.
+  await page.select("#load", "two-dots");
+  assert.equal((await rendered(page, daemon, ({ target }) => target === "two-dots")).rendered.object.shape, "dots");
+  assert.deepEqual(faults(page), []);
+});
+
+// A PNG of one grey level or colour per pixel.
+function png(width, height, channels, pixel) {
+  const chunk = (kind, data) => {
+    const body = Buffer.concat([Buffer.from(kind), data]);
+    const [length, sum] = [Buffer.alloc(4), Buffer.alloc(4)];
+    length.writeUInt32BE(data.length);
+    sum.writeUInt32BE(crc32(body) >>> 0);
+    return Buffer.concat([length, body, sum]);
+  };
+  const head = Buffer.alloc(13);
+  head.writeUInt32BE(width);
+  head.writeUInt32BE(height, 4);
+  head.set([8, channels === 1 ? 0 : 2], 8);
+  const rows = Array.from({ length: height }, (_, y) => [0, ...Array.from({ length: width }, (_, x) => pixel(x, y)).flat()]);
+  return Buffer.concat([Buffer.from([137, 80, 78, 71, 13, 10, 26, 10]), chunk("IHDR", head), chunk("IDAT", deflateSync(Buffer.from(rows.flat()))), chunk("IEND", Buffer.alloc(0))]);
+}
+
+// Drops a file on the pad.
+const drop = (page, name, bytes) => page.evaluate((name, data) => {
+  const files = new DataTransfer();
+  files.items.add(new File([Uint8Array.from(atob(data), (letter) => letter.charCodeAt(0))], name));
+  document.querySelector("#pad svg").dispatchEvent(new DragEvent("drop", { dataTransfer: files, bubbles: true, cancelable: true }));
+}, name, bytes.toString("base64"));
+
+test("a picture that is dropped is a height map", async () => {
+  const daemon = await new Daemon().start();
+  const page = await open(daemon);
+  await shows(page, "state-text", "Disarmed");
+  await enter(page, "mm", "0,5");
+  await enter(page, "white", "400");
+  const ridge = (x) => (x >= 8 && x < 12 ? 255 : 0);
+  await drop(page, "my ridge.png", png(20, 20, 1, (x) => [ridge(x)]));
+  const grey = await rendered(page, daemon);
+  const { shape, file, mm_per_pixel: mm, um_per_level: um } = grey.rendered.object;
+  assert.deepEqual([shape, file, mm], ["heightmap", "my-ridge.png", 0.5]);
+  assert.ok(Math.abs(um - 400 / 255) < 1e-6);
+  await shows(page, "picture-note", "my-ridge.png: 10 × 10 mm.");
+  assert.equal(await page.$eval("#method [value=trace]", (option) => option.disabled), true);
+  await shows(page, "thing-live-why", "A height map cannot move live");
+  assert.equal(await page.$eval("#thing-live-start", (button) => button.disabled), true);
+  // Of colours the brightness counts: the same ridge has the same response.
+  await drop(page, "colours.png", png(20, 20, 3, (x) => [ridge(x), ridge(x), ridge(x)]));
+  const coloured = await rendered(page, daemon, ({ rendered }) => rendered.object.file === "colours.npy");
+  assert.deepEqual(coloured.rendered.response.real_s, grey.rendered.response.real_s);
+  await shows(page, "picture-note", "Its brightness counts");
+  // What is no picture says so, and the one before stays.
+  await drop(page, "letter.txt", Buffer.from("no picture"));
+  await answers(page, "#shape", "Letter.txt is no image that this browser can read");
+  await shows(page, "picture-note", "colours.npy");
+  assert.deepEqual(faults(page), []);
+});
+
+test("a thing plays as soon as the pen lifts, if a person wants that and the motors are armed", async () => {
+  const daemon = await new Daemon().start();
+  const page = await open(daemon);
+  await shows(page, "state-text", "Disarmed");
+  await press(page, "#thing-at-once");
+  await draw(page, [0, -4], [0, 4]);
+  await answers(page, "#thing-feel", "The motors are disarmed: press Arm first.");
+  await rendered(page, daemon);
+  await arm(page);
+  await draw(page, [-2, -4], [-2, 4]);
+  const { id, rendered: { sha256 } } = await rendered(page, daemon, ({ id }) => id > 1);
+  await view(page, "play");
+  await shows(page, "receipt-summary", "drawn: done");
+  const play = await get(daemon, "/v1/plays/last");
+  assert.deepEqual([id, play.id, play.pattern_sha256], [2, 1, sha256]);
+  // A number that changes plays nothing.
+  await view(page, "design");
+  await enter(page, "width", "2");
+  await rendered(page, daemon, ({ id }) => id === 3);
+  assert.equal((await get(daemon, "/v1/plays/last")).id, 1);
+});
+
+test("a drawing can be undone, and survives a reload with its result", async () => {
+  const daemon = await new Daemon().start();
+  const page = await open(daemon);
+  await shows(page, "state-text", "Disarmed");
+  await enter(page, "points", "-3 0; 3 0");
+  await enter(page, "width", "1.5");
+  await draw(page, [0, -4], [0, 4]);
+  const points = () => page.$eval("#points", (field) => field.value);
+  const drawn = await points();
+  await page.$eval("#pad svg", (pad) => pad.focus());
+  const undo = async (...keys) => {
+    await page.keyboard.down("Control");
+    for (const key of keys) await page.keyboard.press(key);
+    await page.keyboard.up("Control");
+  };
+  await undo("z");
+  assert.equal(await points(), "-3 0; 3 0");
+  await undo("z");
+  assert.equal(await page.$eval("#width", (field) => field.value), "0.8");
+  await undo("y", "y");
+  assert.deepEqual([await points(), await page.$eval("#width", (field) => field.value)], [drawn, "1.5"]);
+  assert.equal(await page.$eval("#redo", (button) => button.disabled), true);
+  await press(page, "#undo");
+  const { id } = await rendered(page, daemon, ({ rendered: { object } }) => object.width_mm === 1.5 && object.length_mm === 6);
+  await page.reload();
+  await page.waitForSelector("#thing-result:not([hidden])");
+  assert.deepEqual([await points(), await page.$eval("#width", (field) => field.value)], ["-3 0; 3 0", "1.5"]);
+  // The result is that of before.
+  assert.equal((await get(daemon, "/v1/searches/last")).id, id);
+  assert.equal((await page.evaluate(() => JSON.stringify(localStorage))).includes("token"), false);
+  // A daemon that was started again has none: the page asks.
+  await daemon.end();
+  await shows(page, "state-text", "Not connected");
+  await daemon.start();
+  assert.equal((await rendered(page, daemon)).id, 1);
+});
+
+test("what lies off the pad or off the pins is named", async () => {
+  const daemon = await new Daemon().start();
+  const page = await open(daemon);
+  await shows(page, "state-text", "Disarmed");
+  await page.select("#shape", "dots");
+  await enter(page, "points", "0 0; 20 0; 0 11");
+  await shows(page, "where-note", "1 of 3 points lies off the finger's pad. 2 of 3 points are off the pins, more than 2.9 mm from any.");
+  await enter(page, "points", "0 0; 1");
+  await answers(page, "#points", "The last point has no y");
+  await page.select("#shape", "edge");
+  await enter(page, "points", "-4 11; 4 11");
+  await shows(page, "where-note", "All pins lie under the edge's covered half");
+});
+
+test("a rendering takes the place of another one, and a search only if a person wants that", async () => {
+  const daemon = await new Daemon().start();
+  const page = await open(daemon);
+  await shows(page, "state-text", "Disarmed");
+  const other = await ask(daemon, "POST", "/v1/searches", { target: "edge-45", seconds: 600 });
+  await enter(page, "points", "-3 0; 3 0");
+  await shows(page, "thing-blocked", "A search for edge-45 runs");
+  assert.equal((await get(daemon, `/v1/searches/${other.id}`)).state, "running");
+  await press(page, "#thing-cancel");
+  await rendered(page, daemon);
+  assert.equal((await get(daemon, `/v1/searches/${other.id}`)).state, "cancelled");
+  assert.equal(await page.$eval("#thing-blocked", (line) => line.hidden), true);
+  // Three changes at once: the last one is rendered, and the others are cancelled or were never asked for.
+  const rendering = await ask(daemon, "POST", "/v1/searches", { object: "rotating-edge" });
+  for (const width of ["1", "2", "3"]) await enter(page, "width", width);
+  await rendered(page, daemon, ({ rendered: { object } }) => object.width_mm === 3);
+  assert.equal((await get(daemon, `/v1/searches/${rendering.id}`)).state, "cancelled");
+  assert.deepEqual(faults(page), []);
+});
+
+test("a thing is dragged live on its pad, and pressed and lifted (smoke)", async () => {
+  const daemon = await new Daemon("lead_ms = 100\n").start();
+  const page = await open(daemon);
+  await arm(page);
+  await page.select("#shape", "dots");
+  assert.equal(await page.$eval("#thing-live-start", (button) => button.disabled), true);
+  await enter(page, "points", "0 0");
+  const live = async () => {
+    await press(page, "#thing-live-start");
+    await shows(page, "thing-live-note", "At 0.0, 0.0 mm, turned by 0°, pressed by 500 µm");
+    await shows(page, "state-text", "Playing live");
+  };
+  await live();
+  assert.equal(await page.$$eval("#pad .live-shape .shape-dot", (dots) => dots.length), 1);
+  await draw(page, [0, 0], [2, 3]);
+  const note = await text(page, "thing-live-note");
+  const [, right, up] = /At ([\d.]+), ([\d.]+) mm, turned by 0°/.exec(note);
+  assert.ok(Math.abs(right - 2) < 0.3 && Math.abs(up - 3) < 0.3, note);
+  for (const key of ["ArrowLeft", "q", "q", " "]) await page.keyboard.press(key);
+  await shows(page, "thing-live-note", "turned by 10°, lifted");
+  await page.keyboard.press(" ");
+  await enter(page, "depth", "250");
+  await shows(page, "thing-live-note", "pressed by 250 µm");
+  await page.waitForFunction(() => /; [1-9]\d* changes on the pins/.test(document.getElementById("thing-live-note").textContent), WAIT);
+  await press(page, "#thing-live-end");
+  await shows(page, "thing-live-note", "Ended.");
+  const { live: updates } = await get(daemon, "/v1/plays/last");
+  assert.ok(updates.applied > 1, JSON.stringify(updates));
+  // The drawing is where it was.
+  assert.equal(await page.$eval("#points", (field) => field.value), "0 0");
+  await enter(page, "depth", "500");
+  await live();
+  await view(page, "play");
+  await page.waitForFunction(() => document.getElementById("thing-live-note").textContent === "Ended.", WAIT);
+  assert.deepEqual(faults(page), []);
+});
+
+test("the keyboard alone draws a thing and feels it", async () => {
+  const daemon = await new Daemon().start();
+  const page = await open(daemon);
+  await arm(page);
+  await page.focus("#shape");
+  const pressed = async (...keys) => {
+    for (const key of keys) await page.keyboard.press(key);
+  };
+  await pressed("Tab", "Tab");
+  assert.equal(await page.evaluate(() => document.activeElement.getAttribute("role")), "application");
+  await pressed("ArrowLeft", "ArrowLeft", "Enter", "ArrowRight", "ArrowRight", "ArrowRight", "ArrowRight", "ArrowUp", "Enter", "Backspace", "Enter");
+  assert.equal(await page.$eval("#points", (input) => input.value), "-1 0; 1 0.5");
+  await shows(page, "speak", "2 points, the last at 1, 0.5 mm.");
+  await page.waitForSelector("#thing-feel:not([disabled])", SEARCHED);
+  await page.focus("#thing-feel");
+  await pressed("Enter");
+  await view(page, "play");
+  await shows(page, "receipt-summary", "drawn: done");
+  // What is not drawn by points is moved by the keys.
+  await view(page, "design");
+  await page.select("#shape", "braille");
+  const before = await page.$eval("#points", (input) => input.value.split(" ").map(Number));
+  await page.$eval("#pad svg", (pad) => pad.focus());
+  await pressed("ArrowRight", "ArrowDown");
+  assert.deepEqual(await page.$eval("#points", (input) => input.value.split(" ").map(Number)), [before[0] + 0.5, before[1] - 0.5]);
+  // Lines: N begins another one.
+  await page.select("#shape", "polyline");
+  await page.$eval("#pad svg", (pad) => pad.focus());
+  await pressed("ArrowUp", "n", "ArrowUp", "Enter");
+  assert.equal(await page.$eval("#points", (input) => input.value.split(" / ").length), 2);
+});
+
+test("the paper's search finds a vibration for what is drawn, plays it and saves it", async () => {
+  const daemon = await new Daemon().start();
+  const page = await open(daemon);
+  await arm(page);
+  await openPaper(page);
+  await draw(page, [-3, -3], [3, 3]);
+  await enter(page, "budget", "0,3");
+  await press(page, "#find");
+  await shows(page, "search-note", "Found a pattern for drawn", SEARCHED);
+  await page.waitForSelector("#maps figure");
+  const { result, target, id } = await get(daemon, "/v1/searches/last");
+  // Nothing was rendered meanwhile.
+  assert.deepEqual([target, id], ["drawn", 1]);
+  const [[x, y], [u, v]] = result.definition.points;
+  assert.ok(Math.hypot(x + 3, y + 3) < 0.3 && Math.hypot(u - 3, v - 3) < 0.3, JSON.stringify(result.definition.points));
+  const titles = await page.$$eval("#maps figcaption strong", (all) => all.map((title) => title.textContent));
+  assert.deepEqual(titles, ["Target", "Found pattern", "Rule of thumb, within reach", "Rule of thumb, within one pitch"]);
+  const afferents = await page.$$eval("#maps figure", (figures) => figures.map((figure) => figure.querySelectorAll("circle:not(.pin-place)").length));
+  assert.deepEqual(afferents, [306, 306, 306, 306]);
+  assert.equal(await page.$$eval("#figures tbody tr", (rows) => rows.length), 6);
+  assert.ok((await text(page, "figures")).includes(result.models[0].naive_reach.contrast.toFixed(1)));
+  await press(page, "#feel");
+  await view(page, "play");
+  await shows(page, "receipt-summary", "drawn: done");
+  await view(page, "design");
+  assert.equal((await get(daemon, "/v1/plays/last")).pattern_sha256, result.sha256);
+  await enter(page, "save-name", "my-edge");
+  await press(page, "#save");
+  await answers(page, "#save", "Saved pattern and target my-edge.");
+  const pattern = (await get(daemon, "/v1/patterns/my-edge")).pattern;
+  assert.deepEqual([pattern.name, pattern.provenance.target, pattern.provenance.definition.name], ["my-edge", "my-edge", "my-edge"]);
+  assert.deepEqual((await get(daemon, "/v1/targets/my-edge")).target, { ...result.definition, name: "my-edge" });
+  // Saving a second time is refused until the person confirms it.
+  await press(page, "#save");
+  await answers(page, "#save", "is stored already");
+  await press(page, "#replace");
+  await press(page, "#save");
+  await answers(page, "#save", "Saved pattern and target my-edge.");
+  await view(page, "play");
+  await page.waitForSelector('li[data-name="my-edge"]');
+  assert.deepEqual(faults(page), []);
+});
+
+test("a vibration plays as soon as the pen lifts, if a person wants that", async () => {
+  const daemon = await new Daemon().start();
+  const page = await open(daemon);
+  await arm(page);
+  await openPaper(page);
+  await enter(page, "budget", "0.2");
+  await press(page, "#at-once");
+  await draw(page, [0, -4], [0, 4]);
+  // A key or a click before the play is ordered would withdraw the person's wish.
+  await shows(page, "search-note", "Found a pattern for drawn", SEARCHED);
+  await view(page, "play");
+  await shows(page, "receipt-summary", "drawn: done");
+  assert.equal((await get(daemon, "/v1/searches/last")).id, 1);
+});
+
+test("an emergency stop works while a play and a search run, and the search can be cancelled", async () => {
+  const daemon = await new Daemon().start();
+  const page = await open(daemon);
+  await arm(page);
+  await openPaper(page);
+  await shows(page, "load", "rotating-edge");
+  await page.select("#load", "rotating-edge");
+  await page.waitForSelector("#find:not([disabled])");
+  await enter(page, "budget", "600");
+  await press(page, "#find");
+  await shows(page, "search-progress", "evaluations", SEARCHED);
+  await view(page, "play");
+  await page.$eval("#seconds", (input) => (input.value = "600"));
+  await page.type("#search", "edge-45");
+  await page.click('li[data-name="edge-45"] button');
+  await shows(page, "state-text", "Playing edge-45");
+  await page.click("#estop");
+  await shows(page, "estop-note", "All lines are off.");
+  const status = await daemon.status();
+  assert.deepEqual([status.state, status.estops, status.play], ["faulted", 1, null]);
+  assert.equal((await get(daemon, "/v1/searches/last")).state, "running");
+  await view(page, "design");
+  await press(page, "#cancel");
+  await shows(page, "search-note", "Cancelled.");
+  assert.equal((await get(daemon, "/v1/searches/last")).state, "cancelled");
+  assert.equal(await page.$eval("#find", (button) => button.disabled), false);
+});
+
+test("the paper's search and its live play say what is wrong with their fields and their shape", async () => {
+  const daemon = await new Daemon().start();
+  const page = await open(daemon);
+  await arm(page);
+  await openPaper(page);
+  await page.select("#shape", "polyline");
+  await enter(page, "points", "-3 0; 3 0 / 0 0; 0 3");
+  await shows(page, "target-why", "The search takes one line.");
+  assert.deepEqual(await page.$$eval("#find, #live-start", (buttons) => buttons.map((button) => button.disabled)), [true, true]);
+  await enter(page, "points", "-3 0; 3 0");
+  await enter(page, "amplitude", "");
+  for (const button of ["#live-start", "#find"]) {
+    await press(page, button);
+    assert.equal(await page.$eval("#amplitude", (field) => field.parentElement.querySelector(".wrong")?.textContent), "Enter a number, 0 to 400.");
+    assert.equal(await page.evaluate(() => document.activeElement.id), "amplitude");
+  }
+  assert.equal((await daemon.status()).play, null);
+  await enter(page, "amplitude", "80");
+  // A refusal of the daemon is shown beside the button, in the page's words.
+  await enter(page, "reach", "24");
+  await press(page, "#find");
+  await answers(page, "#find", "Reach is 24: all 306 afferents are within reach");
+});
+
+test("a shape that is dragged plays live, and a window out of sight ends it (smoke)", async () => {
+  const daemon = await new Daemon("lead_ms = 100\n").start();
+  const page = await open(daemon);
+  await arm(page);
+  await openPaper(page);
+  await page.select("#shape", "dots");
+  assert.equal(await page.$eval("#live-start", (button) => button.disabled), true);
+  await enter(page, "points", "0 0");
+  const live = async () => {
+    await press(page, "#live-start");
+    await shows(page, "live-note", "At 0.0, 0.0 mm");
+    await shows(page, "state-text", "Playing live");
+  };
+  await live();
+  await draw(page, [0, 0], [1, 2]);
+  const note = await text(page, "live-note");
+  const [, right, up] = /At ([\d.]+), ([\d.]+) mm, turned by 0°/.exec(note);
+  assert.ok(Number(right) > 0.5 && Number(up) > Number(right), note);
+  for (const key of ["ArrowLeft", "q", "q"]) await page.keyboard.press(key);
+  await shows(page, "live-note", "turned by 10°");
+  await page.waitForFunction(() => /; [1-9]\d* changes on the pins/.test(document.getElementById("live-note").textContent), WAIT);
+  await press(page, "#live-end");
+  await shows(page, "live-note", "Ended.");
+  const { live: updates, bursts } = await get(daemon, "/v1/plays/last");
+  assert.ok(updates.applied > 1 && bursts.replaced > 0, JSON.stringify(updates));
+  await live();
+  await page.evaluate(() => (Object.defineProperty(document, "hidden", { get: () => true }), document.dispatchEvent(new Event("visibilitychange"))));
+  await shows(page, "live-note", "Ended.");
+  assert.deepEqual(faults(page), []);
+});
+
+test("what is found for a target is for the daemon's array", async () => {
+  const daemon = await new Daemon('[array]\ndescription = "ubi-pen-3x3"\n').start();
+  const page = await open(daemon);
+  await arm(page);
+  await openPaper(page);
+  await shows(page, "load", "edge-45");
+  await page.select("#load", "edge-45");
+  await enter(page, "budget", "0.2");
+  await page.waitForSelector("#find:not([disabled])");
+  await press(page, "#find");
+  await shows(page, "search-note", "Found a pattern for edge-45", SEARCHED);
+  await press(page, "#feel");
+  // The pins of the array are known here.
+  await page.waitForFunction(() => document.querySelector('.finger .hand[visibility="visible"]'), WAIT);
+  await view(page, "play");
+  await shows(page, "receipt-summary", ": done");
+  await view(page, "design");
+  await page.waitForSelector("#save:not([disabled])");
+  await press(page, "#save");
+  await answers(page, "#save", "Saved pattern and target");
+  const { patterns } = await get(daemon, "/v1/patterns");
+  const saved = patterns.filter((pattern) => !pattern.library);
+  assert.deepEqual(saved.map((pattern) => pattern.array), ["ubi-pen-3x3"]);
+  await view(page, "play");
+  await page.waitForSelector(`li[data-name="${saved[0].name}"]`);
+  await page.$eval(`li[data-name="${saved[0].name}"]`, (item) => item.scrollIntoView());
+  await page.waitForSelector(`li[data-name="${saved[0].name}"] .thumbnail`);
+  assert.equal(await page.$$eval(`li[data-name="${saved[0].name}"] .thumbnail circle`, (pins) => pins.length), 9);
+});
