@@ -27,7 +27,7 @@ let play = { id: null, onset: 0, pattern: null };
 const doubted = new Set();
 const finger = new Finger($("finger"));
 const patterns = new Patterns();
-const designer = new Designer(() => patterns.refresh());
+new Designer(() => patterns.refresh());
 
 // Says what is wrong with the connection; nothing else stands there.
 function alertConnection(text) {

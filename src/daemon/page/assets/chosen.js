@@ -228,7 +228,8 @@ export class Chosen {
       if (asked !== this.#asked) return;
       // Both have the same scale.
       const high = Math.max(...found.map(highest));
-      $("previews").replaceChildren(...found.map((of, i) => figures(of, shown[i].name, high, this.#motor, (motor) => this.#choosePin(motor))));
+      const width = Math.floor($("previews").clientWidth / found.length) - 16;
+      $("previews").replaceChildren(...found.map((of, i) => figures(of, shown[i].name, high, this.#motor, width, (motor) => this.#choosePin(motor))));
       clearTimeout(wait);
       say($("preview-from"), "");
     } catch (error) {
