@@ -61,7 +61,6 @@ const FILES: &[(&str, &str, &str)] = &[
     ("/page/toml.js", SCRIPT, include_str!("assets/toml.js")),
     ("/page/files.js", SCRIPT, include_str!("assets/files.js")),
     ("/page/pin-test.js", SCRIPT, include_str!("assets/pin-test.js")),
-    ("/page/role.js", SCRIPT, include_str!("assets/role.js")),
     ("/page/sequence.js", SCRIPT, include_str!("assets/sequence.js")),
     ("/page/timeline.js", SCRIPT, include_str!("assets/timeline.js")),
     ("/page/queue.js", SCRIPT, include_str!("assets/queue.js")),

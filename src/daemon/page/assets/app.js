@@ -15,7 +15,6 @@ import { bindPinTest } from "./pin-test.js";
 import { bindQueue } from "./queue.js";
 import { bindReceipt } from "./receipt.js";
 import { bindRecord } from "./record.js";
-import { bindRole } from "./role.js";
 import { connected, disconnected, handleEvent, showStatus, startViews } from "./views.js";
 import { plain } from "./words.js";
 
@@ -27,7 +26,7 @@ let play = { id: null, onset: 0, pattern: null };
 const doubted = new Set();
 const finger = new Finger($("finger"));
 const patterns = new Patterns();
-const designer = new Designer(() => patterns.refresh());
+new Designer(() => patterns.refresh());
 
 // Says what is wrong with the connection; nothing else stands there.
 function alertConnection(text) {
@@ -151,7 +150,6 @@ function frame(at) {
 }
 
 bindControls();
-bindRole();
 bindFiles(() => patterns.refresh());
 bindPinTest((motor) => finger.choose(motor));
 bindQueue();

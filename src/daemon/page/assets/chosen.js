@@ -3,11 +3,10 @@
 
 import { order, put } from "./api.js";
 import { array } from "./array.js";
-import { element, facts, refuse, say, valid } from "./control.js";
+import { element, facts, operates, refuse, say, valid } from "./control.js";
 import { Drives } from "./drives.js";
 import { isForeign, mapping } from "./foreign.js";
 import { figures, highest, preview } from "./preview.js";
-import { mayOperate, operates } from "./role.js";
 import { keep, toml } from "./toml.js";
 
 const $ = (id) => document.getElementById(id);
@@ -148,7 +147,6 @@ export class Chosen {
     $("chosen-undo").disabled = !isEdited;
     $("chosen-play").textContent = isEdited ? "Play as changed" : "Play";
     $("chosen-edited").hidden = !isEdited;
-    for (const id of ["chosen-play", "chosen-save"]) $(id).disabled = !mayOperate();
   }
 
   // The pattern as the fields have it. Where it comes from stays known.
@@ -228,7 +226,8 @@ export class Chosen {
       if (asked !== this.#asked) return;
       // Both have the same scale.
       const high = Math.max(...found.map(highest));
-      $("previews").replaceChildren(...found.map((of, i) => figures(of, shown[i].name, high, this.#motor, (motor) => this.#choosePin(motor))));
+      const width = Math.floor($("previews").clientWidth / found.length) - 16;
+      $("previews").replaceChildren(...found.map((of, i) => figures(of, shown[i].name, high, this.#motor, width, (motor) => this.#choosePin(motor))));
       clearTimeout(wait);
       say($("preview-from"), "");
     } catch (error) {

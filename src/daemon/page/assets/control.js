@@ -39,6 +39,12 @@ function owner({ session, armed }) {
   return armed ? `${runs} · armed by ${armed.by}` : runs;
 }
 
+// Marks a control that changes something, and returns it.
+export function operates(control) {
+  control.dataset.needs = "operate";
+  return control;
+}
+
 // Shows what this window may do: everything, only stop and disarm, or only read. While the state is not known, that stays.
 function showRights({ role, session }) {
   const isForeign = session?.exclusive && !session.released && !session.mine;

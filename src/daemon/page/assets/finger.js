@@ -46,17 +46,21 @@ export function drivesAt({ drive: drives = [], duration_s: duration }, seconds) 
   return new Map(drives.filter(({ start_s: from, stop_s: to }) => t >= (from ?? 0) && t < (to ?? Infinity)).map((drive) => [drive.motor, drive]));
 }
 
-// A small map of the amplitudes that a pattern for the daemon's array reaches, over its whole length. `drives`: `motor` and `reached_um`.
-export function thumbnail(details) {
+// A small map of the amplitudes that a pattern for the daemon's array reaches, over its whole length, and of the pins that have motions.
+// `drives`: `motor` and `reached_um`. `pattern`: its keys.
+export function thumbnail({ drives, pattern = {} }) {
   const { places, box: [left, top, width, height] } = layout(scale(10, 6));
   const svg = make("svg", { viewBox: `${left - 5} ${top - 5} ${width + 10} ${height + 10}`, class: "thumbnail", role: "img" });
   const most = places.map(() => 0);
-  for (const { motor, reached_um: um } of details.drives) if (motor in most) most[motor] = Math.max(most[motor], um);
-  const moving = most.map((um, motor) => [motor, um]).filter(([, um]) => um > 0);
-  svg.setAttribute("aria-label", `Pins that move: ${moving.map(([motor]) => motor).join(", ") || "none"}`);
-  most.forEach((um, motor) => {
-    const [cx, cy] = places[motor];
-    svg.append(make("circle", { cx, cy, r: um > 0 ? 2 + (2.5 * Math.min(um, FULL_UM)) / FULL_UM : 1.2, ...(um > 0 ? { fill: colour(um), class: "dot" } : { class: "dot still" }) }));
+  for (const { motor, reached_um: um } of drives) if (motor in most) most[motor] = Math.max(most[motor], um);
+  const follows = new Set(["wave", "ramp", "tone", "noise"].flatMap((key) => pattern[key] ?? []).map((motion) => motion.motor));
+  const moving = places.flatMap((_, motor) => (most[motor] > 0 || follows.has(motor) ? [motor] : []));
+  svg.setAttribute("aria-label", `Pins that move: ${moving.join(", ") || "none"}`);
+  places.forEach(([cx, cy], motor) => {
+    const um = most[motor];
+    const look = um > 0 ? { r: 2 + (2.5 * Math.min(um, FULL_UM)) / FULL_UM, fill: colour(um), class: "dot" }
+      : follows.has(motor) ? { r: 2.5, class: "dot follows" } : { r: 1.2, class: "dot still" };
+    svg.append(make("circle", { cx, cy, ...look }));
   });
   return svg;
 }

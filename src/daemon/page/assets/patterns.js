@@ -2,10 +2,9 @@
 
 import { call, order } from "./api.js";
 import { Chosen } from "./chosen.js";
-import { element, refuse, say, valid } from "./control.js";
+import { element, operates, refuse, say, valid } from "./control.js";
 import { thumbnail } from "./finger.js";
 import { isForeign, mapping } from "./foreign.js";
-import { operates } from "./role.js";
 import { part } from "./views.js";
 
 const $ = (id) => document.getElementById(id);

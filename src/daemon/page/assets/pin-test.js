@@ -2,8 +2,7 @@
 
 import { order } from "./api.js";
 import { array } from "./array.js";
-import { refuse, say, valid } from "./control.js";
-import { operates } from "./role.js";
+import { operates, refuse, say, valid } from "./control.js";
 
 const $ = (id) => document.getElementById(id);
 

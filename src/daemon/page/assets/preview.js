@@ -9,9 +9,11 @@ import { make } from "./finger.js";
 // The second model takes its time.
 const ANSWER_MS = 60000;
 const TRACE = { width: 36, height: 22 };
-const LARGE = { width: 640, height: 180, left: 44, bottom: 34, top: 8, right: 14 };
-const RASTER = { width: 640, row: 0.8, gap: 12, left: 44, bottom: 34, top: 8, right: 14 };
+const LARGE = { height: 180, left: 44, bottom: 34, top: 8, right: 14 };
+const RASTER = { row: 0.8, gap: 12, left: 44, bottom: 34, top: 8, right: 14 };
 const CLASSES = ["SA1", "RA", "PC"];
+// Drawing units of a plot's width: about one for a pixel, so that its text can be read.
+const WIDTHS = [260, 640];
 // Points of a path: the highest and the lowest value of each part of the time, so that no movement is lost.
 const PARTS = 320;
 
@@ -55,7 +57,7 @@ function traces(of, high, title, chosen, choose) {
 }
 
 // The axis of time, and the places of times on it.
-function axis(svg, { width, left, right, bottom }, height, { seconds, from_s: from }) {
+function axis(svg, { left, right, bottom }, [width, height], { seconds, from_s: from }) {
   const base = height - bottom;
   const across = (s) => left + ((s - from) / seconds) * (width - left - right);
   for (let i = 0; i <= 5; i += 1) {
@@ -67,12 +69,12 @@ function axis(svg, { width, left, right, bottom }, height, { seconds, from_s: fr
 }
 
 // One pin's height over time, from 0 to `high` µm.
-function trace(of, high, title, motor) {
-  const { width, height, left, bottom, top, right } = LARGE;
+function trace(of, high, title, motor, width) {
+  const { height, left, bottom, top, right } = LARGE;
   const values = of.heights_um[motor] ?? [];
   const own = values.reduce((most, um) => Math.max(most, um), 0);
   const svg = make("svg", { viewBox: `0 0 ${width} ${height}`, class: "plot", role: "img", "aria-label": `${title}: height of pin ${motor}, ${own ? `up to ${own.toFixed(0)} µm` : "at rest"}` });
-  const across = axis(svg, LARGE, height, of);
+  const across = axis(svg, LARGE, [width, height], of);
   const upward = (um) => height - bottom - (um / high) * (height - bottom - top);
   for (const um of [0, high / 2, high]) svg.append(make("line", { class: "grid", x1: left, x2: width - right, y1: upward(um), y2: upward(um) }), make("text", { x: left - 6, y: upward(um) + 4, "text-anchor": "end" }, um.toFixed(0)));
   const middle = (height - bottom) / 2;
@@ -82,15 +84,15 @@ function trace(of, high, title, motor) {
 }
 
 // The spikes: a row for each afferent, by class and from the fingertip downwards.
-function raster({ spikes: { class: classes, times_s: times, places_mm: places }, ...of }, title) {
-  const { width, row, gap, left, bottom, top } = RASTER;
+function raster({ spikes: { class: classes, times_s: times, places_mm: places }, ...of }, title, width) {
+  const { row, gap, left, bottom, top } = RASTER;
   const rows = CLASSES.map((name) => classes.flatMap((of, i) => (of === name ? [i] : [])).sort((a, b) => places[b][1] - places[a][1]));
   const height = top + bottom + rows.reduce((sum, of) => sum + of.length * row + gap, 0);
   const within = (s) => s >= of.from_s && s < of.from_s + of.seconds;
   const counts = rows.map((of) => of.reduce((sum, i) => sum + times[i].filter(within).length, 0));
   const said = CLASSES.map((name, i) => `${name} ${counts[i]}`).join(", ");
   const svg = make("svg", { viewBox: `0 0 ${width} ${height}`, class: "plot raster", role: "img", "aria-label": `${title}: predicted spikes: ${said}` });
-  const across = axis(svg, RASTER, height, of);
+  const across = axis(svg, RASTER, [width, height], of);
   let y = top;
   CLASSES.forEach((name, at) => {
     const high = rows[at].length * row;
@@ -102,13 +104,14 @@ function raster({ spikes: { class: classes, times_s: times, places_mm: places },
   return [svg, said];
 }
 
-// The figures of a pattern: all pins, one of them in large, and the spikes. `high`: the top of all scales, µm. `choose(motor)`: called when a
-// person clicks on a pin.
-export function figures(of, title, high, motor, choose) {
+// The figures of a pattern: all pins, one of them in large, and the spikes. `high`: the top of all scales, µm. `pixels`: the width there is.
+// `choose(motor)`: called when a person clicks on a pin.
+export function figures(of, title, high, motor, pixels, choose) {
+  const width = Math.min(Math.max(pixels, WIDTHS[0]), WIDTHS[1]);
   const caption = document.createElement("figcaption");
-  const [spikes, counts] = raster(of, title);
+  const [spikes, counts] = raster(of, title, width);
   caption.append(element("strong", title), element("span", `Pins up to ${highest(of).toFixed(0)} µm; predicted spikes: ${counts}`));
   const figure = element("figure", "", { className: "preview" });
-  figure.append(caption, traces(of, high, title, motor, choose), trace(of, high, title, motor), spikes);
+  figure.append(caption, traces(of, high, title, motor, choose), trace(of, high, title, motor, width), spikes);
   return figure;
 }

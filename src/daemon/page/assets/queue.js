@@ -1,8 +1,7 @@
 // What runs and what waits, and the late strokes of the running play.
 
 import { call, known, poll } from "./api.js";
-import { element, facts, refuse, write } from "./control.js";
-import { operates } from "./role.js";
+import { element, facts, operates, refuse, write } from "./control.js";
 import { bindSequence, itemsOf, keepItems, showSequence } from "./sequence.js";
 import { seconds, timeline } from "./timeline.js";
 import { part } from "./views.js";

@@ -1,0 +1,421 @@
+// The view Play: what the finger shows, pin test, chosen pattern, comparison, queue, sequences, files and receipt, against a real daemon with
+// the simulated array.
+
+import assert from "node:assert/strict";
+import { mkdtempSync, readdirSync, readFileSync, rmSync, writeFileSync } from "node:fs";
+import { tmpdir } from "node:os";
+import { join } from "node:path";
+import { after, before, test } from "node:test";
+import { answers, arm, Daemon, endAll, launch, open as openIn, press, proxied, SEARCHED, shows, text, WAIT } from "./daemon.js";
+
+let browser;
+let folder;
+const open = (daemon, width, height, shown) => openIn(browser, daemon, width, height, shown);
+
+before(async () => {
+  browser = await launch();
+  folder = mkdtempSync(join(tmpdir(), "meissner-files-"));
+});
+after(async () => {
+  await browser?.close();
+  await endAll();
+  rmSync(folder, { recursive: true, force: true });
+});
+
+const get = async (daemon, path) => (await fetch(`${daemon.url}${path}`)).json();
+const post = (daemon, path, body) => fetch(`${daemon.url}${path}`, { method: "POST", headers: { "content-type": "application/json" }, body: JSON.stringify(body) }).then((answer) => answer.json());
+const set = (page, id, value) => page.$eval(`#${id}`, (field, value) => {
+  field.value = value;
+  for (const event of ["input", "change"]) field.dispatchEvent(new Event(event));
+}, value);
+const choose = async (page, name) => {
+  await page.waitForSelector(`li[data-name="${name}"] .choose`);
+  await press(page, `li[data-name="${name}"] .choose`);
+  await shows(page, "chosen-title", `Pattern ${name}`);
+  await page.waitForSelector("#chosen-body:not([hidden])");
+};
+// A file on the disk.
+const file = (name, text) => {
+  const path = join(folder, name);
+  writeFileSync(path, text);
+  return path;
+};
+const take = async (page, id, ...paths) => (await page.$(`#${id}`)).uploadFile(...paths);
+// Drops a file somewhere on the page.
+const drop = (page, selector, name, text) => page.$eval(selector, (place, name, text) => {
+  const dataTransfer = new DataTransfer();
+  dataTransfer.items.add(new File([text], name));
+  return ["dragover", "drop"].map((kind) => {
+    const event = new DragEvent(kind, { dataTransfer, bubbles: true, cancelable: true });
+    place.dispatchEvent(event);
+    return event.defaultPrevented;
+  });
+}, name, text);
+// The text of the file that a control gives.
+async function downloaded(page, control) {
+  const own = mkdtempSync(join(folder, "download-"));
+  const session = await page.createCDPSession();
+  const ended = new Promise((done) => session.on("Browser.downloadProgress", ({ state }) => state === "completed" && done()));
+  await session.send("Browser.setDownloadBehavior", { behavior: "allow", browserContextId: page.browserContext().id, downloadPath: own, eventsEnabled: true });
+  await press(page, control);
+  await ended;
+  const [name] = readdirSync(own);
+  return [name, readFileSync(join(own, name), "utf8")];
+}
+const quiet = (page) => page.complaints.filter((line) => !/40[49]|422/.test(line));
+
+// Each pin's mark, and whether it has a hand.
+const pins = (page) => page.$$eval(".finger > g", (groups) => groups.map((group) => [group.querySelector(".hertz").textContent, group.querySelector(".hand").getAttribute("visibility") === "visible"]));
+const marked = (page, motors, hasHand) => page.waitForFunction((motors, hasHand) => [...document.querySelectorAll(".finger > g")].every((group, i) => {
+  const [mark, hand] = [group.querySelector(".hertz").textContent, group.querySelector(".hand").getAttribute("visibility") === "visible"];
+  return motors.includes(i) ? mark.endsWith(" Hz") && hand === hasHand : mark === "" && !hand;
+}), WAIT, motors, hasHand);
+
+test("the finger shows what the daemon says that pins do: sequences, live plays and mapped patterns too (smoke)", async () => {
+  const daemon = await new Daemon().start();
+  const page = await open(daemon);
+  await shows(page, "state-text", "Disarmed");
+  // Nobody has looked at the pins yet.
+  assert.deepEqual(await pins(page), Array(24).fill(["?", false]));
+  await shows(page, "finger-note", "What the pins do is not known.");
+  await arm(page);
+  await marked(page, [], false);
+  const plays = [
+    ["/v1/sequence", { name: "edge-45", items: [{ pattern: "pin-60", seconds: 300 }] }, [9], false],
+    ["/v1/live", { drives: [{ motor: 4, frequency_hz: 60, amplitude_um: 80 }], timeout_ms: 60000, replace: true }, [4], false],
+    ["/v1/play", { pattern: { format: 1, name: "two", drive: [{ motor: 2, frequency_hz: 40, amplitude_um: 60, phase: 0.25 }, { motor: 20, frequency_hz: 80, amplitude_um: 20 }] }, seconds: 300, replace: true }, [2, 20], true],
+  ];
+  for (const [path, body, motors, hasHand] of plays) {
+    const { id } = await post(daemon, path, body);
+    assert.ok(id, path);
+    await marked(page, motors, hasHand);
+  }
+  await page.$eval("#pins", (table) => (table.closest("details").open = true));
+  await page.waitForFunction(() => /µm at 40 Hz/.test(document.querySelector("#pins tbody tr:nth-child(3)")?.textContent), WAIT);
+  const { now } = (await daemon.status()).motors[2];
+  const cells = await page.$$eval("#pins tbody tr:nth-child(3) > *", (cells) => cells.map((cell) => cell.textContent));
+  assert.deepEqual(cells.slice(0, 4), ["2", `${now.swing_um.toFixed(0)} µm at 40 Hz`, now.height_um.toFixed(1), "0.25"]);
+  assert.equal(await page.$eval("#pins tbody tr:nth-child(4) td", (cell) => cell.textContent), "still");
+  // A pin that is held stands above rest without a stroke.
+  await post(daemon, "/v1/play", { pattern: { format: 2, name: "held", ramp: [{ motor: 9, to_um: 100, rise_s: 0.1, hold_s: 50 }] }, replace: true });
+  await page.waitForFunction(() => document.querySelector(".finger").getAttribute("aria-label") === "No pin vibrates. 1 stand above rest, up to 100 µm. Largest offset from rest 0 µm." || /1 stand above rest/.test(document.querySelector(".finger").getAttribute("aria-label")), WAIT);
+  assert.match((await pins(page))[9][0], /^\d+ µm$/);
+  await page.click("#estop");
+  await shows(page, "finger-note", "What the pins do is not known.");
+  assert.deepEqual(await pins(page), Array(24).fill(["?", false]));
+  assert.deepEqual(quiet(page), []);
+});
+
+test("a pattern of another array that is played by position is drawn", async () => {
+  const daemon = await new Daemon('[array]\ndescription = "ubi-pen-3x3"\n').start();
+  const page = await open(daemon);
+  await arm(page);
+  await choose(page, "edge-45");
+  await shows(page, "foreign-note", "for the array tula35-6x4");
+  assert.equal(await page.$eval("#drives-part", (part) => part.hidden), true);
+  await press(page, "#chosen-play");
+  await answers(page, "#chosen-play", "tick “Play patterns for other arrays by position”");
+  await press(page, "#nearest");
+  await press(page, "#chosen-play");
+  await shows(page, "state-text", "Playing edge-45");
+  await page.waitForFunction(() => [...document.querySelectorAll(".finger .hertz")].some((mark) => mark.textContent.endsWith(" Hz")), WAIT);
+  assert.ok((await pins(page)).every(([, hand]) => !hand), "the pattern's phases are those of other pins");
+});
+
+test("the pin test plays one stroke or some seconds of one pin, and needs armed motors", async () => {
+  const daemon = await new Daemon().start();
+  const page = await open(daemon);
+  await shows(page, "state-text", "Disarmed");
+  await press(page, "#pin-play");
+  await answers(page, "#pin-play", "press Arm first");
+  await arm(page);
+  await page.$$eval(".finger > g", (groups) => groups[13].dispatchEvent(new MouseEvent("click", { bubbles: true })));
+  assert.equal(await page.$eval("#pin-motor", (field) => field.value), "13");
+  assert.deepEqual(await page.$$eval(".finger > g", (groups) => groups.flatMap((group, i) => (group.classList.contains("chosen") ? [i] : []))), [13]);
+  await press(page, "#pin-play");
+  await shows(page, "receipt-summary", "Play 1, pin-test: done");
+  const stroke = await get(daemon, "/v1/plays/1");
+  assert.deepEqual([stroke.bursts.played, stroke.drives.map(({ motor, strokes }) => [motor, strokes])], [2, [[13, 1]]]);
+  await page.select("#pin-what", "seconds");
+  await set(page, "pin-motor", 5);
+  await set(page, "pin-seconds", 0.5);
+  await set(page, "pin-hz", 40);
+  await set(page, "pin-um", 50);
+  await press(page, "#pin-play");
+  await shows(page, "receipt-summary", "Play 2, pin-test: done");
+  const seconds = await get(daemon, "/v1/plays/2");
+  assert.deepEqual([seconds.duration_ms.ordered, seconds.drives.map(({ motor, strokes, ordered_um }) => [motor, strokes, ordered_um])], [500, [[5, 20, 50]]]);
+  await set(page, "pin-motor", 24);
+  await press(page, "#pin-play");
+  assert.equal(await page.$eval("#pin-motor", (field) => field.parentElement.querySelector(".wrong").textContent), "Enter a number, 0 to 23.");
+  assert.equal((await get(daemon, "/v1/plays/last")).id, 2);
+});
+
+const rows = (page) => page.$$eval("#drives tbody tr", (rows) => rows.map((row) => [...row.querySelectorAll("input")].map((input) => input.value)));
+const field = (row, column) => `#drives tbody tr:nth-child(${row}) td:nth-child(${column}) input`;
+const type = (page, selector, value) => page.$eval(selector, (input, value) => ((input.value = value), input.dispatchEvent(new Event("input"))), value);
+
+test("a chosen pattern is changed, played as changed, and saved under another name (smoke)", async () => {
+  const daemon = await new Daemon().start();
+  const page = await open(daemon);
+  assert.equal(await page.$eval("#chosen-body", (body) => body.hidden), true);
+  await choose(page, "edge-45");
+  const { pattern, sha256 } = await get(daemon, "/v1/patterns/edge-45");
+  assert.deepEqual(await rows(page), pattern.drive.map(({ motor, frequency_hz: hz, amplitude_um: um, phase }) => [`${motor}`, `${hz}`, `${um}`, `${phase}`, "", ""]));
+  assert.equal(await page.$eval("#chosen-undo", (button) => button.disabled), true);
+  await press(page, "#chosen-play");
+  await answers(page, "#chosen-play", "press Arm first");
+  await arm(page);
+  await set(page, "chosen-count", 0.2);
+  await press(page, "#chosen-play");
+  await shows(page, "receipt-summary", "Play 1, edge-45: done");
+  assert.deepEqual(await get(daemon, "/v1/plays/1").then(({ pattern_sha256: text, duration_ms: ms }) => [text, ms.ordered]), [sha256, 1000]);
+  // One drive less, one more, and one that begins later.
+  await press(page, "#drives tbody tr:nth-child(1) button");
+  await press(page, "#drives-add");
+  await type(page, field(4, 3), "40");
+  await type(page, field(1, 5), "0.1");
+  await type(page, "#chosen-duration", "0.5");
+  assert.deepEqual((await rows(page)).map((row) => row[0]), ["10", "13", "16", "17"]);
+  await page.waitForFunction(() => document.querySelector("#drives-map svg").getAttribute("aria-label") === "Pins that move: 10, 13, 16, 17", WAIT);
+  assert.equal(await text(page, "chosen-play"), "Play as changed");
+  assert.equal(await page.$eval("#chosen-edited", (note) => note.hidden), false);
+  await set(page, "chosen-count", 2);
+  await set(page, "chosen-scale", 0.5);
+  await press(page, "#chosen-play");
+  await shows(page, "receipt-summary", "Play 2, edge-45: done");
+  const changed = await get(daemon, "/v1/plays/2");
+  assert.deepEqual([changed.duration_ms.ordered, changed.scale, changed.drives.map(({ motor, ordered_um: um }) => [motor, um])], [1000, 0.5, [[10, 40], [13, 40], [16, 40], [17, 20]]]);
+  assert.notEqual(changed.pattern_sha256, sha256);
+  // A wrong value is named, and nothing is played.
+  await type(page, field(2, 1), "99");
+  await press(page, "#chosen-play");
+  assert.equal(await page.$eval("#drives .wrong", (line) => line.textContent), "Enter a number, 0 to 23.");
+  await type(page, field(2, 1), "13");
+  assert.equal((await get(daemon, "/v1/plays/last")).id, 2);
+  await set(page, "save-as", "edge-45");
+  await press(page, "#chosen-save");
+  await answers(page, "#chosen-save", "library");
+  await set(page, "save-as", "mine");
+  await press(page, "#chosen-save");
+  await answers(page, "#chosen-save", "Saved mine.");
+  // It is chosen now.
+  await shows(page, "chosen-title", "Pattern mine");
+  const stored = (await get(daemon, "/v1/patterns/mine")).pattern;
+  assert.deepEqual([stored.duration_s, stored.drive.map(({ motor, amplitude_um: um, start_s: from }) => [motor, um, from]), stored.provenance], [
+    0.5, [[10, 80, 0.1], [13, 80, undefined], [16, 80, undefined], [17, 40, undefined]], { changed_from: "edge-45", changed_from_sha256: sha256 },
+  ]);
+  await page.waitForSelector('li[data-name="mine"].chosen');
+  await type(page, field(1, 3), "10");
+  await set(page, "save-as", "mine");
+  await press(page, "#chosen-save");
+  await answers(page, "#chosen-save", "is stored already");
+  await press(page, "#chosen-undo");
+  assert.equal((await rows(page))[0][2], "80");
+  await type(page, field(1, 3), "10");
+  await press(page, "#save-replace");
+  await press(page, "#chosen-save");
+  await answers(page, "#chosen-save", "Saved mine.");
+  assert.equal((await get(daemon, "/v1/patterns/mine")).pattern.drive[0].amplitude_um, 10);
+  assert.deepEqual(quiet(page), []);
+});
+
+test("any pattern has figures, and a second one stands beside it", async () => {
+  const daemon = await new Daemon().start();
+  const page = await open(daemon);
+  await choose(page, "press-hold");
+  await page.waitForSelector(".preview .trace-line", SEARCHED);
+  const { heights_um: heights, spikes } = await get(daemon, "/v1/patterns/press-hold/preview?from_s=0&seconds=1");
+  const moving = heights.flatMap((values, motor) => (values.some((um) => um > 0) ? [motor] : []));
+  const drawn = () => page.$$eval(".preview", (figures) => figures.map((figure) => [figure.querySelector("strong").textContent, [...figure.querySelectorAll(".trace")].flatMap((pin) => (pin.querySelector("path") ? [Number(pin.dataset.motor)] : []))]));
+  assert.deepEqual(await drawn(), [["press-hold", moving]]);
+  assert.deepEqual(moving, [9, 10, 13, 14]);
+  const counts = ["SA1", "RA", "PC"].map((name) => `${name} ${spikes.class.reduce((sum, of, i) => sum + (of === name ? spikes.times_s[i].length : 0), 0)}`).join(", ");
+  assert.equal(await page.$eval(".raster", (svg) => svg.getAttribute("aria-label")), `press-hold: predicted spikes: ${counts}`);
+  assert.deepEqual([await rows(page), await text(page, "drives-note"), await page.$eval("#motions-note", (note) => note.hidden)], [[], "No drives.", false]);
+  // A pin is chosen on the drawing, by its number or on the finger.
+  const large = (page) => page.$eval(".preview .plot:not(.raster)", (svg) => svg.getAttribute("aria-label"));
+  assert.match(await large(page), /pin 9, up to \d+ µm/);
+  await page.$eval('.trace[data-motor="0"]', (pin) => pin.dispatchEvent(new MouseEvent("click")));
+  await page.waitForFunction(() => /pin 0, at rest/.test(document.querySelector(".preview .plot").getAttribute("aria-label")), WAIT);
+  await set(page, "preview-motor", 14);
+  await page.waitForFunction(() => /pin 14, up to/.test(document.querySelector(".preview .plot").getAttribute("aria-label")), WAIT);
+  await press(page, 'li[data-name="edge-45"] .compare');
+  await page.waitForFunction(() => document.querySelectorAll(".preview").length === 2, SEARCHED);
+  assert.deepEqual((await drawn()).map(([name, motors]) => [name, motors]), [["press-hold", moving], ["edge-45", [7, 10, 13, 16]]]);
+  const places = await page.$$eval(".preview", (figures) => figures.map((figure) => figure.getBoundingClientRect().toJSON()));
+  assert.ok(places[1].left >= places[0].right && places[1].top === places[0].top, "side by side");
+  // Both have the same scale: the tick on top.
+  const tops = await page.$$eval(".preview .plot:not(.raster)", (plots) => plots.map((plot) => Math.max(...[...plot.querySelectorAll('text[text-anchor="end"]')].map((mark) => Number(mark.textContent)))));
+  assert.equal(tops[0], tops[1]);
+  await page.select("#preview-seconds", "0.1");
+  await page.waitForFunction(() => [...document.querySelectorAll(".preview .plot")].every((plot) => [...plot.querySelectorAll("text")].some((mark) => mark.textContent === "100") && ![...plot.querySelectorAll("text")].some((mark) => mark.textContent === "1000")), SEARCHED);
+  await press(page, "#compare-end");
+  await page.waitForFunction(() => document.querySelectorAll(".preview").length === 1, WAIT);
+  assert.deepEqual(quiet(page), []);
+});
+
+test("the queue shows what runs and waits, a play can be removed, and a sequence comes from a file", async () => {
+  const daemon = await new Daemon().start();
+  const page = await open(daemon);
+  await shows(page, "queue-none", "No play runs or waits.");
+  await arm(page);
+  for (const [name, seconds] of [["edge-45", 600], ["pin-60", 20], ["disc", 30]]) await post(daemon, "/v1/play", { pattern: name, seconds });
+  await page.waitForFunction(() => document.querySelectorAll("#queue [data-play]").length === 3, WAIT);
+  const lines = () => page.$$eval("#queue [data-play]", (items) => items.map((item) => item.textContent));
+  await shows(page, "queue", "30 s; begins in about ");
+  const [first, second, third] = await lines();
+  assert.match(first, /^edge-45 \(play 1\)600 s; began [\d.]+ s ago$/);
+  assert.match(second, /^pin-60 \(play 2\)20 s; begins in about \d+ sRemove$/);
+  const begin = (text) => Number(/about (\d+) s/.exec(text)[1]);
+  assert.ok(begin(third) - begin(second) === 20 && begin(second) <= 600 && begin(second) > 300, `${second} ${third}`);
+  assert.equal(await page.$$eval("#timeline .play", (bars) => bars.length), 3);
+  await press(page, '#queue [data-play="2"] button');
+  await page.waitForFunction(() => !document.querySelector('#queue [data-play="2"]'), WAIT);
+  assert.deepEqual((await daemon.status()).queued.map((play) => play.id), [3]);
+  await page.click("#stop");
+  await shows(page, "queue-none", "No play runs or waits.");
+  // A file that is wrong plays nothing, and says what is wrong.
+  assert.equal(await page.$eval("#sequence-play", (button) => button.disabled), true);
+  for (const [name, text, says] of [["bad.json", "{", "bad.json is not JSON"], ["empty.json", "{}", "no list “items”"], ["some.txt", "", "neither a pattern (.toml) nor a sequence (.json)"]]) {
+    await take(page, "sequence-file", file(name, text));
+    await answers(page, "#sequence-file", says);
+  }
+  const items = [{ pattern: "edge-45", seconds: 0.5 }, { pattern: false, seconds: 0.25 }, { pattern: "pin-60", seconds: 300, gap_ms: 250 }];
+  await take(page, "sequence-file", file("block.json", JSON.stringify({ name: "block-1", items })));
+  await shows(page, "sequence-what", "block-1 (block.json): 3 items, 301 s.");
+  await press(page, "#sequence-play");
+  await shows(page, "state-text", "Playing block-1");
+  await shows(page, "items-title", "Items of block-1");
+  await shows(page, "items", "3. pin-60, 300 s: now");
+  assert.equal(await page.$$eval("#timeline .item", (bars) => bars.length), 3);
+  await page.click("#stop");
+  await shows(page, "receipt-facts", "Items2 played, 1 cut");
+  // The daemon refuses what is wrong within an item; a dropped file does not begin by itself.
+  await drop(page, "#queue", "wrong.json", JSON.stringify({ items: [{ pattern: "no-such", seconds: 1 }] }));
+  await shows(page, "sequence-what", "sequence (wrong.json): 1 items");
+  await press(page, "#sequence-play");
+  await answers(page, "#sequence-play", "no-such");
+  // Items of another client come with the receipt.
+  await post(daemon, "/v1/sequence", { name: "other", items: [{ pattern: "pin-60", seconds: 300 }] });
+  await shows(page, "items-note", "Another window or program has ordered these 1 items");
+  assert.deepEqual(quiet(page), []);
+});
+
+test("patterns come from files and become files", async () => {
+  const daemon = await new Daemon().start();
+  const page = await open(daemon);
+  await page.waitForSelector("#pattern-list li");
+  const own = (name, um) => `format = 1\nname = "${name}"\nduration_s = 1.0\n\n[[drive]]\nmotor = 3\nfrequency_hz = 60.0\namplitude_um = ${um}.0\n`;
+  await take(page, "import", file("own.toml", own("own", 50)), file("own-2.toml", own("own-2", 60)));
+  await answers(page, "#import", "Stored own. Stored own-2.");
+  await page.waitForSelector('li[data-name="own-2"]');
+  assert.deepEqual(await drop(page, ".finger", "own.toml", own("own", 70)), [true, true]);
+  await answers(page, "#import", "is stored already");
+  await press(page, "#import-replace");
+  await drop(page, "#pattern-list", "own.toml", own("own", 70));
+  await answers(page, "#import", "Stored own.");
+  assert.equal((await get(daemon, "/v1/patterns/own")).pattern.drive[0].amplitude_um, 70);
+  for (const [name, text, says] of [["x.toml", "format = 1\n", "has no line “name = …”"], ["x.wav", "", "pack that with"], ["x.png", "", "neither a pattern"], ["own.toml", own("own", 900), "900"]]) {
+    await drop(page, "#pattern-list", name, text);
+    await answers(page, "#import", says);
+  }
+  await choose(page, "press-hold");
+  const [name, text] = await downloaded(page, "#chosen-keep");
+  assert.equal(name, "press-hold.toml");
+  const { pattern } = await get(daemon, "/v1/patterns/press-hold");
+  const put = (name, text) => fetch(`${daemon.url}/v1/patterns/${name}`, { method: "PUT", headers: { "content-type": "application/toml" }, body: text });
+  assert.equal((await put("again", text.replace('name = "press-hold"', 'name = "again"'))).status, 201);
+  assert.deepEqual((await get(daemon, "/v1/patterns/again")).pattern, { ...pattern, name: "again" });
+  // So does every pattern of the library, and text with all signs.
+  const { patterns } = await get(daemon, "/v1/patterns");
+  for (const { name } of patterns.filter((of) => of.library)) {
+    const { pattern } = await get(daemon, `/v1/patterns/${name}`);
+    const copy = { ...pattern, name: `${name.slice(0, 60)}-x`, provenance: { ...pattern.provenance, "a key": { "": 'a "quote", \\, \n, \u007f, µ' } } };
+    const text = await page.evaluate(async (copy) => (await import("/page/toml.js")).toml(copy), copy);
+    const answer = await put(copy.name, text);
+    assert.equal(answer.status, 201, await answer.text());
+    assert.deepEqual((await get(daemon, `/v1/patterns/${copy.name}`)).pattern, copy);
+  }
+  await assert.rejects(page.evaluate(async () => (await import("/page/toml.js")).toml({ seed: 2 ** 60 })), /cannot hold the number/);
+});
+
+test("the last play's receipt becomes a file", async () => {
+  const daemon = await new Daemon().start();
+  const page = await open(daemon);
+  await shows(page, "receipt-summary", "No play has ended yet.");
+  assert.equal(await page.$eval("#receipt-keep", (button) => button.hidden), true);
+  await arm(page);
+  await post(daemon, "/v1/sequence", { items: [{ pattern: "pin-60", seconds: 0.1 }, { pattern: "edge-45", seconds: 0.1 }] });
+  await shows(page, "receipt-facts", "Items2 played");
+  const [name, text] = await downloaded(page, "#receipt-keep");
+  const receipt = JSON.parse(text);
+  assert.deepEqual([name, receipt.id, receipt.items.map((item) => item.pattern)], ["play-1.json", 1, ["pin-60", "edge-45"]]);
+});
+
+test("a token that may only read is offered nothing that plays, stores or removes", async () => {
+  const daemon = await new Daemon('listen_token = "always"\n').start();
+  const page = await open(daemon);
+  const enter = async (role) => {
+    await page.waitForSelector("#sign-in:not([hidden])");
+    await page.$eval("#token", (field) => (field.value = ""));
+    await page.type("#token", await daemon.run("token", "create", "--role", role, "--name", role));
+    await press(page, "#sign-in-form button");
+  };
+  await enter("observe");
+  await shows(page, "state-text", "Disarmed");
+  await page.waitForSelector("#may-not:not([hidden])");
+  await choose(page, "edge-45");
+  await page.waitForSelector(".preview .trace-line", SEARCHED);
+  await daemon.run("arm", "--assume-rest");
+  await daemon.run("play", "pin-60", "--seconds", "600");
+  await daemon.run("play", "edge-45", "--seconds", "1");
+  await page.waitForSelector('#queue [data-play="2"] button');
+  const off = ['li[data-name="edge-45"] button', "#chosen-play", "#chosen-save", "#pin-play", "#import", "#sequence-file", "#sequence-play", '#queue [data-play="2"] button'];
+  const isOffered = () => Promise.all(off.map((control) => page.$eval(control, (of) => of.checkVisibility())));
+  assert.deepEqual(await isOffered(), off.map(() => false));
+  await drop(page, "#queue", "block.json", JSON.stringify({ items: [{ pattern: "pin-60", seconds: 1 }] }));
+  await type(page, field(1, 3), "10");
+  assert.equal(await page.$eval("#chosen-play", (button) => button.checkVisibility()), false);
+  // What only reads is offered.
+  assert.equal((await downloaded(page, "#chosen-keep"))[0], "edge-45.toml");
+  // With another token it is.
+  await page.evaluate(() => sessionStorage.removeItem("meissner-token"));
+  await enter("operate");
+  await page.waitForSelector("#may-not[hidden]");
+  assert.deepEqual(await isOffered(), off.map(() => true));
+});
+
+test("of a list of thousands only what is in view is built", async () => {
+  const daemon = await new Daemon().start();
+  const [pattern] = (await get(daemon, "/v1/patterns")).patterns;
+  const many = Array.from({ length: 5000 }, (_, i) => ({ ...pattern, name: `many-${i}` }));
+  let patterns = many;
+  const asked = [];
+  const through = (request, response, forward) => {
+    const name = /^\/v1\/patterns\/(.*)$/.exec(request.url)?.[1];
+    if (name) {
+      asked.push(name);
+      request.url = `/v1/patterns/${pattern.name}`;
+    }
+    if (request.url !== "/v1/patterns") return forward();
+    response.writeHead(200, { "content-type": "application/json" });
+    response.end(JSON.stringify({ patterns, errors: [] }));
+  };
+  await proxied(daemon, through, async (url) => {
+    const page = await open({ url });
+    await page.waitForSelector('li[data-name="many-0"] .thumbnail');
+    assert.equal(await page.$$eval("#pattern-list li", (items) => items.length), 5000);
+    const built = () => page.$$eval("#pattern-list li", (items) => items.filter((item) => item.firstChild).length);
+    assert.equal(await built(), 100);
+    assert.ok(asked.length < 60, `${asked.length} maps`);
+    await page.type("#search", "many-4321");
+    await page.waitForSelector('li[data-name="many-4321"] .thumbnail');
+    assert.ok(await built() < 150);
+    await page.type("#search", "x");
+    await shows(page, "pattern-none", "No pattern has this in its name.");
+    patterns = [];
+    await page.reload();
+    await shows(page, "pattern-none", "No pattern is stored.");
+  });
+});
