@@ -66,7 +66,8 @@ impl Route {
             | Self::SearchCancel
             | Self::Calibrate
             | Self::StoreCalibration
-            | Self::SessionEnd => Access::CHANGES,
+            | Self::SessionEnd
+            | Self::PlayAnswer => Access::CHANGES,
             Self::Status
             | Self::Array
             | Self::Doctor

@@ -24,6 +24,7 @@ pub enum Route {
     Array,
     Doctor,
     Receipt,
+    PlayAnswer,
     Events,
     Patterns,
     Pattern,
@@ -198,7 +199,7 @@ const STATUS: Answer = Answer::Json("Status");
 
 impl Route {
     /// Every route.
-    pub const ALL: [Self; 39] = [
+    pub const ALL: [Self; 40] = [
         Self::Play,
         Self::Sequence,
         Self::Live,
@@ -213,6 +214,7 @@ impl Route {
         Self::Array,
         Self::Doctor,
         Self::Receipt,
+        Self::PlayAnswer,
         Self::Events,
         Self::Patterns,
         Self::Pattern,
@@ -274,6 +276,7 @@ impl Route {
             Self::StoreCalibration => "store-calibration",
             Self::SessionStart => "session-start",
             Self::SessionEnd => "session-end",
+            Self::PlayAnswer => "answer",
             Self::TokenCreate => "token-create",
             Self::TokenRevoke => "token-revoke",
             _ => "read",
@@ -449,6 +452,17 @@ impl Route {
                 answer: Answer::Json("Receipt"),
                 errors: &[&[Code::BadRequest, Code::NotFound], ANY],
                 ..Operation::get("/v1/plays/{id}")
+            },
+            Self::PlayAnswer => Operation {
+                summary: "Record a participant's answer to a play",
+                description: "The play belongs to the running session, has begun, and is among the last 1000 that have ended. A play has at \
+                              most one answer. The session record keeps it, and every export shows it in the row of the play; the \
+                              items of a sequence repeat it.",
+                parameter: Some("The play's id"),
+                body: Body::Json("PlayAnswer"),
+                answer: Answer::Json("AnswerTaken"),
+                errors: &[BODY, &[Code::NotFound, Code::Exists, Code::TooManyPlays], ANY],
+                ..Operation::post("/v1/plays/{id}/answer")
             },
             Self::Events => Operation {
                 summary: "Listen to events",
@@ -644,7 +658,7 @@ impl Route {
             },
             Self::SessionPlays => Operation {
                 summary: "Show the recorded plays of a session",
-                description: "The daemon reads the session record. An answer has at most 2000 rows; `from` leaves out the first.",
+                description: "The daemon reads the session record. An answer has at most 1000 rows; `from` leaves out the first.",
                 parameter: Some("The session's id"),
                 query: Some(Query::Number {
                     name: "from",

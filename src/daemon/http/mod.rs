@@ -73,6 +73,7 @@ fn handler(route: Route) -> MethodRouter<App> {
         Route::Array => on(method, status::array),
         Route::Doctor => on(method, status::doctor),
         Route::Receipt => on(method, plays::receipt),
+        Route::PlayAnswer => on(method, plays::answer),
         Route::Events => on(method, events::events),
         Route::Patterns => on(method, patterns::list),
         Route::Pattern => on(method, patterns::show),
