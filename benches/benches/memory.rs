@@ -4,9 +4,9 @@
 //! made. A row shows the resident memory and its peak after the load, and the resident memory after an emergency stop, beside the
 //! stated bound. It asserts nothing. Words after `--` choose loads by their names.
 
-use meissner::daemon::MEMORY_BOUND;
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
+use meissner::daemon::MEMORY_BOUND;
 use meissner_api::{PlayRequest, Status};
 use meissner_benches::daemon::Daemon;
 use meissner_client::Events;
