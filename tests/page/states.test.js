@@ -282,7 +282,7 @@ test("motors that a window has armed stay armed while it is open, also hidden, a
     const page = await open({ url });
     await arm(page);
     await view(page, "device");
-    await shows(page, "facts", "15 s without a sign of it disarm");
+    await shows(page, "daemon-facts", "15 s without a sign of it disarm");
     // A hidden window whose timers stand still.
     await page.evaluate(() => {
       Object.defineProperty(document, "hidden", { get: () => true });
