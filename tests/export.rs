@@ -1,7 +1,7 @@
-use crate::harness::{Daemon, TIMEOUT, began, complaint, document, ended, printed};
+use crate::harness::{Daemon, TIMEOUT, began, complaint, document, ended, printed, problem};
 use crate::sessions::{exported, owner};
 use meissner_api::{Event, Receipt, Session, Status};
-use meissner_client::Events;
+use meissner_client::{Client, Events};
 use serde_json::{Value, json};
 use std::fs;
 
@@ -93,6 +93,101 @@ fn an_export_has_one_row_per_play() {
     assert!(
         complaint(daemon.meissner().args(["session", "export", "20200101T000000Z-000000"]))
             .contains("is recorded")
+    );
+}
+
+/// An answer may come before the end of its play, or after; what is no play of the session has none.
+#[test]
+fn answers_of_the_participant_stand_in_the_rows_of_their_plays() {
+    let daemon = Daemon::start();
+    let (mut client, started) = owner(&daemon, "P07", true);
+    let mut events = client.events().unwrap();
+    let item = json!({"pattern": "pin-60", "seconds": 0.05, "gap_ms": 10});
+    let plays = [
+        ("/v1/play", json!({"pattern": "pin-60", "seconds": 0.1})),
+        ("/v1/sequence", json!({"items": [item, item]})),
+        ("/v1/play", json!({"pattern": "pin-60", "seconds": 0.1})),
+    ];
+    for (path, play) in &plays {
+        let _: Value = client.post(path, play).unwrap();
+        ended(&mut events);
+    }
+    let endless: Value = client.post("/v1/play", &json!({"pattern": "pin-60", "endless": true})).unwrap();
+    assert_eq!(began(&mut events), 4, "{endless}");
+    let response = "x".repeat(200);
+    let whole = json!({"response": response, "correct": true, "rt_ms": 512.5, "level": -0.4, "factors": {"b": "2", "a": "1"}});
+    for (play, answer) in [
+        (4, json!({"response": "right", "correct": false, "factors": {"c": "x, y"}})),
+        (1, whole.clone()),
+        (2, json!({"response": "2", "rt_ms": null, "level": null, "correct": null})),
+    ] {
+        assert_eq!(client.post::<Value>(&format!("/v1/plays/{play}/answer"), &answer).unwrap(), json!({}));
+    }
+    let refused = |client: &mut Client, play: &str, answer: &Value| {
+        let problem = problem(client.post(&format!("/v1/plays/{play}/answer"), answer));
+        assert!(!problem.detail.contains('\n'));
+        (problem.code, problem.detail)
+    };
+    let once = refused(&mut client, "1", &whole);
+    assert_eq!(
+        once,
+        ("exists".to_owned(), "play 1 has an answer already: a play has one at most".to_owned())
+    );
+    assert_eq!(refused(&mut client, "3", &json!({"response": "x".repeat(201)})).0, "bad-request");
+    assert_eq!(refused(&mut client, "77", &whole).0, "not-found");
+    assert_eq!(refused(&mut client, "last", &whole).0, "bad-request");
+    // Only the owner of an exclusive session.
+    assert_eq!(refused(&mut daemon.client(), "3", &whole).0, "session-exclusive");
+    let _: Status = client.post("/v1/stop", &json!({})).unwrap();
+    ended(&mut events);
+    let _: Session = client.post("/v1/sessions/running/end", &json!({})).unwrap();
+    client.set_token(None);
+    let over = refused(&mut client, "3", &whole);
+    assert_eq!(over.0, "session-running", "{}", over.1);
+    let text = printed(daemon.meissner().args(["session", "export", &started.id]));
+    let mut table = csv::Reader::from_reader(text.as_bytes());
+    let head: Vec<_> = table.headers().unwrap().iter().map(str::to_owned).collect();
+    let answer = ["response", "correct", "response_time", "level", "factor_a", "factor_b", "factor_c"];
+    assert!(head.ends_with(&answer.map(str::to_owned)), "{head:?}");
+    let rows: Vec<Vec<String>> = table
+        .records()
+        .map(|row| row.unwrap().iter().skip(head.len() - 7).map(str::to_owned).collect())
+        .collect();
+    let none = [""; 7];
+    let of_sequence = ["2", "", "", "", "", "", ""];
+    assert_eq!(
+        rows,
+        [
+            [&*response, "true", "0.5125", "-0.4", "1", "2", ""],
+            of_sequence,
+            of_sequence,
+            none,
+            ["right", "false", "", "", "", "", "x, y"]
+        ]
+    );
+    let (exported, _) = exported(&daemon, &started.id);
+    let answers: Vec<_> = exported["plays"].as_array().unwrap().iter().map(|play| &play["answer"]).collect();
+    assert_eq!((answers.len(), answers[0], answers[4]), (6, &whole, &Value::Null));
+    // The record has answers, and a replay plays on.
+    let plan = printed(daemon.meissner().args(["session", "replay", &started.id, "--dry-run"]));
+    assert!(plan.contains("pin-60"), "{plan}");
+}
+
+#[test]
+fn the_command_line_records_an_answer() {
+    let daemon = Daemon::start();
+    let (mut client, started) = owner(&daemon, "P07", false);
+    let mut events = client.events().unwrap();
+    let _: Value = client.post("/v1/play", &json!({"pattern": "pin-60", "seconds": 0.1})).unwrap();
+    ended(&mut events);
+    let answer = "answer 1 -3 --wrong --rt-ms 20.5 --level -1.5 --factor block=2";
+    assert_eq!(printed(daemon.meissner().args(answer.split(' '))).trim(), "play 1: answer recorded");
+    assert!(complaint(daemon.meissner().args(["answer", "1", "left"])).contains("has an answer already"));
+    let _: Session = client.post("/v1/sessions/running/end", &json!({})).unwrap();
+    let (exported, _) = exported(&daemon, &started.id);
+    assert_eq!(
+        exported["plays"][0]["answer"],
+        json!({"response": "-3", "correct": false, "rt_ms": 20.5, "level": -1.5, "factors": {"block": "2"}})
     );
 }
 

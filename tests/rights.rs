@@ -122,7 +122,8 @@ fn row(route: Route) -> Row {
         | Route::SearchCancel
         | Route::Calibrate
         | Route::StoreCalibration
-        | Route::SessionEnd => CHANGES,
+        | Route::SessionEnd
+        | Route::PlayAnswer => CHANGES,
         Route::Stop | Route::EStop | Route::Disarm => MAKES_SAFE,
         Route::SessionStart => STARTS,
         Route::TokenCreate | Route::Tokens | Route::TokenRevoke => LOCAL,

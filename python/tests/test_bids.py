@@ -26,6 +26,7 @@ def record(m: meissner.Client) -> tuple[str, meissner.Play, meissner.Play]:
     with m.session("P-07", experiment="edge detection", labels={"note": "a;b"}) as session:
         play = m.play("pin-60", 0.1, trial=1, labels={"block": "a b"}, trigger=5)
         play.wait()
+        play.answer("left", correct=True, rt_ms=512.5, level=0.4, factors={"block": 2})
         pair = m.sequence(
             ["mine", {"pattern": "pin-60", "scale": 0.5}], seconds=0.05, soa=0.2, trial=2, labels={"k;": "v="}
         )
@@ -106,6 +107,11 @@ def test_a_session_becomes_a_dataset(m: meissner.Client, tmp_path: Path) -> None
         "5",
         "n/a",
     )
+    answer = ("response", "correct", "response_time", "level", "factor_block")
+    assert [rows[0][name] for name in answer] == ["left", "true", "0.5125", "0.4", "2"]
+    assert [rows[1][name] for name in answer] == ["n/a"] * 5
+    with pytest.raises(errors.MeissnerError, match="is not of a session that runs"):
+        play.answer("again")
     assert [row["item"] for row in rows[1:3]] == ["0", "1"]
     assert [row["label_k_"] for row in rows[:3]] == ["n/a", "v=", "v="]
     assert {row["session_label_note"] for row in rows} == {"a;b"}

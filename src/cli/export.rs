@@ -4,7 +4,8 @@
 //!
 //! `docs/reference/session-export.md` describes the columns. A file is replaced atomically, after everything was read.
 //!
-//! Invariant: columns are only added, at the end; a value that is not known is an empty field.
+//! Invariant: columns are only added, at the end, before those of the answers' factors, which depend on the session; a value that is not
+//! known is an empty field.
 
 use super::arguments::ClientOptions;
 use super::output::{say_file, tell};
@@ -12,8 +13,9 @@ use crate::file::dir_of;
 use crate::session_record::json;
 use anyhow::{Context, Result, bail};
 use csv::Writer;
-use meissner_api::{Fit, Labels, RecordedPlay, Session, SessionPlays};
+use meissner_api::{Fit, Labels, PlayAnswer, RecordedPlay, Session, SessionPlays};
 use meissner_client::{Client, escape};
+use std::collections::BTreeSet;
 use std::mem;
 use std::path::Path;
 use std::process::ExitCode;
@@ -26,7 +28,7 @@ pub(super) const TIMEOUT: Duration = Duration::from_secs(60);
 type Column = (&'static str, fn(&Session, &RecordedPlay) -> String);
 
 /// The columns.
-const COLUMNS: [Column; 50] = [
+const COLUMNS: [Column; 54] = [
     ("session", |session, _| session.id.clone()),
     ("participant", |session, _| session.participant.clone()),
     ("experiment", |session, _| field(session.experiment.as_ref())),
@@ -83,7 +85,19 @@ const COLUMNS: [Column; 50] = [
     ("array", |_, play| play.array.clone()),
     ("tick_hz", |_, play| play.tick_hz.to_string()),
     ("mapped_from", |_, play| field(play.mapped_from.as_ref())),
+    ("response", |_, play| answered(play, |answer| Some(&answer.response))),
+    ("correct", |_, play| answered(play, |answer| answer.correct)),
+    ("response_time", |_, play| answered(play, |answer| answer.rt_ms.map(|ms| ms / 1e3))),
+    ("level", |_, play| answered(play, |answer| answer.level)),
 ];
+
+/// The field of a part of the participant's answer.
+fn answered<'p, T: ToString>(
+    play: &'p RecordedPlay,
+    part: impl FnOnce(&'p PlayAnswer) -> Option<T>,
+) -> String {
+    field(play.answer.as_ref().and_then(part))
+}
 
 /// The field of a value that may not be known.
 fn field(value: Option<impl ToString>) -> String {
@@ -185,10 +199,19 @@ fn read(client: &mut Client, id: &str) -> Result<SessionPlays> {
 
 fn table(exported: &SessionPlays) -> Result<String> {
     let mut csv = Writer::from_writer(Vec::new());
-    csv.write_record(COLUMNS.map(|(name, _)| name))?;
+    let factors: BTreeSet<&String> = exported
+        .plays
+        .iter()
+        .flat_map(|play| &play.answer)
+        .flat_map(|answer| answer.factors.keys())
+        .collect();
+    let names = factors.iter().map(|key| format!("factor_{key}"));
+    csv.write_record(COLUMNS.map(|(name, _)| name.to_owned()).into_iter().chain(names))?;
     // A sequence as a whole is not a stimulus. A sequence without items keeps its row, to show that it was ordered.
     for play in exported.plays.iter().filter(|play| play.items == 0) {
-        csv.write_record(COLUMNS.map(|(_, field)| field(&exported.session, play)))?;
+        let of = |key: &&String| answered(play, |answer| answer.factors.get(*key));
+        let fields = COLUMNS.map(|(_, field)| field(&exported.session, play)).into_iter();
+        csv.write_record(fields.chain(factors.iter().map(of)))?;
     }
     Ok(String::from_utf8(csv.into_inner()?)?)
 }

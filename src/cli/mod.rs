@@ -8,6 +8,7 @@
 //!
 //! Invariant: names and flags are stable; there are no placeholders for future commands.
 
+mod answer;
 mod arguments;
 mod array;
 mod calibrate;
@@ -215,6 +216,8 @@ enum Command {
         #[command(flatten)]
         options: ClientOptions,
     },
+    /// Record a participant's answer to a play of the running session
+    Answer(answer::Answer),
     /// Start, end, show, export and replay sessions: plays of one participant that are recorded together
     #[command(subcommand)]
     Session(session::Session),
@@ -350,6 +353,7 @@ fn run(command: Command) -> Result<ExitCode> {
         Command::Status { watch, options } => watch::status(&options, watch),
         Command::Events(options) => watch::events(&options),
         Command::Receipt { id, options } => watch::receipt(&options, id),
+        Command::Answer(asked) => answer::run(asked),
         Command::Session(asked) => session::run(&asked),
         Command::Token(asked) => token::run(&asked),
         Command::Motor { array, frequency_hz, amplitude_um, hours, output } => {

@@ -8,7 +8,7 @@
 //! Invariant: the `event` key of a line determines which other keys it has.
 
 use super::json;
-use meissner_api::{Event, MAX_DETAIL, Session};
+use meissner_api::{Event, MAX_DETAIL, PlayAnswer, Session};
 use meissner_input::message;
 use serde::Serialize;
 use serde_json::Value;
@@ -180,6 +180,15 @@ pub enum Note {
     },
     /// A client's command.
     Command(CommandEntry),
+    /// A participant's answer to a play.
+    Answered {
+        /// The session of the play.
+        session: String,
+        /// The play.
+        play: u64,
+        /// The answer.
+        answer: PlayAnswer,
+    },
     /// Entries are missing here. The line has the number of the last of them.
     Lost {
         /// How many.
@@ -223,7 +232,7 @@ pub struct LeftOut {
 /// Entries that share a bound.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Kind {
-    /// An accepted play, and its result.
+    /// An accepted play, its result, and its participant's answer.
     Play,
     /// An emergency stop.
     EStop,
@@ -301,6 +310,8 @@ impl Entry {
             Self::Note(Note::DaemonStarted { .. }) => daemon("daemon-started"),
             Self::Note(Note::DaemonEnded { .. }) => daemon("daemon-ended"),
             Self::Note(Note::Reloaded { .. }) => daemon("reloaded"),
+            // A play has one at most, so the room for plays bounds them.
+            Self::Note(Note::Answered { .. }) => (Kind::Play, None, "answered"),
             Self::Note(Note::Lost { .. }) => daemon("lost"),
             Self::Note(Note::LeftOut { .. }) => daemon("left-out"),
             Self::Event { event, .. } => match **event {

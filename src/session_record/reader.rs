@@ -12,8 +12,8 @@ use crate::receipts::largest_um;
 use jiff::civil::Date;
 use jiff::{Timestamp, ToSpan};
 use meissner_api::{
-    ItemRecord, ItemState, MAX_LISTED, MAX_ROWS, MAX_SEQUENCE_ITEMS, Receipt, RecordedPlay, Session,
-    SessionPlays,
+    ItemRecord, ItemState, MAX_LISTED, MAX_ROWS, MAX_SEQUENCE_ITEMS, PlayAnswer, Receipt, RecordedPlay,
+    Session, SessionPlays,
 };
 use meissner_array::units::TickRate;
 use serde::Deserialize;
@@ -309,8 +309,11 @@ pub fn plays(dir: &Path, recorded: Recorded, from: usize) -> Result<SessionPlays
     let (mut open, mut ended) = (BTreeMap::<u64, RecordedPlay>::new(), VecDeque::new());
     let mut boot = None;
     let mut items: (u64, Vec<(u64, ItemRecord)>) = (0, Vec::new());
+    let mut answers = BTreeMap::<u64, PlayAnswer>::new();
     let mut read = |event: &str, line: &[u8]| {
-        if event != "connected" && !(matches!(event, "command" | "items" | "ended") && has(line, &id)) {
+        if event != "connected"
+            && !(matches!(event, "command" | "items" | "ended" | "answered") && has(line, &id))
+        {
             return true;
         }
         let Ok(mut entry) = serde_json::from_slice::<Value>(line) else { return false };
@@ -336,6 +339,11 @@ pub fn plays(dir: &Path, recorded: Recorded, from: usize) -> Result<SessionPlays
                 // Earlier lines may be lost, but items keep their numbers.
                 let room = MAX_SEQUENCE_ITEMS.saturating_sub(items.1.len());
                 items.1.extend((first..).zip(part).take(room));
+            }
+            "answered" if entry["session"] == *id => {
+                let answer = serde_json::from_value::<PlayAnswer>(entry["answer"].take());
+                let (Some(play), Ok(answer)) = (entry["play"].as_u64(), answer) else { return false };
+                answers.entry(play).or_insert(answer);
             }
             "ended" => {
                 let Ok(receipt) = serde_json::from_value::<Receipt>(entry["receipt"].take()) else {
@@ -372,6 +380,10 @@ pub fn plays(dir: &Path, recorded: Recorded, from: usize) -> Result<SessionPlays
     // The running daemon may still be playing these.
     if !recorded.is_open() {
         open.into_values().for_each(|play| rows.add(play));
+    }
+    // An answer comes after the end of its play, or before.
+    for row in &mut rows.plays {
+        row.answer = answers.get(&row.play).cloned();
     }
     let more = rows.seen > rows.from + rows.plays.len();
     let plays = recorded.session.plays.max(ends + unknown);
@@ -535,6 +547,7 @@ fn played(entry: &Value, receipt: Receipt) -> RecordedPlay {
         refused_strokes: None,
         boot: None,
         pattern_kept: false,
+        answer: None,
     }
 }
 

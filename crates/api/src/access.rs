@@ -67,7 +67,8 @@ impl Route {
             | Self::SearchCancel
             | Self::Calibrate
             | Self::StoreCalibration
-            | Self::SessionEnd => Access::CHANGES,
+            | Self::SessionEnd
+            | Self::PlayAnswer => Access::CHANGES,
             Self::Status
             | Self::Array
             | Self::Doctor

@@ -38,6 +38,7 @@
 #![recursion_limit = "256"]
 
 pub mod access;
+pub mod answer;
 pub mod array;
 pub mod board;
 mod body;
@@ -63,6 +64,7 @@ pub mod target;
 pub mod token;
 pub mod trigger;
 
+pub use answer::{AnswerTaken, PlayAnswer};
 pub use array::{ArrayDetails, ArrayDuty, ArrayGrid, ArrayMotor, ArrayResponse};
 pub use board::{BoardRecord, BoardStatus};
 pub use body::{Labels, MAX_AT_MS, is_sha256};

@@ -3,6 +3,7 @@
 //! The daemon serves [`document`] at `GET /v1/openapi.json`; the book holds a page made from it. Descriptions are
 //! the types' doc comments, so those give units and meaning; examples stand beside the types.
 
+use crate::answer::{AnswerTaken, PlayAnswer};
 use crate::array::ArrayDetails;
 use crate::problem::{Code, Problem};
 use crate::route::{Answer, Body, Method, Operation, Query, Route};
@@ -20,6 +21,7 @@ use utoipa::OpenApi;
 /// The schemas; those that they refer to come along.
 #[derive(OpenApi)]
 #[openapi(components(schemas(
+    AnswerTaken,
     ArrayDetails,
     ArmRequest,
     ResetRequest,
@@ -35,6 +37,7 @@ use utoipa::OpenApi;
     PatternDetails,
     PatternList,
     PlayAccepted,
+    PlayAnswer,
     PlayRequest,
     Problem,
     Receipt,

@@ -25,6 +25,7 @@ pub enum Route {
     Doctor,
     Receipt,
     Withdraw,
+    PlayAnswer,
     Events,
     Patterns,
     Pattern,
@@ -199,7 +200,7 @@ const STATUS: Answer = Answer::Json("Status");
 
 impl Route {
     /// Every route.
-    pub const ALL: [Self; 40] = [
+    pub const ALL: [Self; 41] = [
         Self::Play,
         Self::Sequence,
         Self::Live,
@@ -215,6 +216,7 @@ impl Route {
         Self::Doctor,
         Self::Receipt,
         Self::Withdraw,
+        Self::PlayAnswer,
         Self::Events,
         Self::Patterns,
         Self::Pattern,
@@ -277,6 +279,7 @@ impl Route {
             Self::StoreCalibration => "store-calibration",
             Self::SessionStart => "session-start",
             Self::SessionEnd => "session-end",
+            Self::PlayAnswer => "answer",
             Self::TokenCreate => "token-create",
             Self::TokenRevoke => "token-revoke",
             _ => "read",
@@ -462,6 +465,17 @@ impl Route {
                 answer: Answer::Json("Receipt"),
                 errors: &[CHANGE, &[Code::NotFound, Code::Playing], COMMAND, ANY],
                 ..Operation::get("/v1/plays/{id}")
+            },
+            Self::PlayAnswer => Operation {
+                summary: "Record a participant's answer to a play",
+                description: "The play belongs to the running session, has begun, and is among the last 1000 that have ended. A play has at \
+                              most one answer. The session record keeps it, and every export shows it in the row of the play; the \
+                              items of a sequence repeat it.",
+                parameter: Some("The play's id"),
+                body: Body::Json("PlayAnswer"),
+                answer: Answer::Json("AnswerTaken"),
+                errors: &[BODY, &[Code::NotFound, Code::Exists, Code::TooManyPlays], ANY],
+                ..Operation::post("/v1/plays/{id}/answer")
             },
             Self::Events => Operation {
                 summary: "Listen to events",
@@ -657,7 +671,7 @@ impl Route {
             },
             Self::SessionPlays => Operation {
                 summary: "Show the recorded plays of a session",
-                description: "The daemon reads the session record. An answer has at most 2000 rows; `from` leaves out the first.",
+                description: "The daemon reads the session record. An answer has at most 1000 rows; `from` leaves out the first.",
                 parameter: Some("The session's id"),
                 query: Some(Query::Number {
                     name: "from",

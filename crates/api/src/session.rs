@@ -5,6 +5,7 @@
 //!
 //! Invariant: names and labels have no control characters, and at most the characters stated here.
 
+use crate::answer::PlayAnswer;
 use crate::body::{check_labels, check_text, read};
 use crate::end_cause::EndCause;
 use crate::problem::Problem;
@@ -161,8 +162,9 @@ pub struct SessionList {
     pub problems: Vec<String>,
 }
 
-/// Rows of a session's plays in one answer, at most, items of sequences included: with the longest labels they fit into 16 MiB.
-pub const MAX_ROWS: usize = 2000;
+/// Rows of a session's plays in one answer, at most, items of sequences included: with the longest labels and
+/// answers they fit into 16 MiB.
+pub const MAX_ROWS: usize = 1000;
 
 /// A recorded play of a session, or an item of a sequence. A sequence has a row as a whole, with what the items have not; its items
 /// follow.
@@ -321,6 +323,10 @@ pub struct RecordedPlay {
     #[serde(default)]
     #[schema(required)]
     pub pattern_kept: bool,
+    /// What the participant answered; null: nothing was recorded. The items of a sequence repeat its answer.
+    #[serde(default)]
+    #[schema(required)]
+    pub answer: Option<PlayAnswer>,
 }
 
 /// A session and its recorded plays, in the order of their ends.
@@ -343,7 +349,8 @@ pub struct RecordedPlay {
         "open_loop": false, "ordered_ms": 2000.0, "played_ms": 1998.8, "cut_after_ms": null, "offset_tick": 6442629900_u64,
         "offset_monotonic_ns": 75795645882352_u64, "trigger": {"tick": 6442460000_u64, "width_ms": 10.0, "code": null},
         "ordered": {"bursts": 1240, "pulses": 86800}, "planned_onset_ticks": null, "late_strokes": 0, "refused_strokes": null,
-        "boot": 305419896, "pattern_kept": true
+        "boot": 305419896, "pattern_kept": true,
+        "answer": {"response": "left", "correct": true, "rt_ms": 512.3, "level": null, "factors": {"block": "2"}}
     }],
     "more": false, "complete": false, "missing": ["the session still runs: end it first"], "plays_missing": 0, "lost": 0, "left_out": 0,
     "unreadable": 0, "problems": []

@@ -450,6 +450,20 @@ def withdraw(core: Core, play_id: int) -> Op[Receipt]:
     return core.receipt(raw)
 
 
+def answer(
+    core: Core,
+    accepted: Accepted,
+    response: object,
+    correct: bool | None = None,
+    rt_ms: float | None = None,
+    level: float | None = None,
+    factors: Labels = None,
+) -> Op[None]:
+    """Record what the participant answered to a play of the running session. `response` and the factors are kept as text."""
+    body = {"response": str(response), "correct": correct, "rt_ms": rt_ms, "level": level, "factors": texts(factors)}
+    yield from _document(core, _http.post(f"/v1/plays/{accepted.id}/answer", body))
+
+
 def checked(result: Receipt) -> Receipt:
     """Refuses a play that did not come to its end."""
     if result.state != "done":

@@ -16,6 +16,7 @@ from . import _ending, _exports, _live, program
 from . import _operations as ops
 from ._aio_live import AsyncLive
 from ._alive import Alive
+from ._bodies import Labels
 from ._http import Answer, Op, Pause, Step
 from ._operations import Accepted, Core
 from ._plays import KnownPlay, quietly
@@ -109,6 +110,18 @@ class AsyncPlay(KnownPlay):
         """Take the play out of the queue. As `Play.withdraw`."""
         self._receipt = await self._client.run(ops.withdraw(self._client.core, self.id))
         return self._receipt
+
+    async def answer(
+        self,
+        response: object,
+        *,
+        correct: bool | None = None,
+        rt_ms: float | None = None,
+        level: float | None = None,
+        factors: Labels = None,
+    ) -> None:
+        """Record what the participant answered. As `Play.answer`."""
+        await self._client.run(ops.answer(self._client.core, self._accepted, response, correct, rt_ms, level, factors))
 
 
 class AsyncSession:

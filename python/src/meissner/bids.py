@@ -20,7 +20,7 @@ from typing import Any
 
 from ._bids_names import SESSION_SOURCE, SOURCE, Names, add_participant
 from ._bids_names import label as label
-from ._labels import Labels
+from ._labels import Labels, exact
 from .arrays import of_record
 from .errors import ProgramError
 from .traces import ArrayName, Grid
@@ -59,6 +59,10 @@ _COLUMNS: dict[str, dict[str, Any]] = {
     "mapped_from": {
         "Description": "Name of the array that the pattern is for, if it was mapped by position; n/a: it was not"
     },
+    "response": {"Description": "What the participant answered; n/a: no answer was recorded"},
+    "correct": {"Description": "Whether the answer is right", "Levels": {"true": "right", "false": "wrong"}},
+    "response_time": {"Description": "Response time, as the experiment measured it", "Units": "s"},
+    "level": {"Description": "Level of the stimulus, as the experiment gave it with the answer"},
 }
 
 
@@ -207,6 +211,19 @@ def _event(row: Mapping[str, Any], zero: int, stimuli: Mapping[str, str], labels
         "array": row["array"],
         "tick_hz": row["tick_hz"],
         "mapped_from": row["mapped_from"],
+        **answer_cells(row),
+    }
+
+
+def answer_cells(row: Mapping[str, Any]) -> dict[str, Any]:
+    """What the participant answered; None: not known. The response time is in seconds."""
+    answer = row.get("answer") or {}
+    correct, rt_ms = answer.get("correct"), answer.get("rt_ms")
+    return {
+        "response": exact(answer["response"]) if answer else None,
+        "correct": None if correct is None else str(correct).lower(),
+        "response_time": None if rt_ms is None else rt_ms / 1000,
+        "level": answer.get("level"),
     }
 
 

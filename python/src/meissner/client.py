@@ -12,6 +12,7 @@ from typing import Any, Concatenate, ParamSpec, TypeVar
 from . import _ending, _exports, _http, _live, program
 from . import _operations as ops
 from ._alive import Alive
+from ._bodies import Labels
 from ._http import Op
 from ._operations import Accepted, Core
 from ._plays import KnownPlay, quietly
@@ -105,6 +106,22 @@ class Play(KnownPlay):
         """Take the play out of the queue, and return its receipt. Raises `Playing` once it runs."""
         self._receipt = self._client.run(ops.withdraw(self._client.core, self.id))
         return self._receipt
+
+    def answer(
+        self,
+        response: object,
+        *,
+        correct: bool | None = None,
+        rt_ms: float | None = None,
+        level: float | None = None,
+        factors: Labels = None,
+    ) -> None:
+        """Record what the participant answered: the text of `response`, whether it is right, the response time in ms.
+
+        The play belongs to the running session and has begun; it takes one answer. `level` is that of the stimulus, such as a
+        staircase's; `factors` are texts by name. Every export has them in the row of the play.
+        """
+        self._client.run(ops.answer(self._client.core, self._accepted, response, correct, rt_ms, level, factors))
 
 
 class Session:

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from ._labels import Labels
-from .bids import losses, pattern_toml, stimulus_rows
+from .bids import answer_cells, losses, pattern_toml, stimulus_rows
 from .clocks import NS
 from .errors import MeissnerError, ProgramError
 from .results import Status
@@ -41,6 +41,10 @@ _COLUMNS = {
     "array": "Name of the array of pins",
     "tick_hz": "Ticks of the device's clock a second",
     "mapped_from": "Name of the array that the pattern is for, if it was mapped by position; empty: it was not",
+    "response": "What the participant answered; empty: no answer was recorded",
+    "correct": "Whether the answer is right: true, false; empty: not known",
+    "response_time": "Response time, as the experiment measured it, s; NaN: not known",
+    "level": "Level of the stimulus, as the experiment gave it with the answer; NaN: none",
 }
 
 
@@ -146,6 +150,7 @@ def _number(value: Any) -> float:
 def _table(pynwb: Any, rows: list[dict[str, Any]], labels: Labels, zero_ns: int) -> Any:
     """A row per stimulus."""
     numbers = {"trial", "scale", "amplitude_um", "late_strokes", "trigger_code", "onset_uncertainty", "item"}
+    numbers |= {"response_time", "level"}
     meanings = {**_COLUMNS, **{column.name: f"{column.description}; empty: none" for column in labels.columns}}
     columns: dict[str, list[Any]] = {name: [] for name in ("timestamp", "duration", *meanings)}
     for row in rows:
@@ -161,6 +166,7 @@ def _table(pynwb: Any, rows: list[dict[str, Any]], labels: Labels, zero_ns: int)
             "amplitude_um": row["reached_um"],
             "trigger_code": row["trigger"] and row["trigger"]["code"],
             "onset_uncertainty": None if uncertainty_ns is None else uncertainty_ns / NS,
+            **{name: "" if cell is None and name not in numbers else cell for name, cell in answer_cells(row).items()},
         }
         for name, cell in cells.items():
             columns[name].append(_number(cell) if name in numbers else cell)

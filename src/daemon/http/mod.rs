@@ -74,6 +74,7 @@ fn handler(route: Route) -> MethodRouter<App> {
         Route::Doctor => on(method, status::doctor),
         Route::Receipt => on(method, plays::receipt),
         Route::Withdraw => on(method, plays::withdraw),
+        Route::PlayAnswer => on(method, plays::answer),
         Route::Events => on(method, events::events),
         Route::Patterns => on(method, patterns::list),
         Route::Pattern => on(method, patterns::show),

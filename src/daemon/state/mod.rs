@@ -46,7 +46,7 @@ pub(super) use plays::{MeasuredPlay, NewPlay, Plays, check_samples};
 pub(super) use publisher::{Publisher, frame};
 pub(super) use rights::{NoRight, Rights, going_on};
 pub(super) use searches::{Found, Searches};
-pub(super) use session::{Sessions, no_session};
+pub(super) use session::{Sessions, no_play, no_session};
 
 use crate::receipts::{NoPrediction, refusal, state_name};
 use firmware_protocol::message::State as DeviceState;

@@ -7,12 +7,14 @@
 //! Invariant: at most one session runs; it begins and ends while no play runs or waits, unless the daemon ends.
 
 use crate::daemon::state::State;
-use crate::session_record::local_time;
+use crate::receipts::KEPT;
+use crate::session_record::{Note, local_time};
 use crate::store::hexadecimal;
 use jiff::Timestamp;
-use meissner_api::{Code, Event, Problem, Session, SessionRequest, SessionStarted};
+use meissner_api::{Code, Event, PlayAnswer, PlayState, Problem, Session, SessionRequest, SessionStarted};
 use meissner_stream::time::HostInstant;
 use rustix::rand::{GetRandomFlags, getrandom};
+use std::collections::BTreeSet;
 use std::time::Duration;
 
 /// The running session.
@@ -22,6 +24,8 @@ struct Running {
     token: String,
     /// When the last request with the token came.
     heard: HostInstant,
+    /// The plays that have an answer.
+    answered: BTreeSet<u64>,
 }
 
 /// See the module.
@@ -159,7 +163,8 @@ impl State {
             record_problem: self.publisher.session_record.problem(),
         };
         self.exposure.start_session(&session.participant);
-        self.sessions.running = Some(Running { session, token, heard: HostInstant::now() });
+        self.sessions.running =
+            Some(Running { session, token, heard: HostInstant::now(), answered: BTreeSet::new() });
         self.rights_changed();
         if let Some(session) = self.session().map(Box::new) {
             self.publish(&Event::SessionStarted { session });
@@ -184,6 +189,39 @@ impl State {
         self.sessions.running = None;
         self.publish(&Event::SessionEnded { session: Box::new(session.clone()) });
         Some(session)
+    }
+
+    /// Records the participant's answer to a play of the running session.
+    pub(in crate::daemon) fn answer(&mut self, play: u64, answer: PlayAnswer) -> Result<(), Problem> {
+        self.check_asker()?;
+        let receipt = self.plays.receipts.receipt(play).ok_or_else(|| no_play(&play.to_string()))?;
+        let running = self.sessions.running.as_mut();
+        let Some(running) = running.filter(|running| receipt.session.as_ref() == Some(&running.session.id))
+        else {
+            let detail = format!(
+                "play {play} is not of a session that runs: answers are kept in the session of their play"
+            );
+            return Err(Problem::new(Code::SessionRunning, detail));
+        };
+        if receipt.onset.is_none() {
+            let detail = match receipt.state {
+                PlayState::Queued => format!("play {play} has not begun: send the answer when it has"),
+                _ => format!("play {play} never began: nobody felt it"),
+            };
+            return Err(Problem::new(Code::BadRequest, detail));
+        }
+        if running.answered.contains(&play) {
+            let detail = format!("play {play} has an answer already: a play has one at most");
+            return Err(Problem::new(Code::Exists, detail));
+        }
+        if !self.publisher.session_record.takes_plays() {
+            let detail = "the session record has no room for more at this rate: try again later";
+            return Err(Problem::new(Code::TooManyPlays, detail));
+        }
+        running.answered.insert(play);
+        let session = running.session.id.clone();
+        self.publisher.session_record.add(Note::Answered { session, play, answer });
+        Ok(())
     }
 
     /// Opens an exclusive session to others, if its owner has been silent for too long.
@@ -244,6 +282,13 @@ impl State {
         }
         Err(Problem::new(Code::Playing, "a play runs or waits: wait for its end, or stop it first"))
     }
+}
+
+/// The error that there is no such play.
+pub(in crate::daemon) fn no_play(id: &str) -> Problem {
+    let detail =
+        format!("there is no play {id}: only the last {KEPT} that ended are kept; see `meissner receipt`");
+    Problem::new(Code::NotFound, detail)
 }
 
 /// The error that no such session runs.

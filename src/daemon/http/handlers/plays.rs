@@ -7,9 +7,8 @@ use crate::daemon::http::app::App;
 use crate::daemon::http::body;
 use crate::daemon::http::request_log::LoggedRequest;
 use crate::daemon::sockets::activity::Activity;
-use crate::daemon::state::check_samples;
+use crate::daemon::state::{check_samples, no_play};
 use crate::daemon::system::runtime::PLAYS;
-use crate::receipts::KEPT;
 use crate::session_record::Peer;
 use crate::store::Stored;
 use axum::Json;
@@ -18,8 +17,8 @@ use axum::extract::rejection::PathRejection;
 use axum::extract::{Extension, Path, State};
 use axum::http::{StatusCode, Uri};
 use meissner_api::{
-    Code, MAX_PACKED_BODY, MAX_WAIT_S, PatternChoice, PlayAccepted, PlayRequest, Problem, Receipt,
-    SequenceRequest,
+    AnswerTaken, Code, MAX_PACKED_BODY, MAX_WAIT_S, PatternChoice, PlayAccepted, PlayAnswer, PlayRequest,
+    Problem, Receipt, SequenceRequest,
 };
 use meissner_stream::queues::Command;
 use serde_json::{Map, Value, json};
@@ -182,6 +181,29 @@ pub(in crate::daemon::http) async fn withdraw(
     logged.result(result)
 }
 
+/// The record keeps the answer in a line of its own, whole.
+pub(in crate::daemon::http) async fn answer(
+    State(app): State<App>,
+    Extension(peer): Extension<Peer>,
+    id: Result<Path<String>, PathRejection>,
+    body: Body,
+) -> Answer<Json<AnswerTaken>> {
+    let logged = LoggedRequest::new(&app.engine, "answer", peer);
+    let result = async {
+        let body = body::read_command(body).await?;
+        let id = path(id)?.parse().map_err(|_| {
+            Problem::new(
+                Code::BadRequest,
+                "the address: a play's id is a number, as the answer to the play says",
+            )
+        })?;
+        app.engine.lock().answer(id, PlayAnswer::parse(&body)?)?;
+        Ok(Json(AnswerTaken {}))
+    }
+    .await;
+    logged.result(result)
+}
+
 /// The wait that a request's query asks for.
 fn wait(uri: &Uri) -> Answer<Option<Duration>> {
     let Some(query) = uri.query().filter(|query| !query.is_empty()) else { return Ok(None) };
@@ -205,13 +227,9 @@ fn find_receipt(engine: &Engine, id: &str) -> Answer<Receipt> {
             return Err(Problem::new(Code::BadRequest, detail).into());
         }
     };
-    let none = || {
-        let detail = if id == "last" {
-            "there is no play yet: play a pattern first".to_owned()
-        } else {
-            format!("there is no play {id}: only the last {KEPT} that ended are kept; see `meissner receipt`")
-        };
-        Problem::new(Code::NotFound, detail)
+    let none = || match id {
+        "last" => Problem::new(Code::NotFound, "there is no play yet: play a pattern first"),
+        id => no_play(id),
     };
     Ok(found.cloned().ok_or_else(none)?)
 }
