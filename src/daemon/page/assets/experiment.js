@@ -141,12 +141,12 @@ async function send() {
   try {
     await call("POST", `/v1/plays/${play}/answer`, body);
   } catch (error) {
-    if (LOST.includes(error.code)) throw error;
-    // It may have come before, and only the daemon's reply was lost.
     if (error.code !== "exists") {
-      keep({ ...kept, unsent: null });
+      // Other errors pass: “Continue” sends it again.
+      if (["not-found", "session-running", "bad-request"].includes(error.code)) keep({ ...kept, unsent: null });
       throw error;
     }
+    // It came before, and only the daemon's reply was lost.
   }
   keep({ ...kept, unsent: null, right: [...kept.right, body.correct] });
   document.dispatchEvent(new Event("answered"));

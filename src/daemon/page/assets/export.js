@@ -24,6 +24,10 @@ const COLUMNS = [
   ["trigger_code", ({ play }) => play.trigger?.code],
   ["trigger_ms", ({ play }) => play.trigger?.width_ms],
   ...["late_strokes", "refused_strokes", "fit", "estimated", "array", "tick_hz", "mapped_from"].map(of),
+  ["response", ({ play }) => play.answer?.response],
+  ["correct", ({ play }) => play.answer?.correct],
+  ["response_time", ({ play }) => (typeof play.answer?.rt_ms === "number" ? play.answer.rt_ms / 1000 : null)],
+  ["level", ({ play }) => play.answer?.level],
 ];
 
 const labels = (of) => Object.entries(of).map(([key, value]) => `${key}=${value}`).join(";");
@@ -52,9 +56,11 @@ export async function readSession(id) {
 }
 
 export function csv({ session, plays }) {
+  const factors = [...new Set(plays.flatMap((play) => Object.keys(play.answer?.factors ?? {})))].sort();
+  const columns = [...COLUMNS, ...factors.map((key) => [`factor_${key}`, ({ play }) => play.answer?.factors[key]])];
   // A sequence as a whole is no stimulus: its items have rows.
-  const rows = plays.filter((play) => play.items === 0).map((play) => COLUMNS.map(([, value]) => field(value({ session, play }))));
-  return [COLUMNS.map(([name]) => name), ...rows].map((row) => `${row.join(",")}\n`).join("");
+  const rows = plays.filter((play) => play.items === 0).map((play) => columns.map(([, value]) => field(value({ session, play }))));
+  return [columns.map(([name]) => field(name)), ...rows].map((row) => `${row.join(",")}\n`).join("");
 }
 
 export function json(read) {

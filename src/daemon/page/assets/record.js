@@ -1,6 +1,6 @@
 // The view Record: the recorded sessions, and one of them with its plays and answers.
 //
-// A session may have thousands of plays. The daemon answers with 2000 rows at most, and the table has a page of them.
+// A session may have thousands of plays. The daemon answers with some of them, and the table has a page of these.
 
 import { call } from "./api.js";
 import { element, facts, refuse, say, valid, write } from "./control.js";

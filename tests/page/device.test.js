@@ -1,0 +1,96 @@
+// The view Device, and what a window may not do. The tests use a real browser and a real daemon with the simulated array.
+
+import assert from "node:assert/strict";
+import { after, before, test } from "node:test";
+import { arm, Daemon, endAll, launch, open as openIn, press, shows, text, view, WAIT } from "./daemon.js";
+
+let browser;
+const open = (daemon, shown = "device") => openIn(browser, daemon, 1400, 1000, shown);
+
+before(async () => {
+  browser = await launch();
+});
+after(async () => {
+  await browser?.close();
+  await endAll();
+});
+
+const fact = (page, list, name) => page.$eval(`#${list}`, (list, name) => [...list.children].find((term) => term.textContent === name)?.nextElementSibling.textContent, name);
+const becomes = (page, list, name, part) => page.waitForFunction((list, name, part) => [...document.getElementById(list).children].find((term) => term.textContent === name)?.nextElementSibling.textContent.includes(part), WAIT, list, name, part);
+
+test("the array, the link, the daemon and its network are shown as the daemon tells them (smoke)", async () => {
+  const daemon = await new Daemon().start();
+  const page = await open(daemon);
+  await shows(page, "array-facts", "tula35-6x4");
+  const array = await (await fetch(`${daemon.url}/v1/array`)).json();
+  for (const part of [array.hash, "24, 6 rows of 4, 2.9 mm apart", "400 µm", "a moving average over 4.3 ms", "4, motors 0 to 5; 6 to 11; 12 to 17; 18 to 23", "12, motors 0, 1; 2, 3;", "85 kHz", `${array.motor.least_pulses} to ${array.motor.most_pulses} pulses`]) await shows(page, "array-facts", part);
+  assert.equal(await text(page, "array-toml"), array.toml);
+  for (const [list, name, part] of [
+    ["facts", "Device", "mock, simulated, firmware"], ["facts", "Line", "kB/s"], ["facts", "Clock", "synchronised to ±"], ["facts", "Frames sent again, damaged", "0 sent again, 0 damaged"],
+    ["facts", "Messages that cannot be true", "0"], ["facts", "Device runs", "started by program"], ["facts", "Position", "unknown"],
+    ["daemon-facts", "Armed by", "nobody"], ["daemon-facts", "Version", `pid ${daemon.child.pid}`], ["daemon-facts", "Session", "none"],
+    ["network-facts", "This window may", "everything but tokens"], ["network-facts", "Listens on", new URL(daemon.url).host], ["network-facts", "Tokens", "0 may operate, 0 may read"], ["network-facts", "Without a token", "clients on the daemon's machine may do everything"],
+  ]) await becomes(page, list, name, part);
+  await arm(page);
+  await becomes(page, "daemon-facts", "Armed by", "10 s without a sign of it disarm");
+  await becomes(page, "facts", "Position", "known");
+  await daemon.end("SIGKILL");
+  await becomes(page, "daemon-facts", "Armed by", "not known");
+  assert.equal(await fact(page, "facts", "Clock"), "not known");
+  await daemon.start();
+  await becomes(page, "daemon-facts", "Armed by", "nobody");
+  await becomes(page, "facts", "Frames sent again, damaged", "0 sent again");
+});
+
+test("wiring that is not in the motors' order is shown motor by motor", async () => {
+  const daemon = await new Daemon('array = "ubi-pen-3x3"\n').start();
+  const page = await open(daemon);
+  await shows(page, "array-facts", "5, motors 0, 1; 2, 3; 4, 5; 6, 7; 8");
+});
+
+// The buttons that a view offers, by what they say.
+const offered = (page) => page.$$eval("button, input[type=checkbox], form", (all) => all.filter((one) => one.checkVisibility() && one.closest("main, header")).map((one) => (one.matches("form") ? `form ${one.id}` : one.id || one.textContent)));
+
+// What a window that may only read may do in each view.
+const READS = { play: [], design: ["undo", "clear", "robust"], record: ["Show", "save-csv", "save-json", "plays-back", "plays-next"], device: ["doctor-again"] };
+
+test("a token that may only read is offered nothing that it may not do, and told why", async () => {
+  const daemon = await new Daemon('listen_token = "always"\n').start();
+  await daemon.run("arm", "--assume-rest");
+  await daemon.run("session", "start", "--participant", "P07");
+  const page = await open(daemon, "play");
+  const enter = async (role) => {
+    await page.waitForSelector("#sign-in:not([hidden])");
+    await page.$eval("#token", (field) => (field.value = ""));
+    await page.type("#token", await daemon.run("token", "create", "--role", role, "--name", role));
+    await press(page, "#sign-in-form button");
+  };
+  await enter("observe");
+  await shows(page, "may-not", "This window may only read");
+  await page.waitForSelector("#pattern-list .thumbnail");
+  for (const [name, reads] of Object.entries(READS)) {
+    await view(page, name);
+    if (name === "design") {
+      await page.waitForFunction(() => document.querySelectorAll("#load option").length > 1, WAIT);
+      await page.evaluate(() => document.querySelectorAll("details").forEach((details) => (details.open = true)));
+    }
+    if (name === "record") {
+      await page.waitForSelector("#sessions button");
+      await press(page, "#sessions button");
+      await shows(page, "plays-title", "Session of P07");
+    }
+    const others = (await offered(page)).filter((one) => one !== "estop" && !reads.includes(one));
+    assert.deepEqual(others, [], name);
+  }
+  await becomes(page, "network-facts", "This window may", "only read");
+  await becomes(page, "network-facts", "Without a token", "nobody over the network");
+  // E-STOP asks for another token, and is sent with it. Then everything is offered.
+  await page.click("#estop");
+  await shows(page, "estop-note", "NOT CONFIRMED: the token may only read");
+  await enter("operate");
+  await shows(page, "estop-note", "All lines are off.");
+  await becomes(page, "network-facts", "Tokens", "1 may operate, 1 may read");
+  await page.waitForFunction(() => document.getElementById("may-not").hidden, WAIT);
+  const all = await offered(page);
+  for (const one of ["arm", "disarm", "stop", "home", "reset", "calibrate"]) assert.ok(all.includes(one), `${one}: ${all}`);
+});
