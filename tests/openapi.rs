@@ -11,10 +11,10 @@ use crate::harness::{Daemon, assert_up_to_date, next, problem};
 use meissner_api::ArrayDetails;
 use meissner_api::route::{Answer, Body};
 use meissner_api::{
-    ArmRequest, CalibrateRequest, CalibrationReport, Code, DoctorReport, Event, ImportedPattern,
+    AnswerTaken, ArmRequest, CalibrateRequest, CalibrationReport, Code, DoctorReport, Event, ImportedPattern,
     LiveAccepted, LiveAnswer, LiveRequest, Method, PatternDetails, PatternList, PatternPreview, PlayAccepted,
-    PlayRequest, Problem, REFERENCE, Receipt, RemovedPattern, RemovedTarget, ResetRequest, Route, Search,
-    SearchRequest, SearchState, SequenceRequest, Session, SessionList, SessionPlays, SessionRequest,
+    PlayAnswer, PlayRequest, Problem, REFERENCE, Receipt, RemovedPattern, RemovedTarget, ResetRequest, Route,
+    Search, SearchRequest, SearchState, SequenceRequest, Session, SessionList, SessionPlays, SessionRequest,
     SessionStarted, Status, StoredTarget, TargetDetails, TargetList, TokenCreated, TokenInfo, TokenList,
     TokenRequest, openapi,
 };
@@ -46,7 +46,8 @@ fn walk(schema: &Value, way: &str, see: &mut dyn FnMut(&Value, &str)) {
 #[test]
 fn every_key_has_a_description_and_every_number_its_unit_and_range() {
     // Offsets and differences may be negative, and so may a reached lead.
-    const SIGNED: [&str; 12] = [
+    const SIGNED: [&str; 13] = [
+        "level",
         "rest_error_um",
         "onset_um",
         "offset_um",
@@ -172,6 +173,8 @@ fn every_route_has_examples_that_parse() {
         }
         "PatternDetails" => parses::<PatternDetails>(example),
         "PatternPreview" => parses::<PatternPreview>(example),
+        "PlayAnswer" => drop(PlayAnswer::parse(example.to_string().as_bytes()).unwrap()),
+        "AnswerTaken" => parses::<AnswerTaken>(example),
         "ImportedPattern" => parses::<ImportedPattern>(example),
         "RemovedPattern" => parses::<RemovedPattern>(example),
         "TargetList" => parses::<TargetList>(example),

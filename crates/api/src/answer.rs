@@ -6,6 +6,7 @@
 
 use crate::body::{MAX_LABELS, MAX_NAME, bad, check_text_within, read};
 use crate::problem::Problem;
+use meissner_input::document::given;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use utoipa::ToSchema;
@@ -28,12 +29,12 @@ pub struct PlayAnswer {
     /// Whether it is right; null: there is no right or wrong.
     #[serde(default)]
     pub correct: Option<bool>,
-    /// Response time, ms; null: not measured.
-    #[serde(default)]
+    /// Response time, ms; left out: not measured.
+    #[serde(default, deserialize_with = "given", skip_serializing_if = "Option::is_none")]
     #[schema(minimum = 0.0, maximum = 3600000.0)]
     pub rt_ms: Option<f64>,
-    /// The level of the stimulus, such as a staircase's; null: none.
-    #[serde(default)]
+    /// The level of the stimulus, such as a staircase's; left out: none.
+    #[serde(default, deserialize_with = "given", skip_serializing_if = "Option::is_none")]
     pub level: Option<f64>,
     /// Up to 16 factors of the trial, of 1 to 100 characters.
     #[serde(default, deserialize_with = "crate::body::null_as_default")]
@@ -82,8 +83,7 @@ mod tests {
             (&*whole.response, whole.correct, whole.rt_ms, whole.level),
             ("left", Some(false), Some(512.3), Some(-0.4))
         );
-        let null =
-            read(r#"{"response":"7","correct":null,"rt_ms":null,"level":null,"factors":null}"#).unwrap();
+        let null = read(r#"{"response":"7","correct":null,"factors":null}"#).unwrap();
         assert_eq!(null, PlayAnswer { response: "7".to_owned(), ..PlayAnswer::default() });
         assert!(read(&format!("{{\"response\":\"{}\"}}", "é".repeat(200))).is_ok());
         let many: BTreeMap<_, _> = (0..17).map(|n| (n.to_string(), "x")).collect();
@@ -93,7 +93,7 @@ mod tests {
             (format!("{{\"response\":\"{}\"}}", "x".repeat(201)), "must be 1 to 200 characters"),
             (r#"{"response":"a\nb"}"#.to_owned(), "without line breaks"),
             (r#"{"response":"a","rt_ms":-1}"#.to_owned(), "`rt_ms` is -1: must be 0 to 3600000 ms"),
-            (r#"{"response":"a","rt_ms":1e999}"#.to_owned(), "JSON"),
+            (r#"{"response":"a","rt_ms":1e999}"#.to_owned(), "out of range"),
             (r#"{"response":"a","level":"high"}"#.to_owned(), "`level`"),
             (r#"{"response":"a","factors":{"":"x"}}"#.to_owned(), "`factors` is ``"),
             (

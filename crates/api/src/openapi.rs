@@ -244,8 +244,8 @@ fn errors(operation: &Operation) -> Map<String, Value> {
 mod tests {
     use super::*;
     use crate::{
-        ArmRequest, CalibrateRequest, LiveMessage, LiveRequest, PlayRequest, ResetRequest, SearchRequest,
-        SequenceRequest, SessionRequest, TokenRequest,
+        ArmRequest, CalibrateRequest, LiveMessage, LiveRequest, PlayAnswer, PlayRequest, ResetRequest,
+        SearchRequest, SequenceRequest, SessionRequest, TokenRequest,
     };
     use std::collections::BTreeSet;
 
@@ -278,6 +278,7 @@ mod tests {
             ("CalibrateRequest", "", &(json!({}), read!(CalibrateRequest))),
             ("SearchRequest", "", &(json!({"target": "dot"}), read!(SearchRequest))),
             ("SessionRequest", "", &(json!({"participant": "P07"}), read!(SessionRequest))),
+            ("PlayAnswer", "", &(json!({"response": "left"}), read!(PlayAnswer))),
             ("TokenRequest", "", &(json!({"role": "observe", "name": "a"}), read!(TokenRequest))),
         ];
         let mut refused = BTreeSet::new();

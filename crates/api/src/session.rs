@@ -350,7 +350,7 @@ pub struct RecordedPlay {
         "offset_monotonic_ns": 75795645882352_u64, "trigger": {"tick": 6442460000_u64, "width_ms": 10.0, "code": null},
         "ordered": {"bursts": 1240, "pulses": 86800}, "planned_onset_ticks": null, "late_strokes": 0, "refused_strokes": null,
         "boot": 305419896, "pattern_kept": true,
-        "answer": {"response": "left", "correct": true, "rt_ms": 512.3, "level": null, "factors": {"block": "2"}}
+        "answer": {"response": "left", "correct": true, "rt_ms": 512.3, "level": 0.4, "factors": {"block": "2"}}
     }],
     "more": false, "complete": false, "missing": ["the session still runs: end it first"], "plays_missing": 0, "lost": 0, "left_out": 0,
     "unreadable": 0, "problems": []

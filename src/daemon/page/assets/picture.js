@@ -62,8 +62,8 @@ export async function picture(file) {
   const size = [image.width, image.height];
   const [columns, rows] = size.map((pixels) => Math.max(1, Math.min(pixels, Math.round((CELLS * pixels) / Math.max(...size)))));
   const cells = { columns, rows, grey: await brightness(image, columns, rows) };
-  // Where PNG has the bits of a pixel and the kind of its colours.
-  const [bits, colours] = [bytes[24], bytes[25]];
+  // Behind the signature, the head of the first chunk, width and height.
+  const [bits, colours] = bytes.slice(3 * 8);
   if (PNG.every((byte, i) => bytes[i] === byte) && colours === GREY && (bits === 8 || bits === 16)) {
     return { name: name.replace(/(\.png)?$/i, ".png"), data: await base64(bytes), size, levels: 2 ** bits - 1, cells, note: "" };
   }
