@@ -129,7 +129,7 @@ export class Chosen {
   #edit() {
     const { pattern } = this.#full;
     $("chosen-duration").value = pattern.duration_s ?? "";
-    this.#drives.value = isForeign(this.#first) ? [] : (pattern.drive ?? []);
+    this.#drives.take(isForeign(this.#first) ? {} : pattern);
     this.#before = this.#fields();
     this.#buttons();
   }

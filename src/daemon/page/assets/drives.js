@@ -16,6 +16,8 @@ const COLUMNS = [
 
 export class Drives {
   #drives = [];
+  // The pattern as it is stored: its motions are on the map, too.
+  #pattern = {};
   #changed;
   #number = 0;
 
@@ -37,8 +39,10 @@ export class Drives {
     return this.#drives;
   }
 
-  set value(drives) {
-    this.#drives = drives.map((drive) => ({ ...drive }));
+  // Shows the drives of a pattern.
+  take(pattern) {
+    this.#pattern = pattern;
+    this.#drives = (pattern.drive ?? []).map((drive) => ({ ...drive }));
     this.#show();
   }
 
@@ -57,7 +61,7 @@ export class Drives {
 
   #map() {
     const drives = this.#drives.map(({ motor, amplitude_um: um }) => ({ motor, reached_um: um || 0 }));
-    $("drives-map").replaceChildren(thumbnail({ drives }));
+    $("drives-map").replaceChildren(thumbnail({ drives, pattern: this.#pattern }));
   }
 
   #row(drive, i) {
