@@ -213,7 +213,7 @@ export class Rendering {
     }
     this.#shown = rendered;
     $("thing-verdict").textContent = verdict(rendered.judged).join("\n");
-    $("thing-facts").textContent = `${rendered.duration_s.toFixed(2)} s, pins up to ${rendered.highest_um.toFixed(0)} µm, method ${method}.`;
+    $("thing-facts").textContent = `${rendered.duration_s.toFixed(2)} s, pins up to ${rendered.highest_um.toFixed(0)} µm, method ${method}. In brackets: the same of the other pattern.`;
     $("thing-maps").replaceChildren(...responses(rendered));
     $("thing-rasters").replaceChildren(...rasters(rendered));
     $("thing-figures").tBodies[0].replaceChildren(...rows(rendered.judged));
