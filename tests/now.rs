@@ -48,11 +48,11 @@ fn every_kind_of_play_shows_what_its_pins_do_and_a_stop_that_they_rest() {
 
     let drive = json!({"motor": 4, "frequency_hz": 60.0, "amplitude_um": 62.0, "phase": 0.0});
     let one = json!({"format": 1, "name": "one", "drive": [drive]});
-    let _: Value = client.post("/v1/play", &json!({"pattern": one})).unwrap();
+    let _: Value = client.post("/v1/play", &json!({"pattern": one, "seconds": 60.0})).unwrap();
     wait_for(&mut client, 4, PinMovement { height_um: 31.0, swing_um: 62.0, hz: 60.0 });
     stop(&mut client);
 
-    let ramp = json!({"motor": 7, "to_um": 200.0, "rise_s": 0.05, "hold_s": 60.0, "fall_s": 0.05});
+    let ramp = json!({"motor": 7, "to_um": 200.0, "rise_s": 0.05, "hold_s": 50.0, "fall_s": 0.05});
     let held = json!({"format": 2, "name": "held", "ramp": [ramp]});
     let _: Value = client.post("/v1/play", &json!({"pattern": held})).unwrap();
     wait_for(&mut client, 7, PinMovement { height_um: 200.0, swing_um: 0.0, hz: 0.0 });
