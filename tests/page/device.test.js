@@ -16,7 +16,11 @@ after(async () => {
 });
 
 const fact = (page, list, name) => page.$eval(`#${list}`, (list, name) => [...list.children].find((term) => term.textContent === name)?.nextElementSibling.textContent, name);
-const becomes = (page, list, name, part) => page.waitForFunction((list, name, part) => [...document.getElementById(list).children].find((term) => term.textContent === name)?.nextElementSibling.textContent.includes(part), WAIT, list, name, part);
+// Waits until a fact includes a text.
+async function becomes(page, list, name, part) {
+  const test = (list, name, part) => [...document.getElementById(list).children].find((term) => term.textContent === name)?.nextElementSibling.textContent.includes(part);
+  await page.waitForFunction(test, WAIT, list, name, part).catch(async () => assert.fail(`${name}: ${await text(page, list)}`));
+}
 
 test("the array, the link, the daemon and its network are shown as the daemon tells them (smoke)", async () => {
   const daemon = await new Daemon().start();
@@ -29,7 +33,7 @@ test("the array, the link, the daemon and its network are shown as the daemon te
     ["facts", "Device", "mock, simulated, firmware"], ["facts", "Line", "kB/s"], ["facts", "Clock", "synchronised to ±"], ["facts", "Frames sent again, damaged", "0 sent again, 0 damaged"],
     ["facts", "Messages that cannot be true", "0"], ["facts", "Device runs", "started by program"], ["facts", "Position", "unknown"],
     ["daemon-facts", "Armed by", "nobody"], ["daemon-facts", "Version", `pid ${daemon.child.pid}`], ["daemon-facts", "Session", "none"],
-    ["network-facts", "This window may", "everything but tokens"], ["network-facts", "Listens on", new URL(daemon.url).host], ["network-facts", "Tokens", "0 may operate, 0 may read"], ["network-facts", "Without a token", "clients on the daemon's machine may do everything"],
+    ["network-facts", "This window may", "everything but tokens"], ["network-facts", "Listens on", `127.0.0.1:${daemon.port}`], ["network-facts", "Tokens", "0 may operate, 0 may read"], ["network-facts", "Without a token", "clients on the daemon's machine may do everything"],
   ]) await becomes(page, list, name, part);
   await arm(page);
   await becomes(page, "daemon-facts", "Armed by", "10 s without a sign of it disarm");
@@ -43,7 +47,7 @@ test("the array, the link, the daemon and its network are shown as the daemon te
 });
 
 test("wiring that is not in the motors' order is shown motor by motor", async () => {
-  const daemon = await new Daemon('array = "ubi-pen-3x3"\n').start();
+  const daemon = await new Daemon('[array]\ndescription = "ubi-pen-3x3"\n').start();
   const page = await open(daemon);
   await shows(page, "array-facts", "5, motors 0, 1; 2, 3; 4, 5; 6, 7; 8");
 });
@@ -56,13 +60,15 @@ const READS = { play: [], design: ["undo", "clear", "robust"], record: ["Show", 
 
 test("a token that may only read is offered nothing that it may not do, and told why", async () => {
   const daemon = await new Daemon('listen_token = "always"\n').start();
-  await daemon.run("arm", "--assume-rest");
-  await daemon.run("session", "start", "--participant", "P07");
+  const create = (role) => daemon.run("token", "create", "--role", role, "--name", role);
+  const tokens = { observe: await create("observe"), operate: await create("operate") };
+  const headers = { authorization: `Bearer ${tokens.operate}` };
+  await fetch(`${daemon.url}/v1/sessions`, { method: "POST", headers, body: JSON.stringify({ participant: "P07" }) });
   const page = await open(daemon, "play");
   const enter = async (role) => {
     await page.waitForSelector("#sign-in:not([hidden])");
     await page.$eval("#token", (field) => (field.value = ""));
-    await page.type("#token", await daemon.run("token", "create", "--role", role, "--name", role));
+    await page.type("#token", tokens[role]);
     await press(page, "#sign-in-form button");
   };
   await enter("observe");
