@@ -59,6 +59,8 @@ const key = (interval) => kept[`${interval}_key`];
 const shown = (name) => NAMES[name] ?? name;
 
 function show() {
+  // The drawing of the pins would tell the answer.
+  document.documentElement.toggleAttribute("data-trial", running !== null);
   $("choice-form").hidden = kept !== null;
   $("choice-run").hidden = kept === null;
   if (!kept) {
@@ -120,7 +122,7 @@ async function stimulate(signal, trial) {
   const [first, second] = order(kept.trials, kept.seed)[trial - 1] ? [asked, other] : [other, asked];
   const items = [{ pattern: first, seconds }, { pattern: second, seconds, gap_ms: gap }];
   const orNot = (promise) => Promise.race([promise, until(signal, () => {})]);
-  const ordered = orderIn(session, "/v1/sequence", { name: `trial ${trial}`, trial, labels: { first, second }, items });
+  const ordered = orderIn(session, "/v1/sequence", { name: `trial-${trial}`, trial, labels: { first, second }, items });
   let receipt;
   try {
     const { id } = await orNot(ordered);

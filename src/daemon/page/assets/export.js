@@ -4,7 +4,7 @@
 import { exact } from "./api.js";
 
 // The daemon reads its record for an answer.
-const READ_MS = 60000;
+export const READ_MS = 60000;
 
 // A column: its name, and its value in a play's row. Null: not known.
 const of = (name) => [name, ({ play }) => play[name]];

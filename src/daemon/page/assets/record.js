@@ -5,7 +5,7 @@
 import { call } from "./api.js";
 import { element, facts, refuse, say, valid, write } from "./control.js";
 import { bindExperiment } from "./experiment.js";
-import { csv, json, readSession } from "./export.js";
+import { csv, json, READ_MS, readSession } from "./export.js";
 import { bindSession } from "./session.js";
 import { part } from "./views.js";
 
@@ -22,7 +22,7 @@ let rows = null;
 const when = (instant) => instant.slice(0, 19).replace("T", " ");
 
 async function load() {
-  const { sessions: all, unreadable } = await call("GET", "/v1/sessions");
+  const { sessions: all, unreadable } = await call("GET", "/v1/sessions", undefined, READ_MS);
   sessions = all.reverse();
   write($("sessions-problem"), unreadable ? `${unreadable} lines of the session record cannot be read.` : "");
   list();
@@ -77,7 +77,7 @@ async function turn() {
   const [id, from] = [chosen, $("plays-from").valueAsNumber - 1];
   const isThere = rows && from >= rows.from && (from + PAGE <= rows.from + rows.plays.length || !rows.more);
   if (!isThere) {
-    const found = await call("GET", `/v1/sessions/${encodeURIComponent(id)}/plays?from=${from}`, undefined, 60000);
+    const found = await call("GET", `/v1/sessions/${encodeURIComponent(id)}/plays?from=${from}`, undefined, READ_MS);
     if (id !== chosen) return;
     rows = { ...found, from };
   }
