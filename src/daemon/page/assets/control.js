@@ -76,8 +76,8 @@ export function open(dialog) {
 const unspoken = new Map();
 let spoken = -Infinity;
 export function speak(text, topic = "") {
+  if (!unspoken.size) setTimeout(readOut, Math.max(0, spoken + SPEAK_MS - performance.now()));
   unspoken.set(topic, text);
-  if (unspoken.size === 1) setTimeout(readOut, Math.max(0, spoken + SPEAK_MS - performance.now()));
 }
 
 function readOut() {

@@ -176,8 +176,8 @@ export class Designer {
     await this.#paper.start();
     const before = this.#before?.search ?? undefined;
     this.#before = null;
-    // A daemon that was started again has no result.
-    if (!(await this.#rendering.resume(before))) this.#ask(false);
+    // The person may have drawn meanwhile. A daemon that was started again has no result.
+    if (!this.#rendering.isAsking && !(await this.#rendering.resume(before))) this.#ask(false);
     this.#buttons();
   }
 

@@ -40,6 +40,11 @@ export class Rendering {
     return this.#search?.rendered ? { id: this.#search.id, sha256: this.#search.rendered.sha256 } : null;
   }
 
+  // Whether a request is on its way.
+  get isAsking() {
+    return this.#isAsking;
+  }
+
   // Whether a rendering of the drawing was asked for.
   get isAsked() {
     return this.#isAsking || this.#search !== null;
@@ -62,7 +67,7 @@ export class Rendering {
   async resume({ id, sha256 } = this.kept ?? this.#search ?? {}) {
     if (id === undefined) return false;
     const search = await call("GET", `/v1/searches/${id}`).catch(({ code }) => (code === "not-found" ? null : undefined));
-    if (search === undefined) return true;
+    if (search === undefined || this.#isAsking || (this.#search && this.#search.id !== id)) return true;
     if (!search || search.method === null || (sha256 && search.rendered?.sha256 !== sha256) || !["running", "done"].includes(search.state)) return false;
     this.#take(search, false);
     return true;
@@ -208,7 +213,7 @@ export class Rendering {
     }
     this.#shown = rendered;
     $("thing-verdict").textContent = verdict(rendered.judged).join("\n");
-    $("thing-facts").textContent = `${rendered.duration_s.toFixed(2)} s, pins up to ${rendered.highest_um.toFixed(0)} µm, method ${method}.`;
+    $("thing-facts").textContent = `${rendered.duration_s.toFixed(2)} s, pins up to ${rendered.highest_um.toFixed(0)} µm, method ${method}. In brackets: the same of the other pattern.`;
     $("thing-maps").replaceChildren(...responses(rendered));
     $("thing-rasters").replaceChildren(...rasters(rendered));
     $("thing-figures").tBodies[0].replaceChildren(...rows(rendered.judged));
