@@ -7,7 +7,7 @@ mod page;
 /// Checks a value against a schema.
 mod schema;
 
-use crate::harness::{Daemon, assert_up_to_date, next, problem};
+use crate::harness::{Daemon, TIMEOUT, assert_up_to_date, next, problem};
 use meissner_api::ArrayDetails;
 use meissner_api::route::{Answer, Body};
 use meissner_api::{
@@ -379,7 +379,7 @@ fn a_daemon_s_answers_fit_the_document() {
         matches!(next, Event::Search { state: SearchState::Done, .. }).then_some(())
     });
     fits(Route::SearchShow, &client.get("/v1/searches/last").unwrap());
-    fits(Route::Preview, &client.get("/v1/patterns/search:2/preview?seconds=0.1").unwrap());
+    fits(Route::Preview, &client.get_within(TIMEOUT, "/v1/patterns/search:2/preview?seconds=0.1").unwrap());
     refused(Route::Preview, client.get("/v1/patterns/none/preview"));
     let started: Value =
         client.post("/v1/sessions", &json!({"participant": "P07", "exclusive": true})).unwrap();

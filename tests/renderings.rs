@@ -1,6 +1,8 @@
 //! Renderings of objects over the API, and previews of patterns: what they answer, what is refused, and the end of their processes.
 
-use crate::harness::{Daemon, document, ended, meissner, next, printed, problem, refusal, wait_until};
+use crate::harness::{
+    Daemon, TIMEOUT, document, ended, meissner, next, printed, problem, refusal, wait_until,
+};
 use crate::searches::children;
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
@@ -32,7 +34,7 @@ fn failed(events: &mut Events) -> String {
 /// Renders an object and waits until it is judged.
 fn rendered(client: &mut Client, request: &Value) -> Rendered {
     let mut events = client.events().unwrap();
-    let begun: Search = client.post("/v1/searches", request).unwrap();
+    let begun: Search = client.post_within(TIMEOUT, "/v1/searches", request).unwrap();
     assert_eq!((begun.state, begun.found, begun.rendered), (SearchState::Running, false, None));
     // First the pattern can be played, then it is judged.
     assert_eq!(event(&mut events), (SearchState::Running, false));
@@ -109,10 +111,12 @@ fn a_shipped_object_is_rendered_and_judged_as_by_the_commands_and_plays() {
     assert!(found.outline.iter().flatten().count() > 1 && found.warnings.is_empty(), "{found:?}");
     // It plays without being stored, and a preview shows the finger that has judged it.
     let mut events = client.events().unwrap();
-    let _: Value =
-        client.post("/v1/play", &json!({"pattern": "search:1", "pattern_sha256": found.sha256})).unwrap();
+    let _: Value = client
+        .post_within(TIMEOUT, "/v1/play", &json!({"pattern": "search:1", "pattern_sha256": found.sha256}))
+        .unwrap();
     assert_eq!(ended(&mut events).pattern, "edge-45");
-    let preview: PatternPreview = client.get("/v1/patterns/search:1/preview?seconds=0.3").unwrap();
+    let preview: PatternPreview =
+        client.get_within(TIMEOUT, "/v1/patterns/search:1/preview?seconds=0.3").unwrap();
     let early = |trains: &[Vec<f64>]| -> Vec<Vec<f64>> {
         let of = |train: &Vec<f64>| train.iter().copied().filter(|at_s| *at_s < 0.3).collect();
         trains.iter().map(of).collect()
@@ -180,7 +184,7 @@ fn a_height_map_comes_with_its_file() {
 fn what_is_no_object_is_refused_in_one_line() {
     let daemon = Daemon::start();
     let mut client = daemon.client();
-    let unknown = problem(client.post("/v1/searches", &json!({"object": "egde-45"})));
+    let unknown = problem(client.post_within(TIMEOUT, "/v1/searches", &json!({"object": "egde-45"})));
     assert_eq!((&*unknown.code, unknown.status), ("not-found", 404));
     assert!(unknown.detail.contains("`egde-45`: did you mean `edge-45`?"), "{unknown}");
     let changed = |key: &str, value: Value| {
@@ -212,12 +216,12 @@ fn what_is_no_object_is_refused_in_one_line() {
         ),
         (json!({"object": bar("b"), "robust": true}), "`robust` is a key of a target's search"),
     ] {
-        let refused = problem(client.post("/v1/searches", &request));
+        let refused = problem(client.post_within(TIMEOUT, "/v1/searches", &request));
         assert_eq!((&*refused.code, refused.status), ("bad-request", 400), "{refused}");
         assert!(refused.detail.contains(says) && !refused.detail.contains('\n'), "{refused}");
     }
     let large = json!({"object": map("m", "m.npy"), "files": {"m.npy": "A".repeat(4 << 20)}});
-    assert_eq!(refusal(client.post("/v1/searches", &large)), ("too-large".into(), 413));
+    assert_eq!(refusal(client.post_within(TIMEOUT, "/v1/searches", &large)), ("too-large".into(), 413));
     // What only the process finds out.
     let mut events = client.events().unwrap();
     let wide = json!({"object": map("m", "m.npy"), "files": {"m.npy": npy([1, 5000], |_, _| 0.0)}});
@@ -238,7 +242,7 @@ fn what_is_no_object_is_refused_in_one_line() {
             "drawn: no pin moves for this object: press deeper",
         ),
     ] {
-        let _: Search = client.post("/v1/searches", &request).unwrap();
+        let _: Search = client.post_within(TIMEOUT, "/v1/searches", &request).unwrap();
         let problem = failed(&mut events);
         assert!(problem.contains(says) && !problem.contains('\n'), "{problem}");
     }
@@ -252,13 +256,15 @@ fn a_pattern_that_was_found_stays_when_its_search_is_cancelled() {
     let mut events = client.events().unwrap();
     let mut object = bar("long");
     object["touch"] = json!({"press": {"depth_um": 500, "hold_s": 29}});
-    let _: Search = client.post("/v1/searches", &json!({"object": object, "method": "rule"})).unwrap();
+    let _: Search =
+        client.post_within(TIMEOUT, "/v1/searches", &json!({"object": object, "method": "rule"})).unwrap();
     assert_eq!(event(&mut events), (SearchState::Running, false));
     assert_eq!(event(&mut events), (SearchState::Running, true));
     let [process] = children(&daemon)[..] else { panic!("{:?}", children(&daemon)) };
     // It can end now only if it is killed.
     kill_process(Pid::from_raw(process).unwrap(), Signal::STOP).unwrap();
-    let _: Value = client.post("/v1/play", &json!({"pattern": "search:1", "seconds": 0.2})).unwrap();
+    let _: Value =
+        client.post_within(TIMEOUT, "/v1/play", &json!({"pattern": "search:1", "seconds": 0.2})).unwrap();
     let cancelled: Search = client.delete("/v1/searches/1").unwrap();
     assert_eq!((cancelled.state, cancelled.found, cancelled.rendered), (SearchState::Cancelled, true, None));
     assert_eq!(event(&mut events), (SearchState::Cancelled, true));
@@ -271,7 +277,8 @@ fn a_pattern_that_was_found_stays_when_its_search_is_cancelled() {
 fn a_preview_shows_pins_and_spikes_of_any_pattern() {
     let daemon = Daemon::start();
     let mut client = daemon.client();
-    let preview: PatternPreview = client.get("/v1/patterns/edge-45/preview?from_s=0.1&seconds=0.25").unwrap();
+    let preview: PatternPreview =
+        client.get_within(TIMEOUT, "/v1/patterns/edge-45/preview?from_s=0.1&seconds=0.25").unwrap();
     let shown: Value = client.get("/v1/patterns/edge-45").unwrap();
     assert_eq!(
         (json!(preview.sha256), preview.from_s, preview.seconds),
@@ -304,12 +311,15 @@ fn a_preview_shows_pins_and_spikes_of_any_pattern() {
     let text = String::from_utf8(std::fs::read("patterns/dot.toml").unwrap()).unwrap();
     let _: Value =
         client.put("/v1/patterns/my-dot", text.replace("name = \"dot\"", "name = \"my-dot\"")).unwrap();
-    let own: PatternPreview = client.get("/v1/patterns/my-dot/preview?seconds=0.1").unwrap();
+    let own: PatternPreview = client.get_within(TIMEOUT, "/v1/patterns/my-dot/preview?seconds=0.1").unwrap();
     assert!(own.heights_um.iter().flatten().any(|um| *um > 10.0));
-    assert_eq!(refusal(client.get("/v1/patterns/none/preview")), ("not-found".into(), 404));
-    assert_eq!(refusal(client.get("/v1/patterns/search:1/preview")), ("not-found".into(), 404));
+    assert_eq!(refusal(client.get_within(TIMEOUT, "/v1/patterns/none/preview")), ("not-found".into(), 404));
+    assert_eq!(
+        refusal(client.get_within(TIMEOUT, "/v1/patterns/search:1/preview")),
+        ("not-found".into(), 404)
+    );
     for query in ["seconds=3", "seconds=0", "from_s=-1", "from_s=61", "sconds=1", "seconds=NaN"] {
-        let refused = problem(client.get(&format!("/v1/patterns/edge-45/preview?{query}")));
+        let refused = problem(client.get_within(TIMEOUT, &format!("/v1/patterns/edge-45/preview?{query}")));
         assert!(refused.code == "bad-request" && refused.detail.contains(query), "{refused}");
     }
     assert!(children(&daemon).is_empty());
@@ -329,5 +339,6 @@ fn a_preview_ends_when_its_client_hangs_up() {
     drop(stream);
     wait_until(|| children(&daemon).is_empty());
     // Its place is free again.
-    let _: PatternPreview = daemon.client().get("/v1/patterns/edge-45/preview?seconds=0.01").unwrap();
+    let _: PatternPreview =
+        daemon.client().get_within(TIMEOUT, "/v1/patterns/edge-45/preview?seconds=0.01").unwrap();
 }

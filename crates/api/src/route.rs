@@ -486,7 +486,7 @@ impl Route {
                 summary: "Show what pins and afferents do under a pattern",
                 description: "The heights of the pins by the motor model, every millisecond, and the spikes of the finger that also judges \
                               renderings. A pattern is played once, on ideal motors of its own array; one without end goes on. A process like \
-                              that of a search computes it, within 10 s (`timeout`), and ends when the client hangs up. One preview is computed at a time; 8 \
+                              that of a search computes it, within 30 s (`timeout`), and ends when the client hangs up. One preview is computed at a time; 8 \
                               wait, and further ones are refused (`busy`). The pattern's file may have 4 MiB.",
                 parameter: Some("The pattern's name, or `search:ID` for the pattern that a search has found"),
                 queries: &[

@@ -19,8 +19,8 @@ use std::sync::Arc;
 use std::time::Duration;
 use tokio::time::timeout;
 
-/// How long a preview may be computed.
-const TIMEOUT: Duration = Duration::from_secs(10);
+/// How long a preview may be computed. It takes less than a second, but a busy machine gives its process little time.
+const TIMEOUT: Duration = Duration::from_secs(30);
 /// The largest file of a pattern, bytes: it fits on a line to the process.
 const MAX_PATTERN: usize = 4 << 20;
 /// The shortest preview, and the one without `seconds`, s.
