@@ -40,7 +40,7 @@ fn rendered(client: &mut Client, request: &Value) -> Rendered {
     assert_eq!(event(&mut events), (SearchState::Running, false));
     assert_eq!(event(&mut events), (SearchState::Running, true));
     assert_eq!(event(&mut events), (SearchState::Done, true));
-    let search: Search = client.get(&format!("/v1/searches/{}", begun.id)).unwrap();
+    let search: Search = client.get_within(TIMEOUT, &format!("/v1/searches/{}", begun.id)).unwrap();
     let method: RenderMethod =
         serde_json::from_value(request["method"].clone()).unwrap_or(RenderMethod::Auto);
     assert_eq!((search.found, search.method, search.result), (true, Some(method), None));
@@ -268,7 +268,7 @@ fn a_pattern_that_was_found_stays_when_its_search_is_cancelled() {
     let cancelled: Search = client.delete("/v1/searches/1").unwrap();
     assert_eq!((cancelled.state, cancelled.found, cancelled.rendered), (SearchState::Cancelled, true, None));
     assert_eq!(event(&mut events), (SearchState::Cancelled, true));
-    let shown: Value = client.get("/v1/patterns/search:1").unwrap();
+    let shown: Value = client.get_within(TIMEOUT, "/v1/patterns/search:1").unwrap();
     assert_eq!(shown["pattern"]["name"], "long");
     wait_until(|| children(&daemon).is_empty());
 }
@@ -279,7 +279,7 @@ fn a_preview_shows_pins_and_spikes_of_any_pattern() {
     let mut client = daemon.client();
     let preview: PatternPreview =
         client.get_within(TIMEOUT, "/v1/patterns/edge-45/preview?from_s=0.1&seconds=0.25").unwrap();
-    let shown: Value = client.get("/v1/patterns/edge-45").unwrap();
+    let shown: Value = client.get_within(TIMEOUT, "/v1/patterns/edge-45").unwrap();
     assert_eq!(
         (json!(preview.sha256), preview.from_s, preview.seconds),
         (shown["sha256"].clone(), 0.1, 0.25)
