@@ -24,8 +24,8 @@ use meissner_array::spec::{Array, MAX_MOTORS, TICK_HZ};
 use meissner_client::default_socket;
 use meissner_input::document::{Table, from_toml, in_range};
 use meissner_input::message::quote;
-use meissner_stream::Settings;
 use meissner_stream::device::Spec;
+use meissner_stream::{LowerStopSettings, Settings};
 use problem::{KeyError, checked};
 use serde::Deserialize;
 use std::env;
@@ -159,6 +159,9 @@ impl Source {
         if self.no_record {
             config.logbook = None;
         }
+        if config.device == (Spec::MockBoard { lower_stop: true }) {
+            config.add_lower_stop();
+        }
         Ok(config)
     }
 }
@@ -231,6 +234,12 @@ struct RawLimits {
 }
 
 impl Config {
+    /// Simulates an array with a lower stop, and makes use of it.
+    pub fn add_lower_stop(&mut self) {
+        self.settings.lower_stop.get_or_insert(LowerStopSettings::of(self.settings.array));
+        self.mock.lower_stop = LowerStop::AtRest;
+    }
+
     /// Reads a configuration file.
     ///
     /// # Errors

@@ -12,11 +12,11 @@ use meissner_api::ArrayDetails;
 use meissner_api::route::{Answer, Body};
 use meissner_api::{
     AnswerTaken, ArmRequest, CalibrateRequest, CalibrationReport, Code, DoctorReport, Event, ImportedPattern,
-    LiveAccepted, LiveAnswer, LiveRequest, Method, PatternDetails, PatternList, PatternPreview, PlayAccepted,
-    PlayAnswer, PlayRequest, Problem, REFERENCE, Receipt, RemovedPattern, RemovedTarget, ResetRequest, Route,
-    Search, SearchRequest, SearchState, SequenceRequest, Session, SessionList, SessionPlays, SessionRequest,
-    SessionStarted, Status, StoredTarget, TargetDetails, TargetList, TokenCreated, TokenInfo, TokenList,
-    TokenRequest, openapi,
+    LiveAccepted, LiveAnswer, LiveRequest, Method, PatternDetails, PatternList, PatternPreview, PlanCheck,
+    PlayAccepted, PlayAnswer, PlayRequest, Problem, REFERENCE, Receipt, RemovedPattern, RemovedTarget,
+    ResetRequest, Route, Search, SearchRequest, SearchState, SequenceRequest, Session, SessionList,
+    SessionPlays, SessionRequest, SessionStarted, Status, StoredTarget, TargetDetails, TargetList,
+    TokenCreated, TokenInfo, TokenList, TokenRequest, openapi,
 };
 use meissner_array::spec::{Array, ArraySpec, MAX_MOTORS};
 use schema::check;
@@ -173,6 +173,7 @@ fn every_route_has_examples_that_parse() {
         }
         "PatternDetails" => parses::<PatternDetails>(example),
         "PatternPreview" => parses::<PatternPreview>(example),
+        "PlanCheck" => parses::<PlanCheck>(example),
         "PlayAnswer" => drop(PlayAnswer::parse(example.to_string().as_bytes()).unwrap()),
         "AnswerTaken" => parses::<AnswerTaken>(example),
         "ImportedPattern" => parses::<ImportedPattern>(example),

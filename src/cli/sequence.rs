@@ -69,7 +69,7 @@ pub(super) fn run(asked: &Sequence) -> Result<ExitCode> {
     Ok(if receipt.all_played() { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }
 
-fn read(file: &Path) -> Result<SequenceRequest> {
+pub(super) fn read(file: &Path) -> Result<SequenceRequest> {
     let most = MAX_BODY as u64;
     let (name, text) = if file == Path::new("-") {
         let mut text = String::new();

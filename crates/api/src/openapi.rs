@@ -9,8 +9,8 @@ use crate::problem::{Code, Problem};
 use crate::route::{Answer, Body, Method, Operation, Query, Route};
 use crate::{
     ArmRequest, CalibrateRequest, CalibrationReport, DoctorReport, Event, ImportedPattern, LiveAccepted,
-    LiveAnswer, LiveMessage, LiveRequest, PatternDetails, PatternList, PatternPreview, PlayAccepted,
-    PlayRequest, Receipt, RemovedPattern, RemovedTarget, ResetRequest, Search, SearchRequest,
+    LiveAnswer, LiveMessage, LiveRequest, PatternDetails, PatternList, PatternPreview, PlanCheck,
+    PlayAccepted, PlayRequest, Receipt, RemovedPattern, RemovedTarget, ResetRequest, Search, SearchRequest,
     SequenceRequest, Session, SessionList, SessionPlays, SessionRequest, SessionStarted, Status,
     StoredTarget, TargetDetails, TargetList, TokenCreated, TokenInfo, TokenList, TokenRequest,
 };
@@ -37,6 +37,7 @@ use utoipa::OpenApi;
     PatternDetails,
     PatternList,
     PatternPreview,
+    PlanCheck,
     PlayAccepted,
     PlayAnswer,
     PlayRequest,

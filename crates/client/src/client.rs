@@ -7,7 +7,7 @@ use crate::events::Events;
 use crate::live::LivePlay;
 use hyper::Method;
 use hyper::body::Bytes;
-use meissner_api::{LiveRequest, PlayAccepted, PlayRequest, Problem, SequenceRequest};
+use meissner_api::{LiveRequest, PlanCheck, PlayAccepted, PlayRequest, Problem, SequenceRequest};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use std::path::Path;
@@ -192,6 +192,14 @@ impl Client {
     /// See [`ClientError`].
     pub fn sequence(&mut self, request: &SequenceRequest) -> Result<PlayAccepted, ClientError> {
         self.post_within(COMPILE_TIMEOUT, "/v1/sequence", request)
+    }
+
+    /// Asks whether a sequence would stop at the drift limit on a board.
+    ///
+    /// # Errors
+    /// See [`ClientError`].
+    pub fn check_sequence(&mut self, request: &SequenceRequest) -> Result<PlanCheck, ClientError> {
+        self.post_within(COMPILE_TIMEOUT, "/v1/sequence/check", request)
     }
 
     /// Starts a live play and opens its connection. The play waits 2 s for its first message.

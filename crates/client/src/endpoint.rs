@@ -6,9 +6,12 @@
 //!
 //! Invariant: a socket named on the command line or by `$MEISSNER_SOCKET` has no fallback.
 
+use rustix::process::getuid;
 use std::env;
 use std::fmt;
+use std::fs::DirBuilder;
 use std::io;
+use std::os::unix::fs::{DirBuilderExt, MetadataExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 
 /// Directories where systemd looks for units.
@@ -104,8 +107,8 @@ pub fn estop_socket(socket: &Path) -> PathBuf {
     path.into()
 }
 
-/// Where a daemon listens by default: `$MEISSNER_SOCKET`, else `$XDG_RUNTIME_DIR/meissner.sock`, else
-/// `/run/meissner/meissner.sock`.
+/// Where a daemon listens by default: `$MEISSNER_SOCKET`, else `$XDG_RUNTIME_DIR/meissner.sock`, else, on a machine without the service,
+/// `/run/user/UID/meissner.sock` or `/tmp/meissner-UID/meissner.sock`, else `/run/meissner/meissner.sock`.
 #[must_use]
 pub fn default_socket() -> PathBuf {
     named_socket().or_else(users_socket).unwrap_or_else(|| PathBuf::from(SERVICE_SOCKET))
@@ -118,7 +121,45 @@ fn named_socket() -> Option<PathBuf> {
 
 /// The socket of a user's own daemon.
 fn users_socket() -> Option<PathBuf> {
-    set("XDG_RUNTIME_DIR").map(|dir| dir.join("meissner.sock"))
+    set("XDG_RUNTIME_DIR").or_else(|| users_dir(Path::new("/"))).map(|dir| dir.join("meissner.sock"))
+}
+
+/// The directory for a user's socket where no login has set `$XDG_RUNTIME_DIR`, as in a container: the one that systemd makes, else one in
+/// `/tmp`, which [`make_dir`] makes. None on a machine with the service. `root` is the file system's.
+fn users_dir(root: &Path) -> Option<PathBuf> {
+    let uid = getuid().as_raw();
+    let made = root.join(format!("run/user/{uid}"));
+    if is_private(&made) {
+        return Some(made);
+    }
+    let service = Path::new(SERVICE_SOCKET).strip_prefix("/").ok().and_then(Path::parent);
+    if is_installed(root) || service.is_some_and(|dir| root.join(dir).exists()) {
+        return None;
+    }
+    let temporary = root.join(format!("tmp/meissner-{uid}"));
+    // Another user may have made it, to be taken for this user's daemon.
+    (!temporary.exists() || is_private(&temporary)).then_some(temporary)
+}
+
+/// Whether this is a directory of this user, in which nobody else can write.
+fn is_private(dir: &Path) -> bool {
+    dir.symlink_metadata().is_ok_and(|found| {
+        found.is_dir() && found.uid() == getuid().as_raw() && found.permissions().mode() & 0o022 == 0
+    })
+}
+
+/// Makes the directory in `/tmp` for a user's socket, if this socket is to be there; it belongs to the user alone.
+///
+/// # Errors
+/// If it cannot be made, or another user has made it.
+pub fn make_dir(socket: &Path) -> io::Result<()> {
+    let Some(dir) = socket.parent().filter(|dir| Some(*dir) == users_dir(Path::new("/")).as_deref()) else {
+        return Ok(());
+    };
+    match DirBuilder::new().mode(0o700).create(dir) {
+        Err(error) if error.kind() == io::ErrorKind::AlreadyExists && is_private(dir) => Ok(()),
+        made => made,
+    }
 }
 
 /// An environment variable that is set and not empty.
@@ -143,6 +184,26 @@ mod tests {
         assert_eq!(sockets(None, Some("/b")), ("/b".into(), Some(service.clone())));
         assert_eq!(sockets(None, service.to_str()), (service.clone(), None), "not the same twice");
         assert_eq!(sockets(None, None), (service, None));
+    }
+
+    #[test]
+    fn without_a_runtime_directory_a_user_has_a_private_one() {
+        let dir = tempfile::tempdir().unwrap();
+        let root = dir.path();
+        let uid = getuid().as_raw();
+        let temporary = root.join(format!("tmp/meissner-{uid}"));
+        assert_eq!(users_dir(root), Some(temporary.clone()));
+        fs::create_dir_all(&temporary).unwrap();
+        fs::set_permissions(&temporary, fs::Permissions::from_mode(0o777)).unwrap();
+        assert_eq!(users_dir(root), None, "others can write there");
+        fs::set_permissions(&temporary, fs::Permissions::from_mode(0o700)).unwrap();
+        assert_eq!(users_dir(root), Some(temporary));
+        fs::create_dir_all(root.join("run/meissner")).unwrap();
+        assert_eq!(users_dir(root), None, "the service is there");
+        let made = root.join(format!("run/user/{uid}"));
+        fs::create_dir_all(&made).unwrap();
+        fs::set_permissions(&made, fs::Permissions::from_mode(0o700)).unwrap();
+        assert_eq!(users_dir(root), Some(made));
     }
 
     #[test]

@@ -43,7 +43,9 @@ mod live;
 
 pub use client::{Client, HOME_TIMEOUT};
 pub use connection::{ANSWER_TIMEOUT, escape};
-pub use endpoint::{Endpoint, MAX_SOCKET_PATH, SERVICE_SOCKET, default_socket, estop_socket, is_installed};
+pub use endpoint::{
+    Endpoint, MAX_SOCKET_PATH, SERVICE_SOCKET, default_socket, estop_socket, is_installed, make_dir,
+};
 
 pub use error::ClientError;
 pub use estop::{STOPPED, estop};

@@ -285,9 +285,10 @@ def _onset(core: Core, at: At) -> Op[dict[str, Any]]:
         return {}
     if isinstance(at, Instant):
         return {"at_tick": at.tick, "boot": at.boot}
+    core.clock.check(float(at))
     if not core.clock.is_shared and core.clock.now_ns() - core.synced_ns > _SYNC_AGE_NS:
         yield from status(core)
-    return {"at_monotonic_ns": core.clock.to_host(round(at * NS))[0]}
+    return {"at_monotonic_ns": core.clock.to_host(round(float(at) * NS))[0]}
 
 
 def instant(core: Core, tick: int) -> Op[Instant]:
@@ -415,14 +416,8 @@ def sequence(
     `pattern` is None, is a blank item: nothing is played for its `seconds`. Items may overlap if they drive different motors. `isi` is the pause from one item's end to the next
     onset, `soa` the distance of onsets, s. `seconds` and `scale` are for items that give none. `strict`, `hold` and `map`: as in `play`.
     """
-    driven = yield from array(core)
-
-    def inline(item: dict[str, Any]) -> dict[str, Any]:
-        own = {key: item.pop(key) for key in ("samples", "rate", "drives") if key in item}
-        return {**item, "pattern": motions.pattern(**own, **_limits(driven))} if own else item
-
     body = {
-        "items": sequence_items(items, isi, soa, {"seconds": seconds, "scale": scale}, inline),
+        "items": (yield from items_of(core, items, isi, soa, seconds, scale)),
         "name": name,
         "strict": strict or None,
         "hold_ms": None if hold is None else hold * 1000,
@@ -436,6 +431,24 @@ def sequence(
         **(yield from _onset(core, at)),
     }
     return (yield from _accepted(core, _http.post("/v1/sequence", body, timeout=_COMPILING), name or "sequence"))
+
+
+def items_of(
+    core: Core,
+    items: Iterable[SequenceItem],
+    isi: float | None,
+    soa: float | None,
+    seconds: float | None,
+    scale: float | None,
+) -> Op[list[dict[str, Any]]]:
+    """The items of a sequence as the daemon takes them."""
+    driven = yield from array(core)
+
+    def inline(item: dict[str, Any]) -> dict[str, Any]:
+        own = {key: item.pop(key) for key in ("samples", "rate", "drives") if key in item}
+        return {**item, "pattern": motions.pattern(**own, **_limits(driven))} if own else item
+
+    return sequence_items(items, isi, soa, {"seconds": seconds, "scale": scale}, inline)
 
 
 def receipt(core: Core, play_id: int | str = "last") -> Op[Receipt]:

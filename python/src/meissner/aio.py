@@ -12,7 +12,7 @@ from collections.abc import AsyncGenerator, Awaitable, Callable, Generator
 from types import TracebackType
 from typing import Any, Concatenate, ParamSpec, TypeVar
 
-from . import _ending, _exports, _live, program
+from . import _ending, _exports, _live, _plan, program
 from . import _operations as ops
 from ._aio_live import AsyncLive
 from ._alive import Alive
@@ -222,6 +222,7 @@ class AsyncClient:
     home = _awaiting(ops.home)
     play = _playing(ops.play)
     sequence = _playing(ops.sequence)
+    check = _awaiting(_plan.check)
     live = _living(_live.start)
     session = _opening(ops.session)
     receipt = _awaiting(ops.receipt)

@@ -9,7 +9,7 @@ from collections.abc import Callable, Generator
 from types import TracebackType
 from typing import Any, Concatenate, ParamSpec, TypeVar
 
-from . import _ending, _exports, _http, _live, program
+from . import _ending, _exports, _http, _live, _plan, program
 from . import _operations as ops
 from ._alive import Alive
 from ._bodies import Labels
@@ -204,6 +204,7 @@ class Client:
     home = _blocking(ops.home)
     play = _playing(ops.play)
     sequence = _playing(ops.sequence)
+    check = _blocking(_plan.check)
     live = _living(_live.start)
     session = _opening(ops.session)
     receipt = _blocking(ops.receipt)

@@ -117,6 +117,18 @@ class ClientClock:
         """This process's clock, ns."""
         return self._monotonic_ns()
 
+    def check(self, at: float) -> None:
+        """Raises `ValueError` for an onset that is a time of another clock than this process's `time.monotonic()`, or no seconds."""
+        now, wall = self.now_ns(), self._wall_ns()
+        others = {"time.time()": wall / NS, "time.time_ns()": wall, "time.monotonic_ns()": now}
+        for name, value in others.items():
+            # Within a day of that clock, by its unit, and farther than that from this one.
+            day = 86_400.0 * (NS if name.endswith("_ns()") else 1)
+            if abs(at - value) < day < abs(at - now / NS):
+                raise ValueError(
+                    f"`at` is {at:.0f}, which is a time of `{name}`: give seconds of `time.monotonic()`, such as `m.now() + 0.5`"
+                )
+
     @property
     def is_shared(self) -> bool:
         """Whether daemon and client read the same clock, so that nothing is uncertain between them."""

@@ -8,7 +8,7 @@
 //! Invariant: while a [`Bound`] lives, no other daemon is bound to its path.
 
 use listenfd::ListenFd;
-use meissner_client::{MAX_SOCKET_PATH, estop_socket};
+use meissner_client::{MAX_SOCKET_PATH, estop_socket, make_dir};
 use rustix::fs::{FlockOperation, OFlags, flock};
 use rustix::net::sockopt::socket_acceptconn;
 use rustix::process::geteuid;
@@ -162,8 +162,9 @@ fn next_listener(
 }
 
 fn bind(path: &Path) -> Result<(UnixListener, SocketFile), SocketError> {
-    clear(path)?;
     let wrong = |source| SocketError::Io { path: path.to_owned(), source };
+    make_dir(path).map_err(wrong)?;
+    clear(path)?;
     // Until the mode is set, the umask decides, which is stricter by default.
     let listener = UnixListener::bind(path).map_err(wrong)?;
     let file = SocketFile { path: path.to_owned(), identity: identity(path) };
