@@ -103,7 +103,7 @@ while ~complete
   complete = rows.complete;
 end
 plays = num2cell_or_cell(rows.plays);
-answer = plays{2}.answer;
+answer = plays{end}.answer;
 study = m.check({'edge-45', 'edge-135'}, 'seconds', 30);
 m.play('pin-60', 'seconds', 60);
 withdrawn = m.withdraw(m.play('pin-60', 'seconds', 0.1));

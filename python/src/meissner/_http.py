@@ -101,9 +101,8 @@ def plain(value: Any) -> Any:
     """A NumPy number or array as JSON has it."""
     if hasattr(value, "tolist"):
         return value.tolist()
-    raise TypeError(
-        f"neither a request, a scene nor an object can hold a {type(value).__name__}: use numbers, texts, lists and dicts"
-    )
+    kind = type(value).__name__
+    raise TypeError(f"a request, a scene or an object cannot hold a {kind}: use numbers, texts, lists and dicts")
 
 
 def encode(body: Any) -> bytes:

@@ -133,6 +133,7 @@ impl Bound {
 
     pub(in crate::daemon) fn new(socket: &Path) -> Result<Self, SocketError> {
         check(socket)?;
+        make_dir(socket).map_err(|source| SocketError::Io { path: socket.to_owned(), source })?;
         let lock = lock(socket)?;
         // Bind the socket for emergency stops first, so that it exists before any client connects.
         let (estop, estop_file) = bind(&estop_socket(socket))?;
@@ -162,9 +163,8 @@ fn next_listener(
 }
 
 fn bind(path: &Path) -> Result<(UnixListener, SocketFile), SocketError> {
-    let wrong = |source| SocketError::Io { path: path.to_owned(), source };
-    make_dir(path).map_err(wrong)?;
     clear(path)?;
+    let wrong = |source| SocketError::Io { path: path.to_owned(), source };
     // Until the mode is set, the umask decides, which is stricter by default.
     let listener = UnixListener::bind(path).map_err(wrong)?;
     let file = SocketFile { path: path.to_owned(), identity: identity(path) };
