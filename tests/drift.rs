@@ -137,13 +137,14 @@ fn a_pilot_is_told_what_a_board_would_do() {
     let receipt = ended(&mut events);
     assert_eq!((receipt.state.name(), receipt.cause.as_ref()), ("stopped", Some(&EndCause::DriftLimit)));
     let receipt: meissner_api::Receipt = client.get("/v1/plays/last").unwrap();
-    let begun = receipt.items.iter().filter(|item| item.onset.is_some()).count();
+    let begun =
+        receipt.items.iter().flat_map(|items| items.iter()).filter(|item| item.onset.is_some()).count();
     // What was sent ahead may still begin.
     assert!((stop.item..stop.item + 4).contains(&begun), "{begun} items have begun, told was {stop:?}");
     drop(board);
 
     let with_stop = Daemon::with("mock:board,lower-stop", PATIENT);
-    let mut client = Client::new(with_stop.socket()).unwrap();
+    let mut client = Client::new(&with_stop.socket()).unwrap();
     let _: Value = client.post("/v1/arm", &json!({})).unwrap();
     let told = checked(&with_stop, 0);
     assert_eq!((told.lower_stop, told.stopped_at, told.drift_um), (true, None, 0.0));

@@ -32,7 +32,7 @@ pub struct PlanCheck {
     #[schema(required)]
     pub stopped_at: Option<PlanStop>,
     /// How far the estimate was followed, ms, if the plan is longer than the daemon follows; else null.
-    #[schema(required)]
+    #[schema(required, minimum = 0.0)]
     pub followed_ms: Option<f64>,
 }
 
