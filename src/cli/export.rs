@@ -28,7 +28,7 @@ pub(super) const TIMEOUT: Duration = Duration::from_secs(60);
 type Column = (&'static str, fn(&Session, &RecordedPlay) -> String);
 
 /// The columns.
-const COLUMNS: [Column; 54] = [
+const COLUMNS: [Column; 55] = [
     ("session", |session, _| session.id.clone()),
     ("participant", |session, _| session.participant.clone()),
     ("experiment", |session, _| field(session.experiment.as_ref())),
@@ -89,6 +89,7 @@ const COLUMNS: [Column; 54] = [
     ("correct", |_, play| answered(play, |answer| answer.correct)),
     ("response_time", |_, play| answered(play, |answer| answer.rt_ms.map(|ms| ms / 1e3))),
     ("level", |_, play| answered(play, |answer| answer.level)),
+    ("first_pulse_tick", |_, play| field(play.first_pulse_tick)),
 ];
 
 /// The field of a part of the participant's answer.
