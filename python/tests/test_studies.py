@@ -126,12 +126,8 @@ def test_temporal_order_at_5_ms_gives_pse_and_jnd(lab: meissner.Client, tmp_path
                 {"pattern": "pin-60", "start": max(0.0, -soa_s)},
                 {"drives": [{"motor": 14, "frequency_hz": 60.0, "amplitude_um": 40.0}], "start": max(0.0, soa_s)},
             ]
-            lab.sequence(
-                sorted(pins, key=lambda pin: pin["start"]),
-                seconds=0.03,
-                trial=trial.number,
-                labels={"soa_ms": trial["level"]},
-            ).wait()
+            pins.sort(key=lambda pin: float(pin["start"]))
+            lab.sequence(pins, seconds=0.03, trial=trial.number, labels={"soa_ms": trial["level"]}).wait()
             left_first = chance.random() < logistic((trial["level"] - pse_ms) / width_ms)
             session.answer(trial, "left" if left_first else "right")
     lab.export_bids(session.id, tmp_path, displacement_hz=None)

@@ -145,10 +145,11 @@ impl Armed {
         passes
     }
 
-    /// Takes back what this client has armed. Returns whether the motors stay armed, for another client whose time is not over.
+    /// Takes back what this client has armed. Returns whether the motors stay armed, for another client whose time is not over. One
+    /// without a time does not count: it may have ended long ago.
     fn give_back(&mut self, caller: &Caller) -> bool {
         let holds = |holder: &Holder| {
-            !holder.caller.is_same(caller) && self.left(holder).is_none_or(|left| !left.is_zero())
+            !holder.caller.is_same(caller) && self.left(holder).is_some_and(|left| !left.is_zero())
         };
         let stays = self.holders.iter().any(holds);
         if stays {
@@ -321,6 +322,8 @@ mod tests {
         armed.hold(process(11), "b".to_owned(), for_s(10));
         wait(&mut armed, 11);
         assert!(!armed.give_back(&process(10)), "the time of the other one is over");
+        armed.hold(process(12), "d".to_owned(), Silence::Unattended);
+        assert!(!armed.give_back(&process(10)), "nobody knows whether it is there");
         for pid in 0..100 {
             armed.hold(process(pid), "c".to_owned(), for_s(10));
         }
