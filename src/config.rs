@@ -170,6 +170,7 @@ struct RawConfig {
     socket: Option<PathBuf>,
     listen: Option<String>,
     listen_hosts: Option<Vec<String>>,
+    listen_origins: Option<Vec<String>>,
     listen_token: Option<String>,
     tokens: Option<PathBuf>,
     patterns_dir: Option<PathBuf>,
@@ -259,7 +260,8 @@ impl RawConfig {
         })?;
         check_path("socket", self.socket.as_deref())?;
         check_path("tokens", self.tokens.as_deref())?;
-        let listen = network::check(self.listen.as_deref(), self.listen_hosts, self.listen_token.as_deref())?;
+        let [address, token] = [self.listen.as_deref(), self.listen_token.as_deref()];
+        let listen = network::check(address, self.listen_hosts, self.listen_origins, token)?;
         check_path("patterns_dir", self.patterns_dir.as_deref())?;
         check_path("calibration", self.calibration.as_deref())?;
         check_path("logbook_dir", self.logbook_dir.as_deref())?;

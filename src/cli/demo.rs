@@ -160,6 +160,7 @@ pub(super) fn run(asked: &Asked) -> Result<ExitCode> {
     config.listen = page.then(|| Listen {
         address: (Ipv4Addr::LOCALHOST, 0).into(),
         hosts: Vec::new(),
+        origins: Vec::new(),
         always_token: false,
     });
     if sensorless {

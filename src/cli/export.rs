@@ -85,11 +85,11 @@ const COLUMNS: [Column; 55] = [
     ("array", |_, play| play.array.clone()),
     ("tick_hz", |_, play| play.tick_hz.to_string()),
     ("mapped_from", |_, play| field(play.mapped_from.as_ref())),
+    ("first_pulse_tick", |_, play| field(play.first_pulse_tick)),
     ("response", |_, play| answered(play, |answer| Some(&answer.response))),
     ("correct", |_, play| answered(play, |answer| answer.correct)),
     ("response_time", |_, play| answered(play, |answer| answer.rt_ms.map(|ms| ms / 1e3))),
     ("level", |_, play| answered(play, |answer| answer.level)),
-    ("first_pulse_tick", |_, play| field(play.first_pulse_tick)),
 ];
 
 /// The field of a part of the participant's answer.
