@@ -66,11 +66,11 @@ classdef Meissner < handle
     end
 
     function close(self)
-      % Disarm, if this client has armed.
+      % Take back what this client has armed: motors that another one has armed, too, stay armed for that one.
       if self.has_armed
         self.has_armed = false;
         try
-          self.post('/v1/disarm', struct(), 10);
+          self.post('/v1/disarm', struct('own', true), 10);
         catch failure
           % A device that is off already is fine.
           state = self.status();

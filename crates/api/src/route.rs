@@ -416,8 +416,10 @@ impl Route {
             Self::Disarm => Operation {
                 summary: "Stop, return the pins to rest and switch the motors off",
                 description: "It takes precedence over commands that wait; those end with `returning`. Everybody who may operate may \
-                              order it, as for `POST /v1/stop`.",
-                errors: &[SENT, &[Code::Faulted, Code::Returning, Code::DeviceRefused], COMMAND, ANY],
+                              order it, as for `POST /v1/stop`. A client that ends takes back only what it has armed with `own`: \
+                              motors that another client has armed, too, stay armed for that one.",
+                body: Body::OptionalJson("DisarmRequest"),
+                errors: &[BODY, SENT, &[Code::Faulted, Code::Returning, Code::DeviceRefused], COMMAND, ANY],
                 ..Operation::post("/v1/disarm")
             },
             Self::Home => Operation {

@@ -11,12 +11,15 @@ import io
 import os
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
-from .._plays import KnownPlay
+from .._plays import KnownPlay, trial_answer
 from ..clocks import Instant
 from ..errors import MeissnerError
 from .trials import Trial
+
+if TYPE_CHECKING:
+    from ..client import Play
 
 
 class LogError(MeissnerError):
@@ -61,9 +64,13 @@ def _times(played: _Played, prefix: str) -> dict[str, Any]:
 class Log:
     """A CSV file with a row per trial. The first row that is added names the columns."""
 
-    def __init__(self, path: str | os.PathLike[str], *, resume: bool = False) -> None:
-        """`resume`: go on with a file that is there. Without it the log refuses to touch one."""
+    def __init__(self, path: str | os.PathLike[str], *, resume: bool = False, answers: bool = False) -> None:
+        """`resume`: go on with a file that is there. Without it the log refuses to touch one.
+
+        `answers`: `add` also records what was answered, in the session that runs, so that exports have it in the row of the play.
+        """
         self.path = Path(path)
+        self._answers = answers
         self._columns: list[str] | None = None
         self.rows: list[dict[str, str]] = []
         """The rows, as text."""
@@ -94,8 +101,12 @@ class Log:
         finished = {row.get("trial") for row in self.rows}
         return [trial for trial in trials if str(trial.number) not in finished]
 
-    def add(self, trial: Trial | int, play: KnownPlay | None = None, **columns: Any) -> None:
-        """Writes a trial: its number and factors, the play's times, and columns of your own. It is on the disk then."""
+    def add(self, trial: Trial | int, play: Play | None = None, **columns: Any) -> None:
+        """Writes a trial: its number and factors, the play's times, and columns of your own. It is on the disk then.
+
+        Of a log with `answers` the columns `response`, `correct`, `rt_ms` and `level` are those of `play.answer`, and factors and other
+        columns are its factors.
+        """
         number, factors = (trial, {}) if isinstance(trial, int) else (trial.number, trial.factors)
         row: dict[str, Any] = {"trial": number, **factors}
         for name, value in [*(play_columns(play) if play else {}).items(), *columns.items()]:
@@ -115,6 +126,14 @@ class Log:
                 )
             self._write(self._file, [[row.get(name) for name in self._columns]])
         self.rows.append({name: _text(row.get(name)) for name in self._columns})
+        if self._answers and play is not None:
+            given = {name: columns.pop(name, None) for name in ("response", "correct", "rt_ms", "level")}
+            _, level, own = trial_answer(trial, given.pop("level"), columns)
+            correct = None if given["correct"] is None else bool(given["correct"])
+            said = (
+                given["response"] if given["response"] is not None else "" if correct is None else str(correct).lower()
+            )
+            play.answer(said, correct=correct, rt_ms=given["rt_ms"], level=level, factors=own)
 
     def _write(self, file: int, lines: list[list[Any]]) -> None:
         buffer = io.StringIO(newline="")
