@@ -7,6 +7,7 @@ use meissner_client::Events;
 use meissner_stream::calibrate::{Calibration, PlayedPlan, Sensor, simulated_recording};
 use serde_json::{Value, json};
 use std::fs;
+use std::io::Write;
 
 /// Takes six seconds, which are enough for motors with little scatter.
 fn quick(motor: u8) -> Value {
@@ -177,7 +178,33 @@ fn a_laser_calibrates_a_device_without_telemetry() {
     let status: Value = daemon.client().get("/v1/status").unwrap();
     assert_eq!(status["motors"][5]["calibrated"], true);
 
-    // Fit into a file, without a daemon, and send the file to the daemon by the API.
+    // Without a daemon. In volts nothing is stored; the same numbers from a pipe, packed, in UTF-16 and with their unit are fitted.
+    let away = |arguments: &str| {
+        let mut away = meissner();
+        away.args(arguments.split(' ')).current_dir(daemon.path(""));
+        away
+    };
+    fs::write(daemon.path("volts.csv"), recording.replace("displacement_um", "displacement [V]")).unwrap();
+    let line = complaint(&mut away("calibrate --from volts.csv --plan plan.json -o none.toml"));
+    assert!(
+        line.contains("volts.csv: the displacement in column `displacement [V]` has the unit `v`"),
+        "{line}"
+    );
+    assert!(!daemon.path("none.toml").exists());
+    let mut packed = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::fast());
+    let utf16: Vec<u8> = format!("\u{feff}{recording}").encode_utf16().flat_map(u16::to_le_bytes).collect();
+    packed.write_all(&utf16).unwrap();
+    let packed = packed.finish().unwrap();
+    fs::write(daemon.path("marked.json"), format!("\u{feff}{}", plan.to_json())).unwrap();
+    for from in ["-", "/dev/stdin"] {
+        let mut piped = away(&format!("calibrate --from {from} --plan marked.json -o piped.toml --json"));
+        let fitted = document(piped.write_stdin(packed.clone()));
+        let gain = |value: &Value| value.as_f64().unwrap();
+        let off = gain(&fitted["gain_up"]["value"]) - gain(&report["motors"][0]["gain_up"]);
+        assert!(off.abs() < 1e-6 && fitted["dropouts"] == 0, "{from}: {off} {fitted}");
+    }
+
+    // Fit into a file, and send the file to the daemon by the API.
     let mut away = meissner();
     away.args("calibrate --from laser.csv --plan plan.json --time-unit s -o copy.toml --json".split(' '));
     let fitted = document(away.current_dir(daemon.path("")));

@@ -15,7 +15,7 @@ use meissner_array::pattern::Pattern;
 use meissner_design::Target;
 use meissner_research::Trace;
 use meissner_skin::AnyScene;
-use meissner_stream::calibrate::{Calibration, PlayedPlan, Recording, Units};
+use meissner_stream::calibrate::{Calibration, Layout, PlayedPlan, Recording};
 use meissner_stream::device::Spec;
 use meissner_sweep::{Document, Plan, Sources};
 use serde::Serialize;
@@ -157,7 +157,7 @@ fn played_plan(bytes: &[u8]) {
 }
 
 fn recording(bytes: &[u8]) {
-    if let Err(error) = Recording::read(bytes, Units::default()) {
+    if let Err(error) = Recording::read(bytes, &Layout::default()) {
         told(error);
     }
 }

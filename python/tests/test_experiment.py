@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import collections
 import csv
+import io
 import itertools
 import os
 import signal
@@ -28,6 +29,7 @@ from meissner.experiment import (
     trials,
     two_afc,
 )
+from meissner.experiment.log import play_columns
 
 
 def test_every_block_holds_every_combination_once() -> None:
@@ -218,6 +220,118 @@ def test_a_log_goes_on_after_the_last_whole_row(tmp_path: Path, rest: str) -> No
     with Log(tmp_path / "new.csv", resume=True) as log:
         log.add(1)
     assert (tmp_path / "new.csv").read_text() == "trial\n1\n"
+
+
+LOG = (
+    "trial,level,word,play,pattern,state,late,onset_tick,onset_monotonic_ns,onset_wall_ns,onset_uncertainty_s,correct\n"
+    '1,0.5,"a, ""b""",7,pin-60,done,False,850000,412345678901234,1772000000123456789,0.000012000,1\n'
+    '2,0.7,"c\nd",8,pin-60,done,False,935000,413345678901234,1772000001123456789,0.000012500,0\n'
+    "3,0.5,\u00fc,,,,,,,,,\n"
+)
+ROWS = list(csv.reader(LOG.splitlines(keepends=True)))
+
+
+def saved(delimiter: str = ",", end: str = "\r\n", quoting: int = csv.QUOTE_MINIMAL) -> str:
+    """The log as a spreadsheet saves it."""
+    buffer = io.StringIO(newline="")
+    csv.writer(buffer, delimiter=delimiter, lineterminator=end, quoting=quoting).writerows(ROWS)  # type: ignore[call-overload]
+    return buffer.getvalue()
+
+
+@pytest.mark.parametrize(
+    ("data", "why"),
+    [
+        (LOG.encode(), None),
+        (LOG[: LOG.index("3,0.5")].encode() + b"3,0.", None),
+        (b"", None),
+        (b"tri", None),
+        (b"\xef\xbb\xbf" + LOG.encode(), "byte order mark"),
+        (b"\xef\xbb\xbf" + saved(";").encode(), "byte order mark"),
+        (saved(";").encode(), "line ends have changed|begin with the column"),
+        (saved(";", "\n").encode(), "separators|column `trial`"),
+        (saved("\t", "\n").encode(), "separators|column `trial`"),
+        (saved().encode(), "line ends have changed"),
+        (saved(end="\r").encode(), "column `trial`|line ends"),
+        (saved(end="\n", quoting=csv.QUOTE_ALL).encode(), "quotation marks"),
+        (saved(end="\n", quoting=csv.QUOTE_NONNUMERIC).encode(), "quotation marks"),
+        (LOG.encode("utf-16"), "column `trial`|cannot be read"),
+        (LOG.encode("cp1252"), "cannot be read"),
+        (LOG.replace("1772000000123456789", "1.772E+18").encode(), "row 1 has `onset_wall_ns` '1.772E\\+18'"),
+        (LOG.replace("413345678901234", '"413345678901234,0"').encode(), "row 2 has `onset_monotonic_ns`"),
+        (LOG.replace("0.000012000", "0.000012").encode(), "row 1 has `onset_uncertainty_s` '0.000012'"),
+        (LOG.replace("0.000012000", '"0,000012000"').encode(), "row 1 has `onset_uncertainty_s`"),
+        (LOG.replace("0.000012500", "1.25E-05").encode(), "row 2 has `onset_uncertainty_s`"),
+        (LOG.replace("\n2,", "\n2.0,").encode(), "row 2 has `trial` '2.0'"),
+        (LOG.replace("850000", "850 000").encode(), "row 1 has `onset_tick`"),
+        (LOG.replace(",,,,,,,,,\n", "\n").encode(), "row 3 has 3 cells, not 12"),
+        (LOG.replace(",correct", "").encode(), "row 1 has 12 cells, not 11"),
+        (LOG.replace("trial,", "Trial,").encode(), "column `trial`"),
+        (LOG.replace("\n3,", "\n\n3,").encode(), "row 3 has 0 cells"),
+        (b"notes of a day", "column `trial`"),
+        (b"PK\x03\x04workbook\n", "column `trial`"),
+    ],
+)
+def test_a_log_that_another_program_saved_is_refused_when_it_is_opened(
+    tmp_path: Path, data: bytes, why: str | None
+) -> None:
+    file = tmp_path / "log.csv"
+    file.write_bytes(data)
+    if why is None:
+        with Log(file, resume=True) as log:
+            whole = data[: data.rfind(b"\n") + 1]
+            assert [row["trial"] for row in log.rows] == [row[0] for row in csv.reader(io.StringIO(whole.decode()))][1:]
+        assert file.read_bytes() == whole
+        return
+    with pytest.raises(LogError, match=f"not as a log writes it .*({why}).*restore the original"):
+        Log(file, resume=True)
+    assert file.read_bytes() == data
+
+
+def test_a_log_refuses_trials_that_it_cannot_take_before_they_are_played(tmp_path: Path) -> None:
+    file = tmp_path / "log.csv"
+    made = [Trial(1, {"level": 0.5}), Trial(2, {"level": 0.7})]
+    with Log(file) as log:
+        assert log.remaining(made) == made
+        with pytest.raises(LogError, match="no column `side` for trial 2: give all trials the same factors"):
+            log.remaining([made[0], Trial(2, {"level": 0.7, "side": "left"})])
+        log.add(made[0], answer="a")
+    with Log(file, resume=True) as log:
+        assert log.remaining(made) == made[1:]
+        with pytest.raises(LogError, match="no column `side` for trial 2"):
+            log.remaining([made[0], Trial(2, {"side": "left"})])
+        with pytest.raises(LogError, match="make the list as before, with its seed"):
+            log.remaining([Trial(1, {"level": 0.6})])
+    # As a spreadsheet changes numbers of one's own.
+    file.write_text('trial,level,answer\n1,"0,5",a\n')
+    with Log(file, resume=True) as log, pytest.raises(LogError, match="has `level` '0,5' in trial 1"):
+        log.remaining(made)
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "trial",
+        "play",
+        "pattern",
+        "state",
+        "late",
+        "onset_tick",
+        "offset_monotonic_ns",
+        "item2_pattern",
+        "item1_onset_wall_ns",
+    ],
+)
+def test_a_factor_with_the_name_of_a_column_of_the_log_is_refused_in_the_list(name: str) -> None:
+    with pytest.raises(ValueError, match=f"the factor `{name}` has the name of a column that the log writes"):
+        trials(seed=1, **{name: [1, 2]})
+
+
+def test_the_names_that_factors_may_not_have_are_those_of_the_log(m: meissner.Client) -> None:
+    play = m.sequence(["pin-60", "pin-60"], seconds=0.05, soa=0.1)
+    play.wait()
+    for name in play_columns(play):
+        with pytest.raises(ValueError, match="name of a column"):
+            Trial(1, {name: 1})
 
 
 WRITER = """

@@ -16,7 +16,7 @@ use anyhow::{Result, bail};
 use clap::Args;
 use meissner_api::{CalibrateRequest, CalibratedMotor, CalibrationReport, Event, PlayAccepted};
 use meissner_client::Events;
-use meissner_stream::calibrate::{LengthUnit, TimeUnit, Units};
+use meissner_stream::calibrate::{Layout, LengthUnit, TimeUnit};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::Duration;
@@ -42,15 +42,24 @@ pub(super) struct Calibrate {
     /// read them from PLAN [default: calibration-plan.json]
     #[arg(long, value_name = "PLAN", num_args = 0..=1, default_missing_value = laser::DEFAULT_PLAN)]
     plan: Option<PathBuf>,
-    /// Fit the motor of the plan to a laser's recording: a CSV file of time and displacement, by any clock
+    /// Fit the motor of the plan to a laser's recording: a CSV file of time and displacement, by any clock, or `-` for stdin
     #[arg(long, value_name = "CSV", conflicts_with_all = ["motor", "repetitions", "pulses"])]
     from: Option<PathBuf>,
-    /// Read the recording's time in this unit: s, ms or us [default: the header's, else s]
+    /// Read the recording's time in this unit: s, ms, us, ns or min [default: the header's, else s]
     #[arg(long, value_name = "UNIT", requires = "from")]
     time_unit: Option<TimeUnit>,
-    /// Read the recording's displacement in this unit: m, mm, um or nm [default: the header's, else um]
+    /// Read the recording's displacement in this unit: m, mm, um or nm [default: the header's]
     #[arg(long, value_name = "UNIT", requires = "from")]
     displacement_unit: Option<LengthUnit>,
+    /// Read the time from this column: its name, or its number from 0 [default: the header says it]
+    #[arg(long, value_name = "COLUMN", requires = "from")]
+    time_column: Option<String>,
+    /// Read the displacement from this column: its name, or its number from 0 [default: the header says it]
+    #[arg(long, value_name = "COLUMN", requires = "from")]
+    column: Option<String>,
+    /// Do not read the time: the recording has HZ rows per second
+    #[arg(long, value_name = "HZ", requires = "from", conflicts_with_all = ["time_column", "time_unit"])]
+    rate_hz: Option<f64>,
     /// Draw the recording, the fit and the residuals to FILE (SVG)
     #[arg(long, value_name = "FILE", requires = "from")]
     plot: Option<PathBuf>,
@@ -67,11 +76,17 @@ pub(super) fn run(asked: &Calibrate) -> Result<ExitCode> {
         if asked.array.find()?.is_none() {
             asked.options.learn_array()?;
         }
-        let Calibrate { time_unit, displacement_unit, .. } = *asked;
+        let layout = Layout {
+            time_unit: asked.time_unit,
+            displacement_unit: asked.displacement_unit,
+            time_column: asked.time_column.clone(),
+            column: asked.column.clone(),
+            rate_hz: asked.rate_hz,
+        };
         return laser::fit(&laser::Fit {
             recording,
             plan: plan.unwrap_or(Path::new(laser::DEFAULT_PLAN)),
-            units: Units { time: time_unit, displacement: displacement_unit },
+            layout: &layout,
             plot: asked.plot.as_deref(),
             out: asked.out.as_deref(),
             options: &asked.options,

@@ -9,11 +9,15 @@
 use crate::file::{dir_of, read_regular};
 use anyhow::{Result, anyhow, bail};
 use meissner_array::pattern;
-use std::fs::{self, Permissions};
-use std::io::{self, Write};
+use std::fs::{self, File, Permissions};
+use std::io::{self, Read, Write};
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 use tempfile::NamedTempFile;
+
+/// The argument for stdin.
+const STDIN: &str = "-";
+const BYTE_ORDER_MARK: char = '\u{feff}';
 
 /// A new file, and its final place.
 #[derive(Debug)]
@@ -41,7 +45,43 @@ pub fn text(place: &Path, most: u64, kind: &str) -> Result<String> {
     }
     let bytes = read_regular(place, most)
         .map_err(|error| anyhow!("{at}: cannot be read; name a {kind} file ({error})"))?;
-    String::from_utf8(bytes).map_err(|_| anyhow!("{at}: not UTF-8 text: name a {kind} file in UTF-8"))
+    utf8(bytes, &at, kind)
+}
+
+/// Reads the text of a file or, for `-`, of stdin. Returns it with its name in errors.
+pub(super) fn text_or_stdin(place: &Path, most: u64, kind: &str) -> Result<(String, String)> {
+    if place == Path::new(STDIN) {
+        let text = utf8(bytes(place, most, kind)?, "stdin", kind)?;
+        return Ok((text, "stdin".to_owned()));
+    }
+    Ok((text(place, most, kind)?, shown(place)))
+}
+
+/// Reads a file, a pipe or, for `-`, stdin to its end: at most `most` bytes.
+pub(super) fn bytes(place: &Path, most: u64, kind: &str) -> Result<Vec<u8>> {
+    let is_stdin = place == Path::new(STDIN);
+    let at = if is_stdin { "stdin".to_owned() } else { shown(place) };
+    let mut bytes = Vec::new();
+    let read = if is_stdin {
+        io::stdin().lock().take(most + 1).read_to_end(&mut bytes)
+    } else {
+        File::open(place).and_then(|file| file.take(most + 1).read_to_end(&mut bytes))
+    };
+    read.map_err(|error| anyhow!("{at}: cannot be read; name a {kind} file ({error})"))?;
+    if bytes.len() as u64 > most {
+        bail!("{at}: more than {most} bytes are too many for a {kind} file");
+    }
+    Ok(bytes)
+}
+
+/// Text without its byte order mark, which editors and spreadsheets of Windows write.
+fn utf8(bytes: Vec<u8>, at: &str, kind: &str) -> Result<String> {
+    let mut text =
+        String::from_utf8(bytes).map_err(|_| anyhow!("{at}: not UTF-8 text: name a {kind} file in UTF-8"))?;
+    if text.starts_with(BYTE_ORDER_MARK) {
+        text.drain(..BYTE_ORDER_MARK.len_utf8());
+    }
+    Ok(text)
 }
 
 /// Makes a new file beside a place.

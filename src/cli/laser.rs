@@ -10,7 +10,6 @@ use super::output::give;
 use super::progress::Progress;
 use super::{control, files, text};
 use crate::array::shown;
-use crate::file::read_regular;
 use crate::receipts::calibration_plan;
 use crate::session_record::utc_now;
 use anyhow::{Result, anyhow, bail};
@@ -18,8 +17,8 @@ use firmware_protocol::tick::Tick;
 use meissner_api::{CalibrateRequest, CalibrationReport, PlayAccepted, Status};
 use meissner_report::plot_laser;
 use meissner_stream::calibrate::{
-    Calibration, Figure, LaserFit, MAX_BYTES, MAX_PLAN_BYTES, MAX_RECORDING_BYTES, PlayedOn, PlayedPlan,
-    Recording, Units, fit_recording,
+    Calibration, Figure, LaserFit, Layout, MAX_BYTES, MAX_PLAN_BYTES, MAX_RECORDING_BYTES, PlayedOn,
+    PlayedPlan, Recording, fit_recording,
 };
 use serde::Serialize;
 use std::path::Path;
@@ -76,7 +75,7 @@ pub(super) fn play(request: &CalibrateRequest, out: &Path, options: &ClientOptio
 pub(super) struct Fit<'a> {
     pub(super) recording: &'a Path,
     pub(super) plan: &'a Path,
-    pub(super) units: Units,
+    pub(super) layout: &'a Layout,
     pub(super) plot: Option<&'a Path>,
     pub(super) out: Option<&'a Path>,
     pub(super) options: &'a ClientOptions,
@@ -96,10 +95,9 @@ pub(super) fn fit(asked: &Fit<'_>) -> Result<ExitCode> {
     let at = |file: &Path, error: &dyn std::fmt::Display| anyhow!("{}: {error}", files::shown(file));
     let plan = files::text(asked.plan, MAX_PLAN_BYTES as u64, "plan")?;
     let plan = PlayedPlan::parse(&plan).map_err(|error| at(asked.plan, &error))?;
-    let bytes = read_regular(asked.recording, MAX_RECORDING_BYTES as u64)
-        .map_err(|error| anyhow!("{}: {error}; name a CSV file", files::shown(asked.recording)))?;
+    let bytes = files::bytes(asked.recording, MAX_RECORDING_BYTES as u64, "CSV")?;
     let plot = asked.plot.map(files::beside).transpose()?;
-    let recording = Recording::read(&bytes, asked.units).map_err(|error| at(asked.recording, &error))?;
+    let recording = Recording::read(&bytes, asked.layout).map_err(|error| at(asked.recording, &error))?;
     drop(bytes);
     let found = fit_recording(&plan, &recording).map_err(|error| at(asked.recording, &error))?;
     let new = found.calibration(&plan).map_err(|error| at(asked.plan, &error))?;
@@ -146,8 +144,8 @@ fn summary(found: &LaserFit, file: &str) -> String {
         (
             "recording",
             format!(
-                "{} samples, {} of {} bursts, correlation {:.3}",
-                found.samples, found.bursts_covered, found.bursts_planned, found.correlation
+                "{} samples, {} rows without a value, {} of {} bursts, correlation {:.3}",
+                found.samples, found.dropouts, found.bursts_covered, found.bursts_planned, found.correlation
             ),
         ),
         ("sensor", format!("noise {:.3} um, drift {drift:.3} +- {sd:.3} um/s{counts}", found.noise_um)),

@@ -7,7 +7,7 @@
 use super::files;
 use crate::file::{dir_of, open_regular};
 use crate::store::Store;
-use anyhow::{Result, anyhow, bail};
+use anyhow::{Result, bail};
 use meissner_array::pattern::{MAX_FILE_BYTES, MAX_PACKED_BYTES, MAX_SAMPLE_FILE_BYTES, Pattern};
 use std::fs::{self, File, Metadata};
 use std::io::{self, Read};
@@ -32,10 +32,8 @@ pub(super) struct Found {
 /// Reads the pattern of an argument: a name of the library, a file, or `-` for stdin.
 pub(super) fn of_argument(argument: &str) -> Result<Found> {
     if argument == "-" {
-        let mut text = String::new();
-        let read = io::stdin().lock().take(MAX_PACKED_BYTES as u64 + 1).read_to_string(&mut text);
-        read.map_err(|error| anyhow!("stdin: cannot be read; pipe a pattern in UTF-8 ({error})"))?;
-        return of_text(text, "stdin", Path::new("."));
+        let (text, name) = files::text_or_stdin(Path::new(argument), MAX_PACKED_BYTES as u64, "pattern")?;
+        return of_text(text, &name, Path::new("."));
     }
     if files::is_file(argument) {
         return of_file(Path::new(argument));

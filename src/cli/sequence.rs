@@ -9,10 +9,9 @@ use super::output::give;
 use super::progress::Progress;
 use super::session_token;
 use super::{files, text};
-use anyhow::{Context, Result, anyhow, bail};
+use anyhow::{Result, anyhow};
 use clap::Args;
 use meissner_api::{MAX_BODY, Receipt, SequenceRequest};
-use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
@@ -70,16 +69,6 @@ pub(super) fn run(asked: &Sequence) -> Result<ExitCode> {
 }
 
 pub(super) fn read(file: &Path) -> Result<SequenceRequest> {
-    let most = MAX_BODY as u64;
-    let (name, text) = if file == Path::new("-") {
-        let mut text = String::new();
-        io::stdin().take(most + 1).read_to_string(&mut text).context("stdin cannot be read as UTF-8 text")?;
-        if text.len() as u64 > most {
-            bail!("stdin: a sequence has at most {most} bytes: divide it");
-        }
-        ("stdin".to_owned(), text)
-    } else {
-        (files::shown(file), files::text(file, most, "sequence")?)
-    };
+    let (text, name) = files::text_or_stdin(file, MAX_BODY as u64, "sequence")?;
     SequenceRequest::parse_file(&text).map_err(|problem| anyhow!("{name}: {problem}"))
 }

@@ -34,6 +34,8 @@ pub enum SamplesError {
     Scale { scale_um: f64 },
     #[error("sample {number} at {at_s} s is {value}: must be a number")]
     Sample { number: usize, at_s: f64, value: f64 },
+    #[error(transparent)]
+    Table(#[from] crate::table::TableError),
     #[error("line {line}: {found} is not a number")]
     NotANumber { line: u64, found: String },
     #[error("line {line} has no column {column}")]

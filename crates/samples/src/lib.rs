@@ -10,6 +10,7 @@ mod csv_file;
 mod error;
 mod npy;
 mod resample;
+pub mod table;
 mod wav;
 
 pub use error::SamplesError;
@@ -28,7 +29,7 @@ pub const MOST_FILE_HZ: f64 = 192_000.0;
 pub enum Column {
     /// Its number, from 0.
     Number(usize),
-    /// Its name, in the first row of a CSV file.
+    /// Its name, in the row of names of a CSV file.
     Name(String),
 }
 
@@ -149,7 +150,7 @@ pub fn read_table(bytes: &[u8]) -> Result<([usize; 2], Vec<f64>), SamplesError> 
     npy::read_table(bytes)
 }
 
-/// Reads columns of a CSV file by their names in the first row. They may hold no finite numbers.
+/// Reads columns of a CSV file by their names. They may hold no finite numbers.
 ///
 /// # Errors
 /// The first thing that is wrong, in one line without the file's name.

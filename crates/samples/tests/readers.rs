@@ -103,7 +103,7 @@ fn csv_is_read_with_and_without_names() {
     for text in ["1\n2\n3", "# a line of NumPy\r\n1\r\n2\r\n3\r\n", "\"height\"\n1\n2\n3\n"] {
         assert_eq!(good("a.csv", text.as_bytes(), &at(1.0)).um, [1.0, 2.0, 3.0], "{text}");
     }
-    for text in ["1;2\n3;4\n", "1\t2\n3\t4\n"] {
+    for text in ["1;2\n3;4\n", "1\t2\n3\t4\n", "Weg\n\nt;um\n0,5;2,0\n1,5;4,0\n"] {
         assert_eq!(good("a.csv", text.as_bytes(), &column(1)).um, [2.0, 4.0], "{text}");
     }
 }
@@ -212,9 +212,12 @@ fn every_mistake_is_one_line() {
         (text("a,b\n1,2\n", &named("c")), "no column named `c`: the first row has `a`, `b`"),
         (text("1\n2\nthree\n", &at(1.0)), "line 3: `three` is not a number"),
         (text("1,2\n3\n", &column(1)), "line 2 has no column 1"),
-        (text("0,5;1\n0,5;2\n", &column(0)), "line 2: `0,5` is not a number"),
+        (
+            text("0,5;1\n0.5;2\n", &column(0)),
+            "line 2: `0.5` has another decimal mark than the numbers above it",
+        ),
         (text("1\ninf\n", &at(1.0)), "sample 1 at 1 s is inf"),
-        (refused("a.csv", b"1\n\xff\n", &at(1.0)), "line 2: `\u{fffd}` is not a number"),
+        (refused("a.csv", b"1\n\xff\n", &at(1.0)), "line 2: `\u{ff}` is not a number"),
         (
             refused("a.wav", &stereo, &Choice { channel: None, ..channel(0) }),
             "2 channels: add channel = 0 to 1",

@@ -10,7 +10,7 @@ use meissner_array::simulated::{SimulatedMotors, SimulatedMotorsConfig};
 use meissner_array::spec::{Array, ArraySpec};
 use meissner_array::strokes::{LiveStrokes, StrokeOptions, Strokes};
 use meissner_stream::calibrate::{
-    Calibration, Fit, Plan, PlayedOn, PlayedPlan, Recording, Sensor, Units, fit, fit_recording, laser_plan,
+    Calibration, Fit, Layout, Plan, PlayedOn, PlayedPlan, Recording, Sensor, fit, fit_recording, laser_plan,
     pulses_range, simulated_recording, travels_by_sensor,
 };
 use meissner_stream::queues::{Command, CommandError, LiveResult, LiveUpdate, Play, StreamEvent};
@@ -185,7 +185,7 @@ fn a_laser_finds_the_gains_of_another_motor() {
     let played = PlayedPlan::new(&plan, 2, Tick::BOOT + 98_765, on);
     assert_eq!(PlayedPlan::parse(&played.to_json()).as_ref(), Ok(&played));
     let recording = simulated_recording(&played, &config, &Sensor::default());
-    let recording = Recording::read(recording.as_bytes(), Units::default()).unwrap();
+    let recording = Recording::read(recording.as_bytes(), &Layout::default()).unwrap();
     let found = fit_recording(&played, &recording).unwrap();
     assert_near([&found.fit.up, &found.fit.down], true_gains(&config, 2), array);
     let calibration = found.calibration(&played).unwrap();

@@ -5,7 +5,7 @@ use meissner_array::random::{normal, uniform};
 use meissner_array::simulated::{SimulatedMotors, SimulatedMotorsConfig};
 use meissner_array::spec::Array;
 use meissner_stream::calibrate::{
-    Calibration, Figure, LaserFit, Plan, PlayedOn, PlayedPlan, Recording, Sensor, Units, fit, fit_recording,
+    Calibration, Figure, LaserFit, Layout, Plan, PlayedOn, PlayedPlan, Recording, Sensor, fit, fit_recording,
     laser_plan, simulated_recording, travels_by_sensor,
 };
 use meissner_test_support::at_length;
@@ -29,7 +29,8 @@ fn played(motor: u8) -> PlayedPlan {
 
 fn fitted(played: &PlayedPlan, motors: &SimulatedMotorsConfig, sensor: &Sensor) -> Result<LaserFit, String> {
     let text = simulated_recording(played, motors, sensor);
-    let recording = Recording::read(text.as_bytes(), Units::default()).map_err(|error| error.to_string())?;
+    let recording =
+        Recording::read(text.as_bytes(), &Layout::default()).map_err(|error| error.to_string())?;
     fit_recording(played, &recording).map_err(|error| error.to_string())
 }
 
@@ -186,9 +187,10 @@ fn bad_recordings_are_refused_in_one_line() {
             let (time, um) = edit(time.parse().ok()?, um.parse().ok()?)?;
             Some(format!("{time:.6},{um:.4}\n"))
         };
-        let text: String = text.lines().filter_map(line).collect();
+        let header = "time_s,displacement_um\n".to_owned();
+        let text = header + &text.lines().filter_map(line).collect::<String>();
         let recording =
-            Recording::read(text.as_bytes(), Units::default()).map_err(|error| error.to_string())?;
+            Recording::read(text.as_bytes(), &Layout::default()).map_err(|error| error.to_string())?;
         fit_recording(&played, &recording).map(drop).map_err(|error| error.to_string())
     };
     let dead = SimulatedMotorsConfig { end_stop_um: 0.0, ..steady() };
@@ -197,7 +199,7 @@ fn bad_recordings_are_refused_in_one_line() {
     let other =
         played_plan(&laser_plan(Array::paper(), 3, Some(&[91, 7, 50, 28]), Some(2)).unwrap(), 3, Tick::BOOT);
     let of_other = simulated_recording(&other, &steady(), &good);
-    let of_other = Recording::read(of_other.as_bytes(), Units::default()).unwrap();
+    let of_other = Recording::read(of_other.as_bytes(), &Layout::default()).unwrap();
     let middle = good.first_s + good.before_s + played.duration_s() / 2.0;
     for (line, says) in [
         (refused(&dead, good), "the pin moves by 0.0"),
@@ -233,7 +235,7 @@ fn bad_recordings_are_refused_in_one_line() {
             "motor 3, upwards: a pulse moves the pin by 12",
         ),
         (edited(&|time, um| Some((time * 1000.0, um))).unwrap_err(), "lasts "),
-        (edited(&|_, _| None).unwrap_err(), "has no line with numbers"),
+        (edited(&|_, _| None).unwrap_err(), "has no row of numbers"),
     ] {
         assert!(line.contains(says) && !line.contains('\n') && line.len() < 300, "{says}: {line}");
     }

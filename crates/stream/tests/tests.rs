@@ -15,6 +15,8 @@ mod endings;
 mod faults;
 /// Calibration from a laser's recording.
 mod laser;
+/// Files of recordings, of many programs.
+mod laser_files;
 /// A device that lies: undamaged messages that cannot be true.
 mod lies;
 /// Live plays: updates replace strokes on the device.

@@ -152,7 +152,7 @@ def _sidecars(root: Path) -> Iterator[tuple[Path, dict[str, Any]]]:
     """The sidecars of events for behavioural data."""
     for sidecar in sorted(root.glob("sub-*/ses-*/beh/*_events.json")):
         try:
-            about = json.loads(sidecar.read_text(encoding="utf-8"))
+            about = json.loads(sidecar.read_text(encoding="utf-8-sig"))
         except ValueError as error:
             raise BidsConflict(f"{sidecar} cannot be read: {error}") from error
         yield sidecar, about if isinstance(about, dict) else {}

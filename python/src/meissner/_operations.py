@@ -534,7 +534,7 @@ def pattern(core: Core, name: str, *, sha256: str | None = None) -> Op[dict[str,
 def store_pattern(core: Core, name: str, toml: str | os.PathLike[str], *, replace: bool = False) -> Op[dict[str, Any]]:
     """Store a pattern: its TOML text, or the path of its file."""
     if isinstance(toml, os.PathLike):
-        with open(toml, encoding="utf-8") as file:
+        with open(toml, encoding="utf-8-sig") as file:
             toml = file.read()
     path = f"/v1/patterns/{quote(name, safe='')}" + ("?replace=true" if replace else "")
     request = Request("PUT", path, toml.encode(), {"Content-Type": "application/toml"}, timeout=20.0)

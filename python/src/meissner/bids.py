@@ -307,7 +307,7 @@ def _dataset(root: Path, names: Names) -> None:
     add_participant(root, names)
     meaning = root / "participants.json"
     try:
-        columns = json.loads(meaning.read_text(encoding="utf-8")) if meaning.exists() else {}
+        columns = json.loads(meaning.read_text(encoding="utf-8-sig")) if meaning.exists() else {}
     except ValueError:
         return
     if isinstance(columns, dict) and SOURCE not in columns:

@@ -10,7 +10,7 @@ mod pattern;
 use crate::cli::arguments::{ArrayOption, Output, choice, positive};
 use crate::cli::output::give;
 use crate::cli::{files, progress, text};
-use anyhow::{Result, anyhow};
+use anyhow::Result;
 use clap::error::ErrorKind;
 use clap::{Args, ValueEnum};
 use meissner_report::{Count, MethodLabel, Reason};
@@ -20,7 +20,7 @@ use meissner_skin::{
     Stepping, choose, simulate,
 };
 use serde::Serialize;
-use std::io::{self, Read, Write};
+use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::Instant;
@@ -185,20 +185,8 @@ fn stepping(asked: &Simulate) -> Result<Option<Stepping>, clap::Error> {
 
 /// Reads a scene of either model from a file, or from stdin.
 pub(super) fn read(file: &Path, model: Option<ModelName>) -> Result<AnyScene> {
-    let (text, name) = text_of(file)?;
+    let (text, name) = files::text_or_stdin(file, MAX_JSON_BYTES as u64, "scene")?;
     Ok(AnyScene::read(&text, &name, model)?)
-}
-
-/// The text of a scene and its name in errors.
-fn text_of(file: &Path) -> Result<(String, String)> {
-    if file != Path::new("-") {
-        let text = files::text(file, MAX_JSON_BYTES as u64, "scene")?;
-        return Ok((text, file.to_string_lossy().into_owned()));
-    }
-    let mut text = String::new();
-    let read = io::stdin().lock().take(MAX_JSON_BYTES as u64 + 1).read_to_string(&mut text);
-    read.map_err(|error| anyhow!("stdin: cannot be read; pipe a scene in UTF-8 ({error})"))?;
-    Ok((text, "stdin".to_owned()))
 }
 
 /// Prints a row per afferent, in the scene's order. An afferent is its class, its row of parameters and its place.

@@ -27,12 +27,12 @@ use std::marker::PhantomData;
 /// Returns the text to add where the given key is missing.
 pub type Wanted = fn(&str) -> &'static str;
 
-/// Reads JSON. `wanted` names what to add where a key is missing.
+/// Reads JSON, perhaps after a byte order mark, as Windows writes it. `wanted` names what to add where a key is missing.
 ///
 /// # Errors
 /// The first problem, with its key and line.
 pub fn from_json<'t, T: Deserialize<'t>, P>(text: &'t str, wanted: Wanted) -> Result<Table<T>, KeyError<P>> {
-    let mut source = serde_json::Deserializer::from_str(text);
+    let mut source = serde_json::Deserializer::from_str(text.strip_prefix('\u{feff}').unwrap_or(text));
     let read = serde_path_to_error::deserialize(&mut source).map_err(|error| {
         let (path, error) = (error.path().clone(), error.into_inner());
         let out_of_range = error.to_string().starts_with("number out of range");

@@ -23,10 +23,10 @@ mod travel;
 pub use calibration::{Calibration, CalibrationError, FORMAT, MAX_BYTES, Problem};
 pub use fit::{Fit, FitError, FitPoint, FitProblem, GAIN_RANGE, MAX_SLOPE_SE, MIN_BURSTS, MotorFit, fit};
 pub use laser::{
-    BurstDirection, Figure, LASER, LASER_REPETITIONS, LaserError, LaserFit, LengthUnit, MAX_CLOCK_PPM,
-    MAX_PLAN_BYTES, MAX_RECORDING_BYTES, MAX_SAMPLES, MAX_SECONDS, PlanFileError, PlayedBurst, PlayedOn,
-    PlayedPlan, Recording, RecordingError, Sensor, TimeUnit, TracePoint, Units, fit_recording, laser_plan,
-    simulated_recording,
+    BurstDirection, Figure, LASER, LASER_REPETITIONS, LaserError, LaserFit, Layout, LengthUnit,
+    MAX_CLOCK_PPM, MAX_PLAN_BYTES, MAX_RECORDING_BYTES, MAX_SAMPLES, MAX_SECONDS, PlanFileError, PlayedBurst,
+    PlayedOn, PlayedPlan, Recording, RecordingError, Sample, Sensor, TimeUnit, TracePoint, fit_recording,
+    laser_plan, simulated_recording,
 };
 pub use plan::{
     DEFAULT_REPETITIONS, GROUP_S, MAX_GROUPS, Plan, PlanError, PlannedBurst, STROKES_PER_GROUP, pulses_range,

@@ -2,6 +2,9 @@
 
 Each row is written with one call and flushed to the disk before `add` returns. So a crash loses at most the trial that is
 under way. A row without its line end is unfinished: `Log(..., resume=True)` cuts it off and goes on after the last trial.
+
+A file that another program has saved is refused when it is opened: a spreadsheet rounds the times, which have 19 digits, and
+may write other separators and decimal marks.
 """
 
 from __future__ import annotations
@@ -9,6 +12,7 @@ from __future__ import annotations
 import csv
 import io
 import os
+import re
 from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
@@ -20,6 +24,11 @@ from .trials import Trial
 
 if TYPE_CHECKING:
     from ..client import Play
+
+# What stands in the columns that the log fills by itself, if it wrote them.
+_WHOLE = re.compile(r"(trial|play|(item\d+_)?(onset|offset)_(tick|monotonic_ns|wall_ns))")
+_UNCERTAINTY = re.compile(r"(item\d+_)?onset_uncertainty_s")
+_FORMS = [(_WHOLE, re.compile(r"(-?\d+)?")), (_UNCERTAINTY, re.compile(r"(\d+\.\d{9})?"))]
 
 
 class LogError(MeissnerError):
@@ -84,21 +93,67 @@ class Log:
         except OSError as error:
             raise LogError(f"{self.path} cannot be opened: {error.strerror}") from error
         if resume:
-            self._take_over(self._file)
+            try:
+                self._take_over(self._file)
+            except BaseException:
+                self.close()
+                raise
 
     def _take_over(self, file: int) -> None:
         data = self.path.read_bytes()
         whole = data[: _end_of_whole_rows(data)]
+        lines = self._lines(whole, data)
         if len(whole) < len(data):
             os.truncate(file if os.truncate in os.supports_fd else self.path, len(whole))
-        lines = list(csv.reader(io.StringIO(whole.decode("utf-8"), newline="")))
         if lines:
             self._columns = lines[0]
-            self.rows = [dict(zip(self._columns, line, strict=False)) for line in lines[1:]]
+            self.rows = [dict(zip(self._columns, line, strict=True)) for line in lines[1:]]
+
+    def _lines(self, whole: bytes, data: bytes) -> list[list[str]]:
+        """The cells of the whole rows. A log writes the same bytes for them again."""
+        if not whole and data and not (data.startswith(b"trial,") or b"trial\n".startswith(data)):
+            raise self._refusal("it does not begin with the column `trial`")
+        try:
+            lines = list(csv.reader(io.StringIO(whole.decode("utf-8"), newline="")))
+        except (ValueError, csv.Error) as error:
+            raise self._refusal(f"it cannot be read: {error}") from error
+        if whole.startswith(b"\xef\xbb\xbf"):
+            raise self._refusal("it begins with a byte order mark")
+        if _text_of(lines) != whole:
+            raise self._refusal("its separators, quotation marks or line ends have changed")
+        if lines and lines[0][0] != "trial":
+            raise self._refusal("it does not begin with the column `trial`")
+        for number, line in enumerate(lines[1:], 1):
+            if len(line) != len(lines[0]):
+                raise self._refusal(f"row {number} has {len(line)} cells, not {len(lines[0])}")
+            for name, cell in zip(lines[0], line, strict=True):
+                if any(column.fullmatch(name) and not form.fullmatch(cell) for column, form in _FORMS):
+                    raise self._refusal(f"row {number} has `{name}` {cell!r}")
+        return lines
+
+    def _refusal(self, why: str) -> LogError:
+        return LogError(
+            f"{self.path} is not as a log writes it ({why}): a spreadsheet or an editor has saved it, or it is another file; "
+            "restore the original, or give a new log another name"
+        )
 
     def remaining(self, trials: Iterable[Trial]) -> list[Trial]:
-        """The trials that have no row yet."""
-        finished = {row.get("trial") for row in self.rows}
+        """The trials that have no row yet. Trials that the log cannot take, or that are others than those of its rows, are refused."""
+        trials, finished = list(trials), {row["trial"]: row for row in self.rows}
+        columns = self._columns or (["trial", *trials[0].factors] if trials else [])
+        for trial in trials:
+            unknown = [name for name in trial.factors if name not in columns]
+            if unknown:
+                raise LogError(
+                    f"{self.path} has no column `{unknown[0]}` for trial {trial.number}: give all trials the same factors"
+                )
+            row = finished.get(str(trial.number), {})
+            for name, value in trial.factors.items():
+                if row and row[name] != _text(value):
+                    raise LogError(
+                        f"{self.path} has `{name}` {row[name]!r} in trial {trial.number}, the list has {_text(value)!r}: make the "
+                        "list as before, with its seed; if another program has saved the log, restore the original"
+                    )
         return [trial for trial in trials if str(trial.number) not in finished]
 
     def add(self, trial: Trial | int, play: Play | None = None, **columns: Any) -> None:
@@ -136,9 +191,7 @@ class Log:
             play.answer(said, correct=correct, rt_ms=given["rt_ms"], level=level, factors=own)
 
     def _write(self, file: int, lines: list[list[Any]]) -> None:
-        buffer = io.StringIO(newline="")
-        csv.writer(buffer, lineterminator="\n").writerows([[_text(value) for value in line] for line in lines])
-        data = buffer.getvalue().encode("utf-8")
+        data = _text_of([[_text(value) for value in line] for line in lines])
         while data:
             data = data[os.write(file, data) :]
         os.fsync(file)
@@ -154,6 +207,12 @@ class Log:
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+
+def _text_of(lines: list[list[str]]) -> bytes:
+    buffer = io.StringIO(newline="")
+    csv.writer(buffer, lineterminator="\n").writerows(lines)
+    return buffer.getvalue().encode("utf-8")
 
 
 def _text(value: Any) -> str:

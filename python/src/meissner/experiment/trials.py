@@ -7,19 +7,33 @@ from __future__ import annotations
 
 import itertools
 import random
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
 T = TypeVar("T")
 
+# The columns that a log writes of a play (`play_columns` in log.py).
+_TAKEN = re.compile(
+    r"trial|play|pattern|state|late|item\d+_(pattern|scale)|"
+    r"(item\d+_)?(onset|offset)_(tick|monotonic_ns|wall_ns|uncertainty_s)"
+)
+
 
 @dataclass(frozen=True)
 class Trial:
-    """One trial: its number, from 1, and the value of each factor."""
+    """One trial: its number, from 1, and the value of each factor. No factor has the name of a column of the log's own."""
 
     number: int
     factors: Mapping[str, Any]
+
+    def __post_init__(self) -> None:
+        taken = [name for name in self.factors if _TAKEN.fullmatch(name)]
+        if taken:
+            raise ValueError(
+                f"the factor `{taken[0]}` has the name of a column that the log writes of a play: give it another name"
+            )
 
     def __getitem__(self, factor: str) -> Any:
         return self.factors[factor]

@@ -1,7 +1,8 @@
 //! Calibration with a laser: gains of one motor from a recording of its pin, on a device without telemetry.
 //!
 //! 1. `played`: a [`PlayedPlan`] lists the bursts of a plan that was played, each with its tick.
-//! 2. `recording`: a [`Recording`] is what a displacement sensor saw of the pin: a CSV file of time and displacement.
+//! 2. `recording`: a [`Recording`] is what a displacement sensor saw of the pin: a table of time and displacement. `columns` and
+//!    `units` say what its columns are.
 //! 3. `align`: the bursts in the recording tell when the plan began by the sensor's clock, and how fast that clock runs.
 //! 4. `travels`: the motor model gives each burst's travel, the drift and the noise of the sensor.
 //! 5. [`fit_recording`] does 3 and 4 and fits the motor's gains as every calibration does.
@@ -11,20 +12,22 @@
 //! Invariant: a recording that does not follow the plan's bursts gives no gains.
 
 mod align;
+mod columns;
 mod error;
 mod played;
 mod recording;
 mod simulated;
 mod travels;
+mod units;
 
 pub use align::Figure;
-pub use error::{LaserError, MAX_CLOCK_PPM};
+pub use columns::Layout;
+pub use error::{LaserError, MAX_CLOCK_PPM, MAX_RECORDING_BYTES, MAX_SAMPLES, MAX_SECONDS, RecordingError};
 pub use played::{BurstDirection, LASER, MAX_PLAN_BYTES, PlanFileError, PlayedBurst, PlayedOn, PlayedPlan};
-pub use recording::{
-    LengthUnit, MAX_RECORDING_BYTES, MAX_SAMPLES, MAX_SECONDS, Recording, RecordingError, TimeUnit, Units,
-};
+pub use recording::{Recording, Sample};
 pub use simulated::{Sensor, simulated_recording};
 pub use travels::TracePoint;
+pub use units::{LengthUnit, TimeUnit};
 
 use crate::calibrate::calibration::{Calibration, CalibrationError};
 use crate::calibrate::fit::{MotorFit, fit};
@@ -98,6 +101,8 @@ pub struct LaserFit {
     pub correlation: f64,
     /// Samples of the recording.
     pub samples: usize,
+    /// Rows of the recording that had no value.
+    pub dropouts: usize,
     /// Bursts that the recording covers.
     pub bursts_covered: usize,
     /// Bursts of the plan.
@@ -176,6 +181,7 @@ pub fn fit_recording(played: &PlayedPlan, recording: &Recording) -> Result<Laser
         pin_shift_um: measured.pin_shift_um,
         correlation: alignment.correlation,
         samples: recording.samples().len(),
+        dropouts: recording.dropouts(),
         bursts_covered: covered,
         bursts_planned: planned,
         fit: found,
