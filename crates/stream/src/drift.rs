@@ -9,7 +9,7 @@ use crate::control::{Gains, PositionControl};
 use crate::settings::Settings;
 use firmware_protocol::tick::Tick;
 use meissner_array::per_motor::PerMotor;
-use meissner_array::strokes::{MAX_WORK, Strokes, StrokesError};
+use meissner_array::strokes::{MAX_WORK, Step, Strokes, StrokesError};
 
 /// Time between two looks at the estimate, ms: less than a stroke at 60 Hz.
 const EVERY_MS: u64 = 10;
@@ -62,7 +62,7 @@ pub fn forecast_drift(
     loop {
         let step = strokes.next().transpose()?;
         // All that begins earlier is known.
-        let known = step.as_ref().map_or(until + 2 * lead, |step| step.begin());
+        let known = step.as_ref().map_or(until + 2 * lead, Step::begin);
         while now + lead <= known {
             left = left.saturating_sub(1);
             control.correct(now, |_| known, |_| true);
