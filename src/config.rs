@@ -24,8 +24,8 @@ use meissner_array::spec::{Array, MAX_MOTORS, TICK_HZ};
 use meissner_client::default_socket;
 use meissner_input::document::{Table, from_toml, in_range};
 use meissner_input::message::quote;
-use meissner_stream::Settings;
 use meissner_stream::device::Spec;
+use meissner_stream::{LowerStopSettings, Settings};
 use problem::{KeyError, checked};
 use serde::Deserialize;
 use std::env;
@@ -159,6 +159,9 @@ impl Source {
         if self.no_record {
             config.logbook = None;
         }
+        if config.device == (Spec::MockBoard { lower_stop: true }) {
+            config.add_lower_stop();
+        }
         Ok(config)
     }
 }
@@ -170,6 +173,7 @@ struct RawConfig {
     socket: Option<PathBuf>,
     listen: Option<String>,
     listen_hosts: Option<Vec<String>>,
+    listen_origins: Option<Vec<String>>,
     listen_token: Option<String>,
     tokens: Option<PathBuf>,
     patterns_dir: Option<PathBuf>,
@@ -231,6 +235,12 @@ struct RawLimits {
 }
 
 impl Config {
+    /// Simulates an array with a lower stop, and makes use of it.
+    pub fn add_lower_stop(&mut self) {
+        self.settings.lower_stop.get_or_insert(LowerStopSettings::of(self.settings.array));
+        self.mock.lower_stop = LowerStop::AtRest;
+    }
+
     /// Reads a configuration file.
     ///
     /// # Errors
@@ -259,7 +269,8 @@ impl RawConfig {
         })?;
         check_path("socket", self.socket.as_deref())?;
         check_path("tokens", self.tokens.as_deref())?;
-        let listen = network::check(self.listen.as_deref(), self.listen_hosts, self.listen_token.as_deref())?;
+        let [address, token] = [self.listen.as_deref(), self.listen_token.as_deref()];
+        let listen = network::check(address, self.listen_hosts, self.listen_origins, token)?;
         check_path("patterns_dir", self.patterns_dir.as_deref())?;
         check_path("calibration", self.calibration.as_deref())?;
         check_path("logbook_dir", self.logbook_dir.as_deref())?;

@@ -1,7 +1,7 @@
 //! Drift: `status`, plays that end or are refused at the limit without telemetry, and the level check of `assume_rest`.
 
 use crate::harness::{Daemon, PATIENT, complaint, ended, printed, refusal, wait_until};
-use meissner_api::{EndCause, ErrorSource, Status};
+use meissner_api::{EndCause, ErrorSource, PlanCheck, Status};
 use meissner_client::Client;
 use serde_json::{Value, json};
 use std::fs;
@@ -99,4 +99,53 @@ fn plays_below_the_level_check_sum_up_until_somebody_looks() {
     assert_eq!(refusal(assumed), ("level-not-checked".into(), 409));
     let _: Value = client.post("/v1/arm", &json!({"assume_rest": true, "checked": "Ada"})).unwrap();
     let _: Value = client.post("/v1/play", &one_stroke).unwrap();
+}
+
+/// A study on the simulated array with telemetry, which a board would stop: `session check` says so, and `mock:board` shows it.
+#[test]
+fn a_pilot_is_told_what_a_board_would_do() {
+    let dir = tempfile::tempdir().unwrap();
+    let plan = dir.path().join("plan.json");
+    let item = json!({"pattern": "edge-45", "seconds": 0.3, "gap_ms": 100.0});
+    fs::write(&plan, json!({"items": vec![item; 40]}).to_string()).unwrap();
+    let checked = |daemon: &Daemon, code: i32| -> PlanCheck {
+        let mut command = daemon.meissner();
+        let output = command.args(["session", "check", "--json"]).arg(&plan).assert().code(code);
+        serde_json::from_slice(&output.get_output().stdout).unwrap()
+    };
+
+    let mock = Daemon::with("mock", PATIENT);
+    let mut client = mock.armed();
+    assert!(mock.log().contains("telemetry: simulated: no board has it"), "{}", mock.log());
+    assert!(printed(mock.meissner().arg("status")).contains("no board has it"));
+    let told = checked(&mock, 1);
+    let stop = told.stopped_at.clone().expect("a board would stop");
+    assert_eq!((told.items, told.calibrated, told.followed_ms), (40, false, None));
+    let order = json!({"items": [{"pattern": "no-such"}]});
+    assert_eq!(refusal(client.post("/v1/sequence/check", &order)), ("not-found".into(), 404));
+    drop(mock);
+
+    let board = Daemon::with("mock:board", PATIENT);
+    let mut client = board.armed();
+    let status: Status = client.get("/v1/status").unwrap();
+    let device = status.device.unwrap();
+    assert_eq!((&*device.kind, device.simulated, device.telemetry), ("mock:board", true, false));
+    assert_eq!(checked(&board, 1), told, "the same plan, limit and array");
+    let text = fs::read_to_string(&plan).unwrap();
+    let mut events = client.events().unwrap();
+    let _: Value = client.post("/v1/sequence", &serde_json::from_str::<Value>(&text).unwrap()).unwrap();
+    let receipt = ended(&mut events);
+    assert_eq!((receipt.state.name(), receipt.cause.as_ref()), ("stopped", Some(&EndCause::DriftLimit)));
+    let receipt: meissner_api::Receipt = client.get("/v1/plays/last").unwrap();
+    let begun =
+        receipt.items.iter().flat_map(|items| items.iter()).filter(|item| item.onset.is_some()).count();
+    // What was sent ahead may still begin.
+    assert!((stop.item..stop.item + 4).contains(&begun), "{begun} items have begun, told was {stop:?}");
+    drop(board);
+
+    let with_stop = Daemon::with("mock:board,lower-stop", PATIENT);
+    let mut client = Client::new(&with_stop.socket()).unwrap();
+    let _: Value = client.post("/v1/arm", &json!({})).unwrap();
+    let told = checked(&with_stop, 0);
+    assert_eq!((told.lower_stop, told.stopped_at, told.drift_um), (true, None, 0.0));
 }

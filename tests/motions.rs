@@ -191,7 +191,8 @@ fn motions_count_for_the_limits_of_participants() {
     let daemon = Daemon::with("mock", &format!("{PATIENT}{limits}"));
     let mut client = daemon.armed();
     let high = problem(client.post("/v1/play", &json!({"pattern": press()})));
-    let says = "`participant.max_amplitude_um` is 80 um, and `inline` asks for 100 um";
+    let says =
+        "limit for participants: `participant.max_amplitude_um` is 80 um, and `inline` asks for 100 um";
     assert!(high.code == "participant-limit" && high.detail.starts_with(says), "{high:?}");
     let (_, receipt) = played(&mut client, "/v1/play", &json!({"pattern": press(), "scale": 0.5}));
     assert!(receipt.all_played());

@@ -1,6 +1,8 @@
 //! The API over TCP: hosts, origins, tokens and roles, floods; without `listen` the daemon does not listen.
 
-use crate::harness::{Daemon, PATIENT, TIMEOUT, refusal, wait_until};
+use crate::harness::{
+    Daemon, PATIENT, TIMEOUT, assert_accounts, complaint, document, meissner, printed, refusal, wait_until,
+};
 use meissner_api::{MAX_CLIENTS, SessionStarted, Status, TokenCreated};
 use serde_json::{Value, json};
 use std::fs;
@@ -165,6 +167,33 @@ fn a_page_of_another_site_moves_and_reads_nothing() {
 }
 
 #[test]
+fn a_page_of_a_site_that_the_configuration_names_may_play() {
+    let daemon = listening("listen_origins = [\"https://lab.example\"]\n");
+    let address = address(&daemon);
+    let from = |site: &str| format!("origin: {site}\r\nsec-fetch-site: cross-site\r\n");
+    let asks = "access-control-request-method: POST\r\naccess-control-request-headers: content-type, meissner-session\r\n";
+    let allowed =
+        |answer: &str| answer.to_lowercase().contains("access-control-allow-origin: https://lab.example\r\n");
+    // The browser asks before it sends the request.
+    let preflight = ask(&address, "OPTIONS /v1/arm", &(from("https://lab.example") + asks));
+    assert!(preflight.starts_with("HTTP/1.1 200 ") && allowed(&preflight), "{preflight}");
+    assert!(preflight.contains("meissner-session") && preflight.contains("POST"), "{preflight}");
+    let arm = |site: &str| post(&address, "/v1/arm", &from(site), "{\"assume_rest\": true}");
+    for evil in ["https://evil.example", "http://lab.example", "null"] {
+        assert!(!allowed(&ask(&address, "OPTIONS /v1/arm", &(from(evil) + asks))), "{evil}");
+        assert_answers(&arm(evil), 403, "forbidden");
+    }
+    assert_eq!(state(&daemon), "disarmed");
+    let answer = arm("https://lab.example");
+    assert_answers(&answer, 200, "");
+    assert!(allowed(&answer), "{answer}");
+    // It can read why it was refused.
+    let refused = ask(&address, "GET /v1/plays/last", &from("https://lab.example"));
+    assert_answers(&refused, 404, "not-found");
+    assert!(allowed(&refused), "{refused}");
+}
+
+#[test]
 fn a_token_is_needed_where_the_configuration_says_so() {
     let daemon = listening("listen_token = \"always\"\n");
     let address = address(&daemon);
@@ -264,6 +293,52 @@ fn a_sessions_owner_shows_both_tokens() {
     let arm = |headers: &str| post(&address, "/v1/arm", headers, "{\"assume_rest\": true}");
     assert_answers(&arm(&bearer(&operate)), 409, "session-exclusive");
     assert_answers(&arm(&(bearer(&operate) + &format!("meissner-session: {}\r\n", session.token))), 200, "");
+}
+
+#[test]
+fn commands_reach_a_daemon_over_the_network() {
+    let mut daemon = listening("listen_token = \"always\"\n");
+    let url = format!("http://{}", address(&daemon));
+    let token = create(&daemon, "operate").token;
+    let over = |args: &[&str]| {
+        let mut command = daemon.meissner();
+        command
+            .args(args)
+            .args(["--connect", &url])
+            .env("MEISSNER_TOKEN", &token)
+            .write_stdin("0 0 0\n1 0 0\n");
+        command
+    };
+    let mut without = over(&["arm", "--assume-rest"]);
+    assert!(complaint(without.env_remove("MEISSNER_TOKEN")).contains("token"));
+    assert_eq!(state(&daemon), "disarmed");
+    assert!(printed(&mut over(&["arm", "--assume-rest"])).contains("armed"));
+    let started = document(&mut over(&["session", "start", "--participant", "P07", "--exclusive", "--json"]));
+    let owner = started["token"].as_str().unwrap().to_owned();
+    let owned = |args: &[&str]| {
+        let mut command = over(args);
+        command.env("MEISSNER_SESSION_TOKEN", &owner);
+        command
+    };
+    let receipt = document(&mut owned(&["play", "pin-60", "--seconds", "0.2", "--wait", "--json"]));
+    assert_eq!(receipt["state"], "done");
+    let live =
+        ["live", "edge-45", "--follow", "stdin", "--timeout-ms", "20000", "--model", "membrane", "--json"];
+    let receipt = document(&mut owned(&live));
+    assert!(receipt["live"]["updates"].as_u64() > Some(0) && receipt["cause"] == "stop", "{receipt}");
+    assert_accounts(&receipt);
+    // An emergency stop needs the access token, and not the session's.
+    printed(&mut over(&["estop"]));
+    assert_eq!(state(&daemon), "faulted");
+    // The place may come from the environment.
+    let mut by_environment = daemon.meissner();
+    by_environment.arg("status").env("MEISSNER_URL", &url).env("MEISSNER_TOKEN", &token);
+    assert!(printed(&mut by_environment).contains("faulted"));
+    daemon.end();
+    let line = complaint(meissner().args(["status", "--connect", &url]));
+    assert!(line.contains(&format!("no daemon answers at {url}: start one there")), "{line}");
+    let line = complaint(meissner().args(["status", "--connect", "https://lab-pc:8765"]));
+    assert!(line.contains("https://lab-pc:8765: not the URL of a daemon"), "{line}");
 }
 
 #[test]

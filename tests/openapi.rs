@@ -11,12 +11,12 @@ use crate::harness::{Daemon, TIMEOUT, assert_up_to_date, next, problem};
 use meissner_api::ArrayDetails;
 use meissner_api::route::{Answer, Body};
 use meissner_api::{
-    AnswerTaken, ArmRequest, CalibrateRequest, CalibrationReport, Code, DoctorReport, Event, ImportedPattern,
-    LiveAccepted, LiveAnswer, LiveRequest, Method, PatternDetails, PatternList, PatternPreview, PlayAccepted,
-    PlayAnswer, PlayRequest, Problem, REFERENCE, Receipt, RemovedPattern, RemovedTarget, ResetRequest, Route,
-    Search, SearchRequest, SearchState, SequenceRequest, Session, SessionList, SessionPlays, SessionRequest,
-    SessionStarted, Status, StoredTarget, TargetDetails, TargetList, TokenCreated, TokenInfo, TokenList,
-    TokenRequest, openapi,
+    AnswerTaken, ArmRequest, CalibrateRequest, CalibrationReport, Code, DisarmRequest, DoctorReport, Event,
+    ImportedPattern, LiveAccepted, LiveAnswer, LiveRequest, Method, PatternDetails, PatternList,
+    PatternPreview, PlanCheck, PlayAccepted, PlayAnswer, PlayRequest, Problem, REFERENCE, Receipt,
+    RemovedPattern, RemovedTarget, ResetRequest, Route, Search, SearchRequest, SearchState, SequenceRequest,
+    Session, SessionList, SessionPlays, SessionRequest, SessionStarted, Status, StoredTarget, TargetDetails,
+    TargetList, TokenCreated, TokenInfo, TokenList, TokenRequest, openapi,
 };
 use meissner_array::spec::{Array, ArraySpec, MAX_MOTORS};
 use schema::check;
@@ -153,6 +153,7 @@ fn every_route_has_examples_that_parse() {
     let document = openapi::document();
     let parse = |schema: &str, example: &Value| match schema {
         "ResetRequest" => drop(ResetRequest::parse(example.to_string().as_bytes()).unwrap()),
+        "DisarmRequest" => drop(DisarmRequest::parse(example.to_string().as_bytes()).unwrap()),
         "ArmRequest" => drop(ArmRequest::parse(example.to_string().as_bytes()).unwrap()),
         "SequenceRequest" => drop(SequenceRequest::parse(example.to_string().as_bytes()).unwrap()),
         "PlayRequest" => drop(PlayRequest::parse(example.to_string().as_bytes()).unwrap()),
@@ -173,6 +174,7 @@ fn every_route_has_examples_that_parse() {
         }
         "PatternDetails" => parses::<PatternDetails>(example),
         "PatternPreview" => parses::<PatternPreview>(example),
+        "PlanCheck" => parses::<PlanCheck>(example),
         "PlayAnswer" => drop(PlayAnswer::parse(example.to_string().as_bytes()).unwrap()),
         "AnswerTaken" => parses::<AnswerTaken>(example),
         "ImportedPattern" => parses::<ImportedPattern>(example),

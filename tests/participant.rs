@@ -42,7 +42,7 @@ fn a_pattern_above_the_amplitude_is_refused() {
     let drive = "duration_s = 0.1\n[[drive]]\nmotor = 3\nfrequency_hz = 60\namplitude_um = 81\n";
     write_pattern(&daemon.path("patterns/strong.toml"), "strong", drive);
     let refused = problem(daemon.client().post("/v1/play", &json!({"pattern": "strong"})));
-    let says = "`participant.max_amplitude_um` is 80 um, and `strong` asks for 81 um";
+    let says = "limit for participants: `participant.max_amplitude_um` is 80 um, and `strong` asks for 81 um";
     assert!(refused.code == "participant-limit" && refused.detail.starts_with(says), "{refused:?}");
     let _: Value = daemon.client().post("/v1/play", &json!({"pattern": "edge-45", "seconds": 0.1})).unwrap();
 }

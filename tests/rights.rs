@@ -90,7 +90,8 @@ const LOCAL: Row =
 /// A new route needs a row here.
 fn row(route: Route) -> Row {
     match route {
-        Route::Status
+        Route::SequenceCheck
+        | Route::Status
         | Route::Array
         | Route::Doctor
         | Route::Receipt

@@ -403,7 +403,7 @@ fn a_session_has_a_limit_of_its_own_and_participants_have_their_days() {
     };
     play(&mut client, 0.4).unwrap();
     let refused = problem(play(&mut client, 0.2));
-    let says = "`participant.max_session_s` allows 0.5 s of vibration in a session: 0.1 s are left";
+    let says = "limit for participants: `participant.max_session_s` allows 0.5 s of vibration in a session: 0.1 s are left";
     assert!(
         refused.detail.starts_with(says) && refused.detail.contains("in a new one"),
         "{}",
@@ -421,7 +421,11 @@ fn a_session_has_a_limit_of_its_own_and_participants_have_their_days() {
     next(&mut client, "P07");
     play(&mut client, 0.3).unwrap();
     let refused = problem(play(&mut client, 0.15));
-    assert!(refused.detail.starts_with("`participant.max_day_s` allows 0.8 s"), "{}", refused.detail);
+    assert!(
+        refused.detail.starts_with("limit for participants: `participant.max_day_s` allows 0.8 s"),
+        "{}",
+        refused.detail
+    );
     next(&mut client, "P08");
     play(&mut client, 0.4).unwrap();
 }

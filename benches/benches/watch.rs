@@ -3,8 +3,8 @@
 //!
 //! All 64 clients watch while all pins vibrate for `WATCHED` seconds [30]: 24 windows over TCP, which hold a stream of events and
 //! ask for the status four times a second, and streams of events on the socket. The benchmark prints the daemon's processor time
-//! with and without them, its memory, late bursts, and bytes. Then it searches for a pattern for an edge, as the page does when the
-//! pen is lifted, and plays it. Finally it orders emergency stops while such a search runs. It asserts nothing.
+//! with and without them, its memory, late bursts, and bytes. Then it searches for a pattern for an edge, and renders things, as the page
+//! does when the pen is lifted, and plays what is found. Finally it orders emergency stops while such a search runs. It asserts nothing.
 
 use meissner_api::{Event, PlayAccepted, Receipt, Search, SearchState, Status};
 use meissner_benches::daemon::Daemon;
@@ -39,9 +39,7 @@ fn main() -> Done {
     for watched in [false, true] {
         watch(&daemon, &mut client, tcp, watched, seconds)?;
     }
-    for budget_s in [0.5, 1.0] {
-        first_pulse(&daemon, &mut client, budget_s)?;
-    }
+    first_pulses(&daemon, &mut client)?;
     stops(&daemon, &mut client)
 }
 
@@ -134,44 +132,68 @@ fn wait_for(events: &mut Events, is_it: impl Fn(&Event) -> bool) -> Done<Event> 
     }
 }
 
-/// From the order to search until the first pulse.
-fn first_pulse(daemon: &Daemon, client: &mut Client, budget_s: f64) -> Done {
-    for model in ["both", "membrane"] {
-        let mut taken = Vec::new();
-        for number in 0..SEARCHES {
-            let mut events = daemon.client()?.events()?;
-            let begun = Instant::now();
-            let search = begin_search(client, budget_s, model, number)?;
-            wait_for(
-                &mut events,
-                |event| matches!(event, Event::Search { id, state: SearchState::Done, .. } if *id == search),
-            )?;
-            let found_s = begun.elapsed().as_secs_f64();
-            let play: PlayAccepted = client.post(
-                "/v1/play",
-                &json!({"pattern": format!("search:{search}"), "seconds": 0.1, "replace": true}),
-            )?;
-            wait_for(&mut events, |event| matches!(event, Event::Began { id, .. } if *id == play.id))?;
-            taken.push((begun.elapsed().as_secs_f64(), found_s));
-            receipt(&mut events, play.id)?;
+/// From the order to search or to render until the first pulse.
+fn first_pulses(daemon: &Daemon, client: &mut Client) -> Done {
+    for seconds in [1.0, 0.5] {
+        for model in ["both", "membrane"] {
+            let what = format!("an edge, {seconds} s of search, models {model}");
+            first_pulse(daemon, client, &what, |number| drawn_edge(seconds, model, number))?;
         }
-        taken.sort_by(|a, b| a.0.total_cmp(&b.0));
-        let (least, most) = (taken[0], taken[taken.len() - 1]);
-        println!(
-            "an edge, {budget_s} s of search, models {model}: first pulse {:.2} to {:.2} s after the order, of which the search takes {:.2} to {:.2} s",
-            least.0, most.0, least.1, most.1
-        );
+    }
+    for shape in ["bar", "edge"] {
+        let object = |number: u64| {
+            let mut object = json!({
+                "kind": "object", "name": "drawn", "shape": shape, "angle_deg": 5 * number,
+                "touch": {"press": {"depth_um": 500, "hold_s": 0.3}}
+            });
+            if shape == "bar" {
+                object["length_mm"] = json!(12);
+                object["width_mm"] = json!(0.8);
+            }
+            json!({"object": object})
+        };
+        first_pulse(daemon, client, &format!("a rendered {shape}, pressed"), object)?;
     }
     Ok(())
 }
 
-/// Begins a search for an edge. Every number gives another edge.
-fn begin_search(client: &mut Client, seconds: f64, model: &str, number: u64) -> Done<u64> {
+/// Orders a search as soon as the one before has ended, and plays what it has found as soon as that can be played.
+fn first_pulse(daemon: &Daemon, client: &mut Client, what: &str, request: impl Fn(u64) -> Value) -> Done {
+    let mut taken = Vec::new();
+    for number in 0..SEARCHES {
+        let mut events = daemon.client()?.events()?;
+        let begun = Instant::now();
+        let search = client.post::<Search>("/v1/searches", &request(number))?.id;
+        wait_for(
+            &mut events,
+            |event| matches!(event, Event::Search { id, found: true, .. } if *id == search),
+        )?;
+        let found_s = begun.elapsed().as_secs_f64();
+        let play: PlayAccepted = client.post(
+            "/v1/play",
+            &json!({"pattern": format!("search:{search}"), "seconds": 0.1, "replace": true}),
+        )?;
+        wait_for(&mut events, |event| matches!(event, Event::Began { id, .. } if *id == play.id))?;
+        taken.push((begun.elapsed().as_secs_f64(), found_s));
+        receipt(&mut events, play.id)?;
+        while client.get::<Search>(&format!("/v1/searches/{search}"))?.state == SearchState::Running {
+            thread::sleep(Duration::from_millis(20));
+        }
+    }
+    taken.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let [least, middle, most] = [taken[0], taken[taken.len() / 2], taken[taken.len() - 1]];
+    println!(
+        "{what}: first pulse {:.3}, {:.3} and {:.3} s (least, median, most) after the order, of which finding takes {:.3}, {:.3} and {:.3} s",
+        least.0, middle.0, most.0, least.1, middle.1, most.1
+    );
+    Ok(())
+}
+
+/// A request to search for a pattern for an edge. Every number gives another edge.
+fn drawn_edge(seconds: f64, model: &str, number: u64) -> Value {
     let x = 3.0 + 0.1 * number as f64;
     let target = json!({"name": "drawn", "shape": "segment", "points": [[-x, -2.0], [x, 2.0]]});
-    let search: Search =
-        client.post("/v1/searches", &json!({"target": target, "seconds": seconds, "model": model}))?;
-    Ok(search.id)
+    json!({"target": target, "seconds": seconds, "model": model})
 }
 
 /// Emergency stops, each of a play, while a search runs.
@@ -180,7 +202,11 @@ fn stops(daemon: &Daemon, client: &mut Client) -> Done {
     client.post::<Status>("/v1/disarm", &json!({}))?;
     client.post::<Status>("/v1/arm", &json!({"assume_rest": true, "checked": "a benchmark"}))?;
     for searching in [false, true] {
-        let search = if searching { Some(begin_search(client, 120.0, "both", 0)?) } else { None };
+        let search = if searching {
+            Some(client.post::<Search>("/v1/searches", &drawn_edge(120.0, "both", 0))?.id)
+        } else {
+            None
+        };
         thread::sleep(Duration::from_secs(u64::from(searching)));
         let mut times_ms = Vec::with_capacity(STOPS);
         for _ in 0..STOPS {

@@ -6,7 +6,7 @@ import meissner
 from meissner.experiment import Log, SimulatedObserver, ask, two_afc
 
 observer = SimulatedObserver(0.3) if os.environ.get("MEISSNER_ANSWERS") == "simulated" else None
-with meissner.connect() as m, m.session(participant="P07", exclusive=True, seed=7), Log("P07.csv") as log:
+with meissner.connect() as m, m.session(participant="P07", exclusive=True, seed=7), Log("P07.csv", answers=True) as log:
     m.arm(assume_rest=True)
     for trial in two_afc([0.2, 0.3, 0.4, 0.5], repeats=10, seed=7):
         edges = [{"pattern": "edge-45", "scale": scale} for scale in trial.intervals(0.5 + trial["level"], 0.5)]

@@ -8,9 +8,10 @@ classdef Meissner < handle
   %   receipt.onset.time                              % on your clock, within +-receipt.onset.uncertainty s
   %   m.close();                                      % disarms, if this client has armed
   %
-  % Methods as in the Python package: status, synchronise, now, arm, disarm, stop, estop, reset, home, play, sequence, later,
-  % wait, receipt, patterns, pattern, store_pattern, session_start, session_end, close. Times are in seconds of the clock
-  % that 'clock' reads: GetSecs of Psychtoolbox, or by default the time since this object was made.
+  % Methods as in the Python package: status, synchronise, now, arm, disarm, stop, estop, reset, home, play, sequence, check, later,
+  % wait, wait_until_idle, withdraw, answer, receipt, doctor, patterns, pattern, store_pattern, remove_pattern, session, session_end,
+  % sessions, session_plays, close. What are methods of a play or a session there take it first here, as in m.wait(play). Times are in
+  % seconds of the clock that 'clock' reads: GetSecs of Psychtoolbox, or by default the time since this object was made.
   %
   % The daemon must listen on TCP: see docs/how-to/network.md. MATLAB sends commands by webwrite. Octave's webwrite sends forms
   % only, and its webread one header, so Octave needs the program curl. An error has the identifier meissner:CODE with the API's
@@ -65,11 +66,11 @@ classdef Meissner < handle
     end
 
     function close(self)
-      % Disarm, if this client has armed.
+      % Take back what this client has armed: motors that another one has armed, too, stay armed for that one.
       if self.has_armed
         self.has_armed = false;
         try
-          self.post('/v1/disarm', struct(), 10);
+          self.post('/v1/disarm', struct('own', true), 10);
         catch failure
           % A device that is off already is fine.
           state = self.status();
@@ -160,11 +161,11 @@ classdef Meissner < handle
 
     function play = play(self, pattern, varargin)
       % Queue a play. Options: seconds, at, scale, trigger (a code, or false), trial, labels (a struct), late, fit, map, replace,
-      % endless, open_loop, strict. 'pattern' is a name, or a struct with the keys of a pattern file; tables of it are cells of
+      % endless, open_loop, strict, hold (s). 'pattern' is a name, or a struct with the keys of a pattern file; tables of it are cells of
       % structs: struct('wave', {{struct('motor', 9, 'rate_hz', 1000, 'um', samples)}}). 'map', 'nearest' plays a pattern for another
       % array by the pins' positions. 'at' is a time of
       % now(), or an instant such as m.later(receipt.onset, 1.5), which is exact to the tick.
-      names = {'seconds', 'at', 'scale', 'trigger', 'trial', 'labels', 'late', 'fit', 'map', 'replace', 'endless', 'open_loop', 'strict'};
+      names = {'seconds', 'at', 'scale', 'trigger', 'trial', 'labels', 'late', 'fit', 'map', 'replace', 'endless', 'open_loop', 'strict', 'hold'};
       body = Meissner.options(names, varargin);
       body.pattern = pattern;
       name = pattern;
@@ -176,14 +177,23 @@ classdef Meissner < handle
     function play = sequence(self, items, varargin)
       % Queue patterns as one play with exact times. An item is a name, or a struct with pattern and any of seconds, scale, trigger,
       % gap and start (s). Options: isi (pause from an item's end) or soa (distance of onsets), seconds and scale of items that give
-      % none, at, name, trial, labels, late, map, replace, open_loop.
-      names = {'isi', 'soa', 'seconds', 'scale', 'at', 'name', 'trial', 'labels', 'late', 'map', 'replace', 'open_loop'};
+      % none, at, name, trial, labels, late, map, replace, open_loop, strict, hold (s).
+      names = {'isi', 'soa', 'seconds', 'scale', 'at', 'name', 'trial', 'labels', 'late', 'map', 'replace', 'open_loop', 'strict', 'hold'};
       body = Meissner.options(names, varargin);
       [made, body] = Meissner.items(items, body);
       body.items = made;
       name = 'sequence';
       if isfield(body, 'name'), name = body.name; end
       play = self.order('/v1/sequence', body, name);
+    end
+
+    function checked = check(self, items, varargin)
+      % Ask before the first trial whether a study would stop at the drift limit on a board. Items and options isi, soa, seconds, scale
+      % and map as those of sequence: all plays of the study. Nothing is played. stopped_at is empty if the study comes to its end.
+      body = Meissner.options({'isi', 'soa', 'seconds', 'scale', 'map'}, varargin);
+      [made, body] = Meissner.items(items, body);
+      body.items = made;
+      checked = self.post('/v1/sequence/check', body, 60);
     end
 
     function instant = later(self, instant, seconds)
@@ -213,11 +223,39 @@ classdef Meissner < handle
       end
     end
 
+    function wait_until_idle(self)
+      % Wait until no play runs or waits.
+      while true
+        state = self.status();
+        if isempty(state.play) && isempty(state.queued) && ~strcmp(state.state, 'returning'), break, end
+        pause(0.02);
+      end
+    end
+
+    function receipt = withdraw(self, play)
+      % Take a waiting play out of the queue, and return its receipt.
+      receipt = self.receipt_of(jsondecode(self.send('DELETE', sprintf('/v1/plays/%d', play.id), '', '', 10)));
+    end
+
+    function answer(self, play, response, varargin)
+      % Record what the participant answered to a play of the running session. Options: correct, rt_ms, level, factors (a struct).
+      body = Meissner.options({'correct', 'rt_ms', 'level', 'factors'}, varargin);
+      if ~ischar(response), response = num2str(response, 15); end
+      body.response = response;
+      if isfield(body, 'correct'), body.correct = logical(body.correct); end
+      self.post(sprintf('/v1/plays/%d/answer', play.id), Meissner.with_texts(body, 'factors'), 10);
+    end
+
     function receipt = receipt(self, id)
       % What became of a play; without its id, of the last one.
       name = 'last';
       if nargin > 1, name = sprintf('%d', id); end
       receipt = self.receipt_of(self.get(['/v1/plays/' name], 10));
+    end
+
+    function found = doctor(self)
+      % Check what could keep the daemon's machine or its device from playing.
+      found = self.get('/v1/doctor', 20);
     end
 
     function found = patterns(self)
@@ -239,27 +277,38 @@ classdef Meissner < handle
       stored = jsondecode(self.send('PUT', ['/v1/patterns/' name query], toml, 'application/toml', 20));
     end
 
-    function id = session_start(self, participant, varargin)
-      % Start a session. Options: exclusive, experiment, seed, labels. Every play of this client belongs to it from now on; when it is
-      % over without you, plays fail (meissner:session_over) until session_end, or another session_start. Nothing shows that its owner
-      % is there while you call nothing: in a rest break longer than the daemon's session_silence_s call status now and then.
-      body = Meissner.options({'exclusive', 'experiment', 'seed', 'labels'}, varargin);
-      body.participant = participant;
+    function removed = remove_pattern(self, name)
+      % Remove a stored pattern.
+      removed = jsondecode(self.send('DELETE', ['/v1/patterns/' name], '', '', 10));
+    end
+
+    function id = session(self, varargin)
+      % Start a session. Options: participant, exclusive, experiment, seed, labels. Every play of this client belongs to it from now on;
+      % when it is over without you, plays fail (meissner:session_over) until session_end, or another session. Nothing shows that its
+      % owner is there while you call nothing: in a rest break longer than the daemon's session_silence_s call status now and then.
+      body = Meissner.options({'participant', 'exclusive', 'experiment', 'seed', 'labels'}, varargin);
       started = self.post('/v1/sessions', Meissner.with_texts(body), 10);
       self.session_token = started.token;
       self.session_id = started.id;
       id = started.id;
     end
 
+    function found = sessions(self)
+      % List the recorded sessions.
+      answer = self.get('/v1/sessions', 60);
+      found = answer.sessions;
+    end
+
+    function found = session_plays(self, id)
+      % The recorded plays of a session: the first page of them.
+      found = self.get(['/v1/sessions/' id '/plays'], 60);
+    end
+
     function session_end(self)
       % End the session after its plays have ended. One that is over already is left.
-      while self.session_runs()
-        state = self.status();
-        if isempty(state.play) && isempty(state.queued) && ~strcmp(state.state, 'returning')
-          self.post(['/v1/sessions/' self.session_id '/end'], struct(), 10);
-          break
-        end
-        pause(0.02);
+      if self.session_runs()
+        self.wait_until_idle();
+        if self.session_runs(), self.post(['/v1/sessions/' self.session_id '/end'], struct(), 10); end
       end
       self.session_token = '';
       self.session_id = '';
@@ -319,6 +368,10 @@ classdef Meissner < handle
         body = rmfield(body, 'at');
       end
       if isfield(body, 'trigger') && isnumeric(body.trigger), body.trigger = struct('code', body.trigger); end
+      if isfield(body, 'hold')
+        body.hold_ms = 1000 * body.hold;
+        body = rmfield(body, 'hold');
+      end
       text = jsonencode(body);
       if ~isempty(numbers), text = [text(1:end - 1) ',' numbers '}']; end
       try
@@ -384,6 +437,9 @@ classdef Meissner < handle
       try
         if strcmp(method, 'GET')
           answer = webread([self.url path], asked);
+        elseif strcmp(method, 'DELETE')
+          asked.RequestMethod = 'delete';
+          answer = webread([self.url path], asked);
         else
           asked.MediaType = type;
           asked.RequestMethod = lower(method);
@@ -407,12 +463,13 @@ classdef Meissner < handle
       end
     end
 
-    function body = with_texts(body)
+    function body = with_texts(body, of)
       % Labels are texts.
-      if ~isfield(body, 'labels'), return, end
-      for key = fieldnames(body.labels)'
-        value = body.labels.(key{1});
-        if ~ischar(value), body.labels.(key{1}) = num2str(value, 15); end
+      if nargin < 2, of = 'labels'; end
+      if ~isfield(body, of), return, end
+      for key = fieldnames(body.(of))'
+        value = body.(of).(key{1});
+        if ~ischar(value), body.(of).(key{1}) = num2str(value, 15); end
       end
     end
 
@@ -460,7 +517,7 @@ classdef Meissner < handle
       quoted = @(text) ['"' strrep(strrep(strrep(text, '\', '\\'), '"', '\"'), sprintf('\n'), '\n') '"'];
       lines = {['url = ' quoted(url)], ['request = ' method], 'silent', 'show-error', ...
         sprintf('max-time = %d', ceil(timeout)), 'write-out = "\n%{http_code}"'};
-      if ~strcmp(method, 'GET'), lines{end + 1} = ['data-binary = ' quoted(body)]; end
+      if ~any(strcmp(method, {'GET', 'DELETE'})), lines{end + 1} = ['data-binary = ' quoted(body)]; end
       for row = 1:size(headers, 1)
         lines{end + 1} = ['header = ' quoted([headers{row, 1} ': ' headers{row, 2}])];
       end

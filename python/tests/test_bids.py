@@ -69,7 +69,7 @@ def check_displacement(export: bids.Export, events: list[dict[str, str]]) -> Non
     assert plain.motors == (9,)
     # The first stroke, from rest, is larger than the amplitude of a vibration that goes on.
     settled = [row[0] for row in meissner.displacement("pin-60", 0.1, rate_hz=20_000.0).um][600:1800]
-    assert max(settled) - min(settled) == pytest.approx(float(events[0]["amplitude"]), rel=0.01)
+    assert max(settled) - min(settled) == pytest.approx(float(events[0]["reached_um"]), rel=0.01)
     mine = meissner.displacement(PATTERN.format("mine", 40.0), 0.05)
     reached = {name: max(row[0] for row in of.um) for name, of in [("pin-60", plain), ("mine", mine)]}
     # The first onset is a sample. The daemon knows the device's rate as well as it knows the device's clock.
@@ -101,14 +101,16 @@ def test_a_session_becomes_a_dataset(m: meissner.Client, tmp_path: Path) -> None
     assert float(rows[1]["onset"]) == pytest.approx((pair.onset.host_ns - play.onset.host_ns) / 1e9, abs=1e-4)
     assert int(rows[2]["onset_tick"]) - int(rows[1]["onset_tick"]) == 17_000
     assert float(rows[0]["duration"]) == pytest.approx((play.offset.tick - play.onset.tick) / 85_000, abs=1e-6)
-    assert (rows[0]["trial"], rows[0]["labels"], rows[0]["trigger_code"], rows[0]["item"]) == (
+    assert (rows[0]["trial"], rows[0]["label_block"], rows[0]["trigger_code"], rows[0]["item"]) == (
         "1",
-        "block=a b",
+        "a b",
         "5",
         "n/a",
     )
     answer = ("response", "correct", "response_time", "level", "factor_block")
     assert [rows[0][name] for name in answer] == ["left", "true", "0.5125", "0.4", "2"]
+    # The drives of the pattern begin with a stroke, some ticks after the onset at most.
+    assert 0 <= float(rows[0]["first_pulse"]) - float(rows[0]["onset"]) < 0.001
     assert [rows[1][name] for name in answer] == ["n/a"] * 5
     with pytest.raises(errors.MeissnerError, match="is not of a session that runs"):
         play.answer("again")
@@ -133,6 +135,7 @@ def test_a_session_becomes_a_dataset(m: meissner.Client, tmp_path: Path) -> None
     sidecar = json.loads(export.events.with_suffix(".json").read_text())
     assert set(rows[0]) <= set(sidecar)
     assert sidecar["StimulusPresentation"]["SoftwareName"] == "meissner"
+    assert sidecar["response"]["HED"] == {"left": "(Agent-action, Participant-response, Label/left)"}
     text = stimulus.read_text().replace('"pin-60"', '"copied"')
     m.store_pattern("copied", text, replace=True)
     assert m.pattern("copied")["pattern"]["drive"] == m.pattern("pin-60")["pattern"]["drive"]
@@ -251,15 +254,57 @@ def test_losses_are_told(tmp_path: Path) -> None:
         bids.label("--")
 
 
-@pytest.mark.skipif(shutil.which("bids-validator-deno") is None, reason="bids-validator-deno is not installed")
-def test_the_official_validator_finds_no_error(m: meissner.Client, tmp_path: Path) -> None:
-    session, _, _ = record(m)
-    m.export_bids(session, tmp_path)
-    m.export_bids(session, tmp_path, subject="other", session="01", run=2)
-    m.remove_pattern("mine")
-    command = ["bids-validator-deno", "--json", str(tmp_path)]
+def validated(root: Path) -> None:
+    """Fails if the official validator finds an error."""
+    command = ["bids-validator-deno", "--json", str(root)]
     ended = subprocess.run(command, capture_output=True, text=True, check=False)
     report = json.loads(ended.stdout)
     found = [issue for issue in report["issues"]["issues"] if issue["severity"] == "error"]
     assert found == [], json.dumps(found, indent=1)
     assert ended.returncode == 0
+
+
+NEEDS_VALIDATOR = pytest.mark.skipif(
+    shutil.which("bids-validator-deno") is None, reason="bids-validator-deno is not installed"
+)
+
+
+@NEEDS_VALIDATOR
+def test_the_official_validator_finds_no_error(m: meissner.Client, tmp_path: Path) -> None:
+    session, _, _ = record(m)
+    m.export_bids(session, tmp_path)
+    m.export_bids(session, tmp_path, subject="other", session="01", run=2)
+    m.remove_pattern("mine")
+    validated(tmp_path)
+
+
+@NEEDS_VALIDATOR
+def test_odd_sessions_are_valid_datasets(m: meissner.Client, tmp_path: Path) -> None:
+    """Odd names and answers, a session without plays, one over midnight, and two of one person."""
+    with m.session("Zoë #7 (left)", experiment="bords & coins", labels={"étude": "1/2", "a b": "x;y"}) as odd:
+        play = m.play("pin-60", 0.05, labels={"é": '=;"', "n/a": "n/a"})
+        play.wait()
+        play.answer('"gauche", peut-être', correct=False, factors={"côté": "n/a"})
+        m.play("pin-60", 0.05).wait()
+    with m.session("Zoë #7 (left)", experiment="bords & coins") as second:
+        m.play("pin-60", 0.05).wait()
+    with m.session("empty") as empty:
+        pass
+    for each in (odd, second, empty):
+        m.export_bids(each.id, tmp_path)
+    recorded = m.session_plays(second.id)
+    session = {**recorded["session"], "id": "20261231T225959Z-a1b2c3", "participant": "midnight"}
+    session |= {"started": "2026-12-31T23:59:59.5+01:00", "ended": "2027-01-01T00:00:02+01:00"}
+    bids.write(
+        tmp_path,
+        {**recorded, "session": session},
+        {},
+        task=None,
+        zero_host_ns=None,
+        software=None,
+        displacement_hz=None,
+    )
+    validated(tmp_path)
+    (empty_events,) = tmp_path.glob("sub-empty/*/beh/*_events.tsv")
+    assert read(empty_events) == []
+    assert len(list(tmp_path.glob("sub-Zo7left/ses-*"))) == 2

@@ -10,8 +10,11 @@ import socket
 import subprocess
 import threading
 import time
+import traceback
 from pathlib import Path
+from typing import Any
 
+import numpy
 import pytest
 
 import meissner
@@ -336,9 +339,43 @@ def test_a_daemon_that_was_restarted_is_noticed(tmp_path: Path) -> None:
             m.core.has_armed = False
 
 
+def test_numbers_may_be_those_of_numpy(m: meissner.Client) -> None:
+    given: dict[str, Any] = {
+        "seconds": numpy.float32(0.1),
+        "at": numpy.float64(m.now() + 0.5),
+        "scale": numpy.float32(0.5),
+        "trigger": numpy.int64(5),
+        "trial": numpy.int32(3),
+        "strict": numpy.bool_(True),
+        "hold": numpy.float32(0.5),
+    }
+    receipt = m.play("pin-60", **given).wait()
+    assert (receipt.raw["trial"], receipt.raw["scale"], receipt.raw["trigger"]["code"]) == (3, 0.5, 5)
+    item: meissner.SequenceItem = {"pattern": "pin-60", "scale": numpy.float32(0.5), "trigger": numpy.uint8(2)}
+    items = m.sequence([item, item], seconds=numpy.float32(0.05), isi=numpy.float64(0.1)).wait().items
+    assert [of.scale for of in items] == [0.5, 0.5]
+    drives = [{"motor": numpy.int64(9), "frequency_hz": numpy.float32(60), "amplitude_um": numpy.int16(40)}]
+    given = {"drives": drives, "seconds": numpy.float64(0.1), "trigger": numpy.False_}
+    assert m.play(**given).wait().raw["trigger"] is None
+    with pytest.raises(TypeError, match="cannot hold a complex"):
+        m.play("pin-60", 1j)  # type: ignore[arg-type]
+
+
+def test_an_onset_by_another_clock_is_refused(m: meissner.Client) -> None:
+    for at, name in [
+        (time.time() + 0.5, r"time\.time\(\)"),
+        (time.time_ns(), r"time\.time_ns\(\)"),
+        (time.monotonic_ns() + 500_000_000, r"time\.monotonic_ns\(\)"),
+    ]:
+        with pytest.raises(ValueError, match=rf"is a time of `{name}`: give seconds of `time\.monotonic\(\)`"):
+            m.play("pin-60", 0.1, at=at)
+
+
 def test_without_a_daemon(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(errors.Unreachable, match="start one with `meissner daemon`"):
+    with pytest.raises(errors.Unreachable, match="start one with `meissner daemon`") as raised:
         meissner.connect(tmp_path / "none.sock")
+    assert "\n" not in str(raised.value)
+    assert len([line for line in traceback.format_exception(raised.value) if line.startswith("Traceback")]) == 1
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     for variable in ("MEISSNER_SOCKET", "MEISSNER_URL"):
         monkeypatch.delenv(variable, raising=False)

@@ -34,12 +34,16 @@ def test_a_session_becomes_a_file_without_errors(m: meissner.Client, tmp_path: P
     file.write_text("replaced whole")
     export = m.export_nwb(session, file, subject={"age": "P30Y", "sex": "F"}, metadata={"keywords": ["touch"]})
     m.remove_pattern("mine")
+    spikes = m.export_nwb(session, tmp_path / "spikes.nwb", subject={"age": "P30Y", "sex": "F"}, spikes=True)
     assert export.file == file
     assert [line for line in export.left_out if "late strokes" not in line] == [
         f"play {pair.id}, item 0: its pattern as played is not kept, so its displacement is n/a"
     ]
-    assert list(tmp_path.iterdir()) == [file]
+    assert sorted(tmp_path.iterdir()) == [file, spikes.file]
     assert problems(file) == []
+    assert problems(spikes.file) == []
+    with pynwb.NWBHDF5IO(str(spikes.file), "r") as io:
+        check_units(io.read())
     with pynwb.NWBHDF5IO(str(file), "r") as io:
         check(io.read(), play, pair)
 
@@ -63,9 +67,10 @@ def check(nwb: Any, play: meissner.Play, pair: meissner.Play) -> None:
     onset = nwb.session_start_time + datetime.timedelta(seconds=float(times[0]))
     assert onset.timestamp() == pytest.approx(play.onset.wall, abs=0.1)
     assert table["duration"][0] == pytest.approx((play.offset.tick - play.onset.tick) / 85_000, abs=1e-6)
-    assert (table["trial"][0], table["labels"][0], table["trigger_code"][0]) == (1, "block=a b", 5)
+    assert (table["trial"][0], table["label_block"][0], table["trigger_code"][0]) == (1, "a b", 5)
     assert list(table["label_k_"][:3]) == ["", "v=", "v="]
     assert set(table["session_label_note"]) == {"a;b"}
+    check_trials(nwb, play, pair)
     trace = nwb.stimulus["pin_displacement"]
     assert (trace.unit, trace.conversion) == ("meters", 1e-6)
     moved = [time for time, row in zip(trace.timestamps[:], trace.data[:], strict=True) if row[9] > 1]
@@ -73,6 +78,29 @@ def check(nwb: Any, play: meissner.Play, pair: meissner.Play) -> None:
     assert min(moved) == pytest.approx(times[0], abs=0.01)
     assert not [time for time in moved if times[0] + 0.12 < time < times[2]]
     assert [time for time in moved if times[2] < time < times[2] + 0.05]
+
+
+def check_trials(nwb: Any, play: meissner.Play, pair: meissner.Play) -> None:
+    """A row per play with its answer: a sequence is one trial."""
+    trials = nwb.trials.to_dataframe()
+    assert list(trials["play"])[:2] == [play.id, pair.id]
+    first = trials.iloc[0]
+    assert (first["response"], first["correct"], first["response_time"]) == ("left", "true", 0.5125)
+    assert (first["level"], first["factor_block"], first["trial"], first["label_block"]) == (0.4, "2", 1, "a b")
+    assert trials.iloc[1]["response"] == ""
+    length_s = (pair.offset.tick - pair.onset.tick) / 85_000
+    assert trials.iloc[1]["stop_time"] - trials.iloc[1]["start_time"] == pytest.approx(length_s, abs=1e-4)
+
+
+def check_units(nwb: Any) -> None:
+    """Afferents above pin 9 fire while it vibrates, those far from it never."""
+    onsets = nwb.get_events_table("stimuli")["timestamp"][:]
+    units = nwb.units.to_dataframe()
+    assert "PREDICTED" in nwb.units.description
+    near = units[(abs(units["x_mm"] + 1.45) < 1) & (abs(units["y_mm"] - 1.45) < 1)]["spike_times"]
+    assert any(onsets[0] < time < onsets[0] + 0.1 for times in near for time in times)
+    assert not [time for times in units["spike_times"] for time in times if time < onsets[0]]
+    assert all(len(times) == 0 for times in units[units["y_mm"] < -8]["spike_times"])
 
 
 def test_one_stimulus_is_sampled_evenly_and_what_is_missing_is_told(

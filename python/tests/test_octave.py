@@ -89,15 +89,33 @@ def test_onsets_err_by_less_than_stated_and_are_exact_to_the_tick(
 
 REST = """
 m.arm('assume_rest', true, 'checked', 'a test');
-id = m.session_start('P07', 'experiment', 'octave', 'exclusive', true, 'seed', 3);
+id = m.session('participant', 'P07', 'experiment', 'octave', 'exclusive', true, 'seed', 3);
 pair = m.sequence({'pin-60', struct('pattern', 'edge-45', 'scale', 0.5, 'trigger', 7), 'pin-60'}, 'seconds', 0.05, 'isi', 0.1, 'trial', 1);
 r = m.wait(pair);
 ticks = cellfun(@(item) item.onset.tick, r.items);
+asked = m.play('pin-60', 'seconds', 0.05, 'hold', 10);
+m.wait(asked);
+m.answer(asked, 'left', 'correct', true, 'factors', struct('block', 2));
 m.session_end();
+complete = false;
+while ~complete
+  rows = m.session_plays(id);
+  complete = rows.complete;
+end
+plays = num2cell_or_cell(rows.plays);
+answer = plays{end}.answer;
+study = m.check({'edge-45', 'edge-135'}, 'seconds', 30);
+m.play('pin-60', 'seconds', 60);
+withdrawn = m.withdraw(m.play('pin-60', 'seconds', 0.1));
+m.stop();
+m.wait_until_idle();
+findings = m.doctor();
 toml = sprintf('format = 1\\nname = "from-octave"\\nduration_s = 0.1\\n[[drive]]\\nmotor = 9\\nfrequency_hz = 60.0\\namplitude_um = 40.0\\n');
 m.store_pattern('from-octave', toml, 'replace', true);
 shown = m.pattern('from-octave');
+known = numel(m.sessions()) > 0;
 names = cellfun(@(each) each.name, num2cell_or_cell(m.patterns()), 'UniformOutput', false);
+m.remove_pattern('from-octave');
 long = m.play('pin-60', 'endless', true);
 m.stop();
 told = {};
@@ -117,7 +135,9 @@ faulted = m.status();
 m.reset('force', true);
 m.disarm();
 out = struct('session', id, 'steps', diff(ticks), 'states', {cellfun(@(item) item.state, r.items, 'UniformOutput', false)}, ...
-  'stored', shown.pattern.name, 'is_listed', any(strcmp(names, 'from-octave')), 'told', {told}, 'last', last.id == long.id, 'faulted', faulted.state);
+  'stored', shown.pattern.name, 'is_listed', any(strcmp(names, 'from-octave')), 'told', {told}, 'last', last.id == long.id, 'faulted', faulted.state, ...
+  'answer', answer.response, 'stops', ~isempty(study.stopped_at), 'withdrawn', withdrawn.state, 'found', ~isempty(findings.findings), ...
+  'known', known);
 disp(jsonencode(out));
 """
 
@@ -138,8 +158,10 @@ def test_the_other_methods_do_what_they_do_in_python(daemon: meissner.Daemon, ne
         "meissner:bad_option",
         "meissner:not_found",
     ]
+    assert (told["answer"], told["stops"], told["withdrawn"]) == ("left", True, "stopped")
+    assert (told["found"], told["known"]) == (True, True)
     with meissner.connect(daemon.socket) as m:
-        m.remove_pattern("from-octave")
+        assert "from-octave" not in [pattern["name"] for pattern in m.patterns()]
         session = m.session_plays(told["session"])["session"]
         assert (session["participant"], session["experiment"], session["seed"]) == ("P07", "octave", 3)
         assert session["exclusive"]
@@ -148,11 +170,11 @@ def test_the_other_methods_do_what_they_do_in_python(daemon: meissner.Daemon, ne
 
 OVER = """
 m.arm('assume_rest', true, 'checked', 'a test');
-over = m.session_start('P07');
+over = m.session('participant', 'P07');
 first = m.wait(m.play('pin-60', 'seconds', 0.05));
 other = Meissner(getenv('MEISSNER_URL'));
 system(sprintf('curl --silent --show-error --fail -X POST %s/v1/sessions/%s/end >&2', getenv('MEISSNER_URL'), over));
-next = other.session_start('P08');
+next = other.session('participant', 'P08');
 tries = {@() m.play('pin-60', 'seconds', 0.05), @() m.sequence({'pin-60', 'pin-60'}, 'seconds', 0.05, 'isi', 0.1)};
 told = {};
 for number = 1:numel(tries)
@@ -167,7 +189,7 @@ m.session_end();
 still = other.status();
 other.session_end();
 ended = other.status();
-again = m.session_start('P07');
+again = m.session('participant', 'P07');
 second = m.wait(m.play('pin-60', 'seconds', 0.05));
 m.session_end();
 m.close();
@@ -207,3 +229,13 @@ def test_an_example_runs(example: str, network: Network, tmp_path: Path) -> None
 def test_every_example_is_run_here() -> None:
     text = Path(__file__).read_text(encoding="utf-8")
     assert [file.stem for file in (MATLAB / "examples").glob("*.m") if f'"{file.stem}"' not in text] == []
+
+
+def test_its_methods_have_the_names_of_python() -> None:
+    source = (MATLAB / "Meissner.m").read_text(encoding="utf-8")
+    here = set(re.findall(r"^    function (?:\w+ = )?(\w+)\(self", source, re.MULTILINE))
+    there = {name for name, of in vars(meissner.Client).items() if callable(of) and not name.startswith("_")}
+    # Live plays and events need a connection that stays open; exports and searches need Python and the program.
+    elsewhere = {"live", "events", "export_bids", "export_nwb", "design", "render", "simulate"}
+    of_python = {"run", "adopt", "end", "release"}
+    assert there - elsewhere - of_python <= here, there - here

@@ -61,7 +61,7 @@ def test_errors_say_what_is_wrong(monkeypatch: pytest.MonkeyPatch, tmp_path: Pat
         meissner.simulate(SCENE)
     monkeypatch.delenv("MEISSNER_PROGRAM")
     monkeypatch.setenv("PATH", str(tmp_path))
-    with pytest.raises(errors.ProgramError, match=r"is not on the PATH.*cargo install"):
+    with pytest.raises(errors.ProgramError, match=r"nor the PATH has the program.*install the wheel"):
         meissner.demo()
 
 
@@ -131,3 +131,24 @@ def test_the_end_of_python_ends_the_daemon_and_disarms(daemon: meissner.Daemon) 
     assert not Path(socket).parent.exists()
     with meissner.connect(daemon.socket) as watcher:
         assert watcher.status().state in ("returning", "disarmed")
+
+
+def test_a_demo_may_be_as_a_board_is() -> None:
+    plan: list[meissner.SequenceItem] = [{"pattern": "edge-45", "gap": 0.05}] * 40
+    with meissner.demo(board=True) as m:
+        device = m.status().raw["device"]
+        assert (device["kind"], device["simulated"], device["telemetry"]) == ("mock:board", True, False)
+        told = m.check(plan, seconds=numpy.float32(0.25))
+        assert (told.ends, told.limit_um) == (False, 150.0)
+        assert told.stopped_at is not None
+        receipt = m.sequence(plan, seconds=0.25).wait(check=False)
+        assert (receipt.state, receipt.cause) == ("stopped", "drift-limit")
+    with meissner.demo(board="lower-stop") as m:
+        told = m.check(plan, seconds=0.25)
+        assert (told.ends, told.stopped_at, told.drift_um) == (True, None, 0.0)
+        assert m.play("edge-45", seconds=0.2).wait().state == "done"
+
+
+def test_python_m_runs_the_program() -> None:
+    ended = subprocess.run([sys.executable, "-m", "meissner", "--version"], capture_output=True, text=True, check=True)
+    assert ended.stdout.startswith("meissner ")

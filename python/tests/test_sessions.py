@@ -10,6 +10,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -17,6 +18,7 @@ import pytest
 import meissner
 from meissner import _http, errors
 from meissner import _operations as ops
+from meissner.experiment import trials
 from network import Network
 
 PATIENT = 120.0
@@ -30,7 +32,7 @@ ORDERS: dict[str, Callable[[meissner.Client], object]] = {
 
 def end(other: meissner.Client, session_id: str) -> None:
     """Ends somebody's session, as `meissner session end` does."""
-    other.run(ops._document(other.core, _http.post(f"/v1/sessions/{session_id}/end")))
+    other.run(ops.document(other.core, _http.post(f"/v1/sessions/{session_id}/end")))
 
 
 def plays(m: meissner.Client, session_id: str) -> list[dict[str, Any]]:
@@ -205,3 +207,127 @@ def test_the_same_for_asyncio(daemon: meissner.Daemon, other: meissner.Client) -
             assert (await (await m.play("pin-60", 0.05)).wait()).raw["session"] is None
 
     asyncio.run(main())
+
+
+STUDY = """
+import sys, meissner
+from meissner.experiment import Staircase, trials
+with meissner.connect() as m, m.session("P07", resume=True) as session:
+    m.arm(assume_rest=True, checked="a test", silence=60.0)
+    stairs = Staircase(0.9, ratio=1.2, down=1, minimum=0.1)
+    stairs.resume(session.answers(side="left"))
+    print(session.resumed, len(stairs.answers), [trial.number for trial in session.remaining(trials(repeats=4, seed=1))], flush=True)
+    for trial in session.remaining(trials(repeats=4, seed=1)):
+        play = m.play("pin-60", 0.05, scale=stairs.level, trial=trial.number)
+        play.wait()
+        session.answer(trial, "felt", correct=True, level=stairs.level, factors={"side": "left"})
+        stairs.answer(True)
+        print(trial.number, flush=True)
+        if sys.argv[1:] == [str(trial.number)]:
+            sys.stdin.read()
+    print(stairs.level, flush=True)
+"""
+
+
+def study(daemon: meissner.Daemon, *arguments: str) -> subprocess.Popen[str]:
+    command = [sys.executable, "-c", STUDY, *arguments]
+    environment = {**os.environ, "MEISSNER_SOCKET": daemon.socket}
+    pipe = subprocess.PIPE
+    return subprocess.Popen(command, env=environment, stdin=pipe, stdout=pipe, stderr=pipe, text=True)
+
+
+def test_a_study_that_was_killed_goes_on(
+    daemon: meissner.Daemon, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    first = study(daemon, "2")
+    assert first.stdout is not None
+    said = [first.stdout.readline().strip() for _ in range(3)]
+    assert said == ["False 0 [1, 2, 3, 4]", "1", "2"]
+    (file,) = (tmp_path / "meissner").iterdir()
+    assert file.stat().st_mode & 0o777 == 0o600
+    second = study(daemon)
+    _, errors_of_second = second.communicate()
+    assert "SessionRunning" in errors_of_second
+    assert "the program that has started it runs, too" in errors_of_second
+    with meissner.connect(daemon.socket) as m, pytest.raises(errors.SessionRunning, match="`P07` runs: end it with"):
+        m.session("P08", resume=True)
+    first.kill()
+    first.communicate()
+    third = study(daemon)
+    out, problem = third.communicate()
+    assert problem == ""
+    first_line, *numbers, level = out.split("\n")[:-1]
+    assert (first_line, numbers) == ("True 2 [3, 4]", ["3", "4"])
+    # Four right answers of one staircase: each step is twice `ratio` until it has turned.
+    assert float(level) == pytest.approx(0.9 / 1.2**8)
+    assert list((tmp_path / "meissner").iterdir()) == []
+    with meissner.connect(daemon.socket) as m:
+        session = m.sessions()[-1] if m.sessions()[-1]["participant"] == "P07" else m.sessions()[0]
+        rows = plays(m, session["id"])
+        assert [(row["trial"], row["answer"]["response"]) for row in rows] == [(n, "felt") for n in (1, 2, 3, 4)]
+
+
+def test_a_session_that_resumes_goes_on_after_an_error(
+    m: meissner.Client, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    with pytest.raises(ZeroDivisionError), m.session("P07", resume=True) as session:
+        m.play("pin-60", 0.05, trial=7).wait()
+        session.answer(7, "left", correct=True, rt_ms=300)
+        _ = 1 / 0
+    with m.session("P07", resume=True) as again:
+        assert (again.resumed, again.id) == (True, session.id)
+        assert [(row["trial"], row["answer"]["rt_ms"]) for row in again.plays] == [(7, 300.0)]
+        with pytest.raises(errors.MeissnerError, match="has played nothing in trial 8"):
+            again.answer(8, "left")
+    with m.session("P07", resume=True) as fresh:
+        assert not fresh.resumed
+    monkeypatch.delenv("XDG_RUNTIME_DIR")
+    monkeypatch.delenv("HOME")
+    with m.session("P07") as lost, meissner.connect(m.core.endpoint.name) as other:
+        with pytest.raises(errors.SessionRunning, match="its token is not kept"):
+            other.session("P07", resume=True)
+        assert lost.plays == []
+
+
+def test_asynchronous_sessions_answer_and_resume(
+    daemon: meissner.Daemon, m: meissner.Client, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+
+    async def work() -> None:
+        async with await meissner.connect_async(daemon.socket) as client:
+            with pytest.raises(ZeroDivisionError):
+                async with client.session("P07", resume=True):
+                    play = await client.play("pin-60", 0.05, trial=1)
+                    await play.wait()
+                    _ = 1 / 0
+            async with client.session("P07", resume=True) as session:
+                assert session.resumed
+                play = await client.play("pin-60", 0.05, trial=2)
+                await play.wait()
+                await session.answer(2, "left", correct=False, level=0.5)
+                assert [row["trial"] for row in await session.plays()] == [1, 2]
+                assert await session.answers() == [(0.5, False)]
+                assert [trial.number for trial in await session.remaining(trials(repeats=3, seed=1))] == [1, 3]
+
+    asyncio.run(work())
+
+
+def test_the_end_of_one_client_does_not_disarm_another(m: meissner.Client, daemon: meissner.Daemon) -> None:
+    with meissner.connect(daemon.socket) as second:
+        second.arm(silence=60.0)
+        cut = second.play("pin-60", endless=True)
+    assert m.receipt(cut.id).state in ("running", "stopped")
+    m.wait_until_idle()
+    assert m.receipt(cut.id).cause == "disarm"
+    assert m.status().state == "armed"
+    m.play("pin-60", 0.05).wait()
+    with meissner.connect(daemon.socket) as second:
+        second.arm(silence=60.0)
+        m.close()
+        second.play("pin-60", 0.05).wait()
+    with meissner.connect(daemon.socket) as third:
+        third.wait_until_idle()
+        assert third.status().state == "disarmed"

@@ -16,10 +16,13 @@ use std::str::FromStr;
 /// The options of every command that asks a daemon.
 #[derive(Debug, Args)]
 pub(super) struct ClientOptions {
-    /// Connect to the daemon at PATH [default: $MEISSNER_SOCKET, else the first of $XDG_RUNTIME_DIR/meissner.sock and
+    /// Connect to the daemon at PATH [default: $MEISSNER_URL, else $MEISSNER_SOCKET, else the first of $XDG_RUNTIME_DIR/meissner.sock and
     /// /run/meissner/meissner.sock at which a daemon listens]
     #[arg(long, value_name = "PATH")]
     socket: Option<PathBuf>,
+    /// Connect to a daemon on the network, such as http://lab-pc:8765, with the access token in $MEISSNER_TOKEN
+    #[arg(long, value_name = "URL", conflicts_with = "socket")]
+    connect: Option<String>,
     #[command(flatten)]
     pub(super) output: Output,
 }
@@ -48,7 +51,11 @@ impl ClientOptions {
     }
 
     pub(super) fn endpoint(&self) -> Endpoint {
-        self.socket.as_deref().map_or_else(Endpoint::find, Endpoint::at)
+        match (&self.socket, &self.connect) {
+            (Some(socket), _) => Endpoint::at(socket),
+            (None, Some(url)) => Endpoint::on_network(url),
+            (None, None) => Endpoint::find(),
+        }
     }
 }
 

@@ -13,10 +13,9 @@ use super::text;
 use anyhow::{Result, bail};
 use clap::Args;
 use meissner_api::{ArmRequest, Code, Event, Fit, Mapping, PlayRequest, Receipt, ResetRequest, Status};
-use meissner_client::{Client, ClientError, Events, HOME_TIMEOUT};
+use meissner_client::{Client, ClientError, Endpoint, Events, HOME_TIMEOUT};
 use serde_json::json;
 use std::io::{self, BufRead, IsTerminal, Read, Write};
-use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::mpsc;
 use std::thread;
@@ -72,18 +71,18 @@ pub(super) fn withdraw(options: &ClientOptions, id: u64) -> Result<ExitCode> {
     give(options.output.json, &receipt, || text::receipt(&receipt))
 }
 
-/// Sends an e-stop to this socket, then reads the status.
-fn stop_at(socket: &Path) -> Result<Status, ClientError> {
-    match meissner_client::estop(socket) {
+/// Sends an e-stop to this place, then reads the status.
+fn stop_at(endpoint: Endpoint) -> Result<Status, ClientError> {
+    let place = endpoint.place.clone();
+    match meissner_client::estop_at(&place) {
         // The emergency stop is latched; the status says that there is no device.
         Err(ClientError::Problem(problem)) if problem.code == Code::NoDevice.parts().0 => {}
         stopped => stopped?,
     }
     // The emergency stop is confirmed. On a busy daemon the status may take long.
-    Client::new(socket)?.get("/v1/status").inspect_err(|_| {
+    Client::at(endpoint)?.get("/v1/status").inspect_err(|_| {
         // If stderr is closed, no one can read the message.
-        let _ =
-            writeln!(io::stderr(), "{}: the emergency stop is confirmed; no status came:", socket.display());
+        let _ = writeln!(io::stderr(), "{place}: the emergency stop is confirmed; no status came:");
     })
 }
 
@@ -92,30 +91,30 @@ fn stop_at(socket: &Path) -> Result<Status, ClientError> {
 pub(super) fn estop(options: &ClientOptions) -> Result<ExitCode> {
     let (endpoint, json) = (options.endpoint(), options.output.json);
     let (tell, answers) = mpsc::channel();
-    for socket in [Some(&endpoint.socket), endpoint.fallback.as_ref()].into_iter().flatten() {
-        let order = |socket: PathBuf, tell: mpsc::Sender<_>| {
-            let answer = stop_at(&socket);
+    for place in endpoint.places() {
+        let order = |place: Endpoint, tell: mpsc::Sender<_>| {
+            let answer = stop_at(place.clone());
             // The send fails only if this process is ending.
-            let _ = tell.send((socket, answer));
+            let _ = tell.send((place, answer));
         };
-        let (at, told) = (socket.clone(), tell.clone());
+        let (at, told) = (endpoint.only(place), tell.clone());
         // If no thread can start, send one after the other.
         if thread::Builder::new().spawn(move || order(at, told)).is_err() {
-            order(socket.clone(), tell.clone());
+            order(endpoint.only(place), tell.clone());
         }
     }
     drop(tell);
     let (mut stopped, mut failed): (Vec<Status>, Vec<ClientError>) = (Vec::new(), Vec::new());
     // Wait for every answer even if stdout is closed: this process must not end before it has sent each request.
     let mut said = Ok(ExitCode::SUCCESS);
-    for (socket, answer) in answers {
+    for (place, answer) in answers {
         match answer {
             Ok(status) => {
                 let state = text::state(&status);
                 said = said.and(match stopped.is_empty() {
                     true => give(json, &status, || state),
                     false if json => Ok(ExitCode::SUCCESS),
-                    false => say(&format!("{}: {state}", socket.display())).map(|()| ExitCode::SUCCESS),
+                    false => say(&format!("{place}: {state}")).map(|()| ExitCode::SUCCESS),
                 });
                 stopped.push(status);
             }

@@ -15,6 +15,7 @@ use super::progress::Progress;
 use super::{control, text};
 use crate::config::{Config, Listen, PatternsDir};
 use crate::daemon::{Daemon, Hosted};
+use crate::doctor::device::ON_NO_BOARD;
 use crate::exposure::ParticipantLimits;
 use crate::receipts::{PlayedPattern, end_text};
 use crate::store::Store;
@@ -32,7 +33,7 @@ use meissner_design::shipped;
 use meissner_render::{Judge, response_of};
 use meissner_skin::{Finger, SkinModel};
 use meissner_stream::device::Spec;
-use meissner_stream::{Gains, LowerStopSettings, Settings, SimulatedPlay, simulate_play};
+use meissner_stream::{Gains, Settings, SimulatedPlay, simulate_play};
 use meissner_touch::{Contact, Object, Touch, respond, surface_of};
 use serde::Serialize;
 use std::collections::HashSet;
@@ -160,11 +161,12 @@ pub(super) fn run(asked: &Asked) -> Result<ExitCode> {
     config.listen = page.then(|| Listen {
         address: (Ipv4Addr::LOCALHOST, 0).into(),
         hosts: Vec::new(),
+        origins: Vec::new(),
         always_token: false,
     });
     if sensorless {
-        config.settings.lower_stop = Some(LowerStopSettings::of(array));
-        (config.mock.lower_stop, config.mock.telemetry_hz) = (LowerStop::AtRest, 0);
+        config.add_lower_stop();
+        config.mock.telemetry_hz = 0;
     }
     let hosted = Daemon::start(&config)?.host()?;
     let mut client = Client::new(&config.socket)?;
@@ -435,6 +437,7 @@ fn summary(report: &Report) -> String {
                 rendered.vibrating_errors[1]
             ),
         ),
+        ("telemetry", if report.sensorless { "none, as on a board" } else { ON_NO_BOARD }.to_owned()),
         ("real time", format!("SCHED_FIFO {}, memory locked {}", yes(realtime.fifo), yes(realtime.mlock))),
     ])
 }

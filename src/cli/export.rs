@@ -28,7 +28,7 @@ pub(super) const TIMEOUT: Duration = Duration::from_secs(60);
 type Column = (&'static str, fn(&Session, &RecordedPlay) -> String);
 
 /// The columns.
-const COLUMNS: [Column; 54] = [
+const COLUMNS: [Column; 55] = [
     ("session", |session, _| session.id.clone()),
     ("participant", |session, _| session.participant.clone()),
     ("experiment", |session, _| field(session.experiment.as_ref())),
@@ -85,6 +85,7 @@ const COLUMNS: [Column; 54] = [
     ("array", |_, play| play.array.clone()),
     ("tick_hz", |_, play| play.tick_hz.to_string()),
     ("mapped_from", |_, play| field(play.mapped_from.as_ref())),
+    ("first_pulse_tick", |_, play| field(play.first_pulse_tick)),
     ("response", |_, play| answered(play, |answer| Some(&answer.response))),
     ("correct", |_, play| answered(play, |answer| answer.correct)),
     ("response_time", |_, play| answered(play, |answer| answer.rt_ms.map(|ms| ms / 1e3))),

@@ -31,6 +31,7 @@ mod optimise;
 mod output;
 mod pattern;
 mod pattern_file;
+mod plan;
 mod progress;
 mod render;
 mod replay;
@@ -106,7 +107,7 @@ enum Command {
         /// Check the configuration and end; exit 1 if it is not valid
         #[arg(long)]
         check_config: bool,
-        /// Use this device: auto, mock, pty, serial[:PATH|:SERIAL|:VID:PID[:SERIAL]] or usb[:SERIAL] [default: the
+        /// Use this device: auto, mock, mock:board[,lower-stop], pty, serial[:PATH|:SERIAL|:VID:PID[:SERIAL]] or usb[:SERIAL] [default: the
         /// configuration's, else auto]
         #[arg(long, value_name = "DEVICE")]
         device: Option<Spec>,
@@ -114,7 +115,7 @@ enum Command {
         #[arg(long, value_name = "ARRAY")]
         array: Option<String>,
         /// Listen for clients at PATH [default: the configuration's, else $MEISSNER_SOCKET, else
-        /// $XDG_RUNTIME_DIR/meissner.sock, else /run/meissner/meissner.sock]
+        /// $XDG_RUNTIME_DIR/meissner.sock, else a folder of the user's own, else /run/meissner/meissner.sock]
         #[arg(long, value_name = "PATH")]
         socket: Option<PathBuf>,
         /// Serve the page and the API over TCP, too, at ADDRESS, or without ADDRESS at 127.0.0.1:8765 [default: the configuration's, else

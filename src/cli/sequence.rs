@@ -68,7 +68,7 @@ pub(super) fn run(asked: &Sequence) -> Result<ExitCode> {
     Ok(if receipt.all_played() { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }
 
-fn read(file: &Path) -> Result<SequenceRequest> {
+pub(super) fn read(file: &Path) -> Result<SequenceRequest> {
     let (text, name) = files::text_or_stdin(file, MAX_BODY as u64, "sequence")?;
     SequenceRequest::parse_file(&text).map_err(|problem| anyhow!("{name}: {problem}"))
 }

@@ -1,11 +1,11 @@
-//! `session`: starts, ends and shows sessions; [`export`] writes their plays, [`replay`] plays them again.
+//! `session`: starts, ends and shows sessions; [`plan`] checks one before it begins, [`export`] writes its plays, [`replay`] plays them again.
 //!
 //! `start` keeps the owner's token for the commands of this terminal ([`session_token`]); `end` forgets it. If the token cannot be kept, `start`
 //! ends the session again.
 
 use super::arguments::{ClientOptions, label};
 use super::output::{give, say, tell};
-use super::{export, replay, session_token, text};
+use super::{export, plan, replay, session_token, text};
 use anyhow::{Result, bail};
 use clap::Subcommand;
 use meissner_api::{self as api, Code, SessionList, SessionRequest, SessionStarted};
@@ -61,6 +61,8 @@ pub(super) enum Session {
         #[command(flatten)]
         options: ClientOptions,
     },
+    /// Tell before the first trial whether the plays of a study would stop at the drift limit on a board; exit 1 if so
+    Check(plan::Check),
     /// Play a recorded session again with the same gaps, and compare the receipts; exit 1 if something differs
     Replay(replay::Replay),
     /// Show a session
@@ -90,6 +92,7 @@ pub(super) fn run(asked: &Session) -> Result<ExitCode> {
         Session::Export { id, output, incomplete, options } => {
             export::run(options, id, output.as_deref(), *incomplete)
         }
+        Session::Check(asked) => plan::run(asked),
         Session::Replay(asked) => replay::run(asked),
         Session::Show { id, options } => {
             let session: api::Session = options.client()?.get(&path(id.as_deref()))?;

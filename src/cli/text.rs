@@ -10,7 +10,7 @@ pub(super) use receipt::{
     LARGEST_OFFSET, PREDICTED, accepted, burst_counts, duration, pulse_counts, receipt,
 };
 
-use crate::doctor::device::{NO_TELEMETRY, SHORT_PLAYS};
+use crate::doctor::device::{NO_TELEMETRY, ON_NO_BOARD, SHORT_PLAYS};
 use crate::doctor::rights::SLOW_ESTOP;
 use crate::receipts::end_text;
 use comfy_table::presets::{NOTHING, UTF8_FULL};
@@ -103,8 +103,12 @@ pub(super) fn status(status: &Status) -> String {
         let waiting = status.queued.iter().map(|play| format!("{} of {}", play.id, play.pattern));
         lines.push(("queued", waiting.collect::<Vec<_>>().join(", ")));
     }
-    if status.device.as_ref().is_some_and(|device| !device.telemetry) {
-        lines.push(("telemetry", format!("{NO_TELEMETRY}; {SHORT_PLAYS}")));
+    match &status.device {
+        Some(device) if !device.telemetry => {
+            lines.push(("telemetry", format!("{NO_TELEMETRY}; {SHORT_PLAYS}")));
+        }
+        Some(device) if device.simulated => lines.push(("telemetry", ON_NO_BOARD.to_owned())),
+        _ => {}
     }
     lines.extend(drift(status).map(|drift| ("drift", drift)));
     if status.realtime.is_some_and(|has| !has.fifo) {

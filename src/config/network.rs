@@ -1,4 +1,4 @@
-//! The keys `listen`, `listen_hosts` and `listen_token`, for network clients.
+//! The keys `listen`, `listen_hosts`, `listen_origins` and `listen_token`, for network clients.
 
 use super::problem::{KeyError, Problem};
 use meissner_input::message::quote;
@@ -11,6 +11,8 @@ pub struct Listen {
     pub address: SocketAddr,
     /// Names by which clients may call this machine, besides its addresses and `localhost`.
     pub hosts: Vec<String>,
+    /// Sites whose pages may send requests, as the browser names them: `https://lab.example`.
+    pub origins: Vec<String>,
     /// Clients on this machine need a token, too.
     pub always_token: bool,
 }
@@ -19,6 +21,7 @@ pub struct Listen {
 pub(super) fn check(
     address: Option<&str>,
     hosts: Option<Vec<String>>,
+    origins: Option<Vec<String>>,
     token: Option<&str>,
 ) -> Result<Option<Listen>, KeyError> {
     let found = address.unwrap_or("none");
@@ -32,12 +35,21 @@ pub(super) fn check(
     if let Some(bad) = hosts.iter().find(|name| !plain(name)) {
         return Err(KeyError::key("listen_hosts", Problem::Host { found: quote(bad) }));
     }
+    let origins = origins.unwrap_or_default();
+    let is_origin = |origin: &&String| {
+        let site = origin.strip_prefix("https://").or_else(|| origin.strip_prefix("http://"));
+        let good = |byte: u8| byte.is_ascii_lowercase() || byte.is_ascii_digit() || b"-._:[]".contains(&byte);
+        site.is_some_and(|site| (1..=253).contains(&site.len()) && site.bytes().all(good))
+    };
+    if let Some(bad) = origins.iter().find(|origin| !is_origin(origin)) {
+        return Err(KeyError::key("listen_origins", Problem::Origin { found: quote(bad) }));
+    }
     let always_token = match token.unwrap_or("remote") {
         "remote" => false,
         "always" => true,
         other => return Err(KeyError::key("listen_token", Problem::ListenToken { found: quote(other) })),
     };
-    Ok(address.map(|address| Listen { address, hosts, always_token }))
+    Ok(address.map(|address| Listen { address, hosts, origins, always_token }))
 }
 
 #[cfg(test)]
@@ -70,6 +82,12 @@ mod tests {
                 "`listen_hosts` is `a.b:80`: must be a host's name, without port and path",
             ),
             ("listen_hosts = [\"\"]", "`listen_hosts` is ``: must be a host's name"),
+            (
+                "listen_origins = [\"https://lab.example/study\"]",
+                "`listen_origins` is `https://lab.example/study`: must be a site, as \"https://lab.example\"",
+            ),
+            ("listen_origins = [\"*\"]", "`listen_origins` is `*`: must be a site"),
+            ("listen_origins = [\"null\"]", "`listen_origins` is `null`: must be a site"),
             ("listen_token = \"never\"", "`listen_token` is `never`: must be \"remote\" or \"always\""),
         ] {
             let found = parse(bad).unwrap_err();

@@ -38,6 +38,10 @@ pub enum Problem {
     Listen { found: String },
     #[error("is {found}: must be a host's name, without port and path")]
     Host { found: String },
+    #[error(
+        "is {found}: must be a site, as \"https://lab.example\" or \"http://localhost:3000\", in lower case, without path"
+    )]
+    Origin { found: String },
     #[error("is {found}: must be \"remote\" or \"always\"")]
     ListenToken { found: String },
     #[error("is {found}: {error}")]

@@ -13,6 +13,9 @@ const ANY_BYTES_PER_S: u32 = 2_000;
 const CLOCK_US: f64 = 500.0;
 /// The finding for a device without telemetry.
 pub(crate) const NO_TELEMETRY: &str = "none: bursts are not corrected, pins drift";
+/// What users of the simulated array with telemetry should know.
+pub(crate) const ON_NO_BOARD: &str =
+    "simulated: no board has it; pilot a study with `--device mock:board`, on which pins drift as on a board";
 /// The advice without telemetry.
 pub(crate) const SHORT_PLAYS: &str = "keep plays short";
 

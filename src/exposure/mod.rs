@@ -103,7 +103,7 @@ impl Exceeded {
             Limit::Day => "vibration in a day",
         };
         format!(
-            "`participant.{}` allows {most_s} s of {what}: {left_s:.1} s are left{takes}; {again}, or raise the limit in the \
+            "limit for participants: `participant.{}` allows {most_s} s of {what}: {left_s:.1} s are left{takes}; {again}, or raise the limit in the \
              daemon's configuration",
             limit.key()
         )

@@ -547,6 +547,7 @@ fn played(entry: &Value, receipt: Receipt) -> RecordedPlay {
         refused_strokes: None,
         boot: None,
         pattern_kept: false,
+        first_pulse_tick: receipt.pins.iter().flatten().map(|pin| pin.first_pulse_tick).min(),
         answer: None,
     }
 }
@@ -590,6 +591,7 @@ fn part(whole: &RecordedPlay, number: u64, item: &ItemRecord) -> RecordedPlay {
         planned_onset_ticks: Some(item.planned_onset_ticks),
         late_strokes: Some(item.late_strokes.into()),
         refused_strokes: Some(item.refused_strokes.into()),
+        first_pulse_tick: item.first_pulse_tick,
         ..whole.clone()
     }
 }

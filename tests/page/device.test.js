@@ -53,10 +53,11 @@ test("wiring that is not in the motors' order is shown motor by motor", async ()
 });
 
 // The buttons that a view offers, by what they say.
-const offered = (page) => page.$$eval("button, input[type=checkbox], form", (all) => all.filter((one) => one.checkVisibility() && one.closest("main, header")).map((one) => (one.matches("form") ? `form ${one.id}` : one.id || one.textContent)));
+// Which patterns are looked at is anybody's choice.
+const offered = (page) => page.$$eval("button, input[type=checkbox], form", (all) => all.filter((one) => one.checkVisibility() && one.closest("main, header") && !one.matches("#pattern-list .choose, #pattern-list .compare")).map((one) => (one.matches("form") ? `form ${one.id}` : one.id || one.textContent)));
 
 // What a window that may only read may do in each view.
-const READS = { play: [], design: ["undo", "clear", "robust"], record: ["Show", "save-csv", "save-json", "plays-back", "plays-next"], device: ["doctor-again"] };
+const READS = { play: [], design: ["undo", "redo", "clear", "robust"], record: ["Show", "save-csv", "save-json", "plays-back", "plays-next"], device: ["doctor-again"] };
 
 test("a token that may only read is offered nothing that it may not do, and told why", async () => {
   const daemon = await new Daemon('listen_token = "always"\n').start();

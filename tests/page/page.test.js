@@ -52,7 +52,7 @@ test("a person arms, plays, stops in an emergency, and resets (smoke)", async ()
   await page.click("#reset");
   await page.click('#reset-dialog button[value="reset"]');
   await shows(page, "state-text", "Disarmed");
-  assert.deepEqual(page.complaints.filter((line) => !line.includes("409") && !line.includes("404")), []);
+  assert.deepEqual(page.complaints.filter((line) => !line.includes("409")), []);
 });
 
 test("the keyboard alone orders an emergency stop", async () => {
@@ -105,7 +105,7 @@ for (const name of ["tula35-6x4", "tula35-2x3", "ubi-pen-3x3", "simulated-8x8", 
     await daemon.start();
     const { positions_mm: places, pitch_mm: pitch, grid, motor } = await get(daemon, "/v1/array");
     const page = await open(daemon, 360, 640, "device");
-    await shows(page, "array-facts", `Array${name}`);
+    await shows(page, "array-facts", `Name${name},`);
     // The pins are drawn at their places, in units of which the pitch has 29, on the skin.
     const pins = await page.$$eval(".finger > g", (groups) => groups.map((group) => {
       const [x, y] = group.getAttribute("transform").match(/-?[\d.]+/g).map(Number);
@@ -161,7 +161,7 @@ for (const name of ["tula35-6x4", "tula35-2x3", "ubi-pen-3x3", "simulated-8x8", 
     const receipt = await get(daemon, "/v1/plays/last");
     assert.deepEqual([receipt.id, receipt.array, receipt.mapped_from], [1, name, isForeign ? "tula35-6x4" : null]);
     assert.equal((await text(page, "receipt-facts")).includes("from the array tula35-6x4"), isForeign);
-    assert.deepEqual(page.complaints.filter((line) => !line.includes("404")), []);
+    assert.deepEqual(page.complaints, []);
   });
 }
 
@@ -196,7 +196,7 @@ test("an array of two pins that nearly touch and of pins far away is drawn as sm
   }
   const pad = await drawn("#pad svg");
   assert.ok(pad.discs.every(([x, y], i) => Math.hypot(x - places[i][0], y + places[i][1]) < 1e-6), "the pad is in mm");
-  assert.deepEqual(page.complaints.filter((line) => !line.includes("404")), []);
+  assert.deepEqual(page.complaints, []);
 });
 
 test("the doctor's findings come with verdicts and remedies", async () => {
@@ -354,7 +354,7 @@ test("late strokes are counted while a play runs", async () => {
     await shows(page, "play-facts", "Late strokes of this play2");
     await page.click("#stop");
     await page.waitForFunction(() => !document.getElementById("play-facts").textContent, WAIT);
-    assert.deepEqual(page.complaints.filter((line) => !line.includes("404")), []);
+    assert.deepEqual(page.complaints, []);
   });
 });
 

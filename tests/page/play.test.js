@@ -368,7 +368,7 @@ test("a token that may only read is offered nothing that plays, stores or remove
   await choose(page, "edge-45");
   await page.waitForSelector(".preview .trace-line", SEARCHED);
   await daemon.run("arm", "--assume-rest");
-  await daemon.run("play", "pin-60", "--seconds", "600");
+  await daemon.run("play", "pin-60", "--seconds", "300");
   await daemon.run("play", "edge-45", "--seconds", "1");
   await page.waitForSelector('#queue [data-play="2"] button');
   const off = ['li[data-name="edge-45"] button', "#chosen-play", "#chosen-save", "#pin-play", "#import", "#sequence-file", "#sequence-play", '#queue [data-play="2"] button'];

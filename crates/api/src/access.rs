@@ -69,7 +69,8 @@ impl Route {
             | Self::StoreCalibration
             | Self::SessionEnd
             | Self::PlayAnswer => Access::CHANGES,
-            Self::Status
+            Self::SequenceCheck
+            | Self::Status
             | Self::Array
             | Self::Doctor
             | Self::Receipt

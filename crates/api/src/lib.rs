@@ -8,7 +8,8 @@
 //! - [`request`]: the bodies a client sends; [`PlayRequest::parse`] and similar functions name the wrong key. How bodies are read, and the
 //!   checks that several share, is in `body`.
 //! - [`session`]: sessions, whose plays are recorded together and during which one client may own the display.
-//! - [`sequence`], [`trigger`]: sequences of patterns, and the trigger output, in requests and in receipts.
+//! - [`sequence`], [`trigger`]: sequences of patterns, and the trigger output, in requests and in receipts; [`plan_check`]: how far one
+//!   would let pins drift.
 //! - [`status`], [`receipt`], [`pattern`], [`calibration`]: what the daemon answers; [`prediction`]: the afferents' predicted
 //!   response, in receipts; [`board`]: the device's counters in status and receipt.
 //! - [`end_cause`]: why a play ended before its end.
@@ -51,6 +52,7 @@ pub mod live_record;
 pub mod openapi;
 pub mod pattern;
 pub mod pattern_choice;
+pub mod plan_check;
 pub mod prediction;
 pub mod problem;
 pub mod receipt;
@@ -83,6 +85,7 @@ pub use pattern::{
     RemovedPattern,
 };
 pub use pattern_choice::{MAX_BODY, MAX_PACKED_BODY, PatternChoice};
+pub use plan_check::{PlanCheck, PlanStop};
 pub use prediction::{AfferentClass, ClassResponse, PredictedResponse, Prediction, Rates};
 pub use problem::{Code, MAX_DETAIL, Problem, REFERENCE};
 pub use receipt::{
@@ -96,8 +99,8 @@ pub use rendering::{
     PreviewSpikes, RenderMethod, Rendered,
 };
 pub use request::{
-    ArmRequest, CalibrateRequest, Fit, LatePolicy, MAX_WAIT_S, Mapping, PlayRequest, ResetRequest,
-    parse_empty,
+    ArmRequest, CalibrateRequest, DisarmRequest, Fit, LatePolicy, MAX_WAIT_S, Mapping, PlayRequest,
+    ResetRequest, parse_empty,
 };
 pub use route::{Method, Route};
 pub use search::{

@@ -8,11 +8,11 @@ use crate::array::ArrayDetails;
 use crate::problem::{Code, Problem};
 use crate::route::{Answer, Body, Method, Operation, Query, Route};
 use crate::{
-    ArmRequest, CalibrateRequest, CalibrationReport, DoctorReport, Event, ImportedPattern, LiveAccepted,
-    LiveAnswer, LiveMessage, LiveRequest, PatternDetails, PatternList, PatternPreview, PlayAccepted,
-    PlayRequest, Receipt, RemovedPattern, RemovedTarget, ResetRequest, Search, SearchRequest,
-    SequenceRequest, Session, SessionList, SessionPlays, SessionRequest, SessionStarted, Status,
-    StoredTarget, TargetDetails, TargetList, TokenCreated, TokenInfo, TokenList, TokenRequest,
+    ArmRequest, CalibrateRequest, CalibrationReport, DisarmRequest, DoctorReport, Event, ImportedPattern,
+    LiveAccepted, LiveAnswer, LiveMessage, LiveRequest, PatternDetails, PatternList, PatternPreview,
+    PlanCheck, PlayAccepted, PlayRequest, Receipt, RemovedPattern, RemovedTarget, ResetRequest, Search,
+    SearchRequest, SequenceRequest, Session, SessionList, SessionPlays, SessionRequest, SessionStarted,
+    Status, StoredTarget, TargetDetails, TargetList, TokenCreated, TokenInfo, TokenList, TokenRequest,
 };
 use serde_json::{Map, Value, json};
 use std::collections::BTreeMap;
@@ -24,6 +24,7 @@ use utoipa::OpenApi;
     AnswerTaken,
     ArrayDetails,
     ArmRequest,
+    DisarmRequest,
     ResetRequest,
     CalibrateRequest,
     CalibrationReport,
@@ -37,6 +38,7 @@ use utoipa::OpenApi;
     PatternDetails,
     PatternList,
     PatternPreview,
+    PlanCheck,
     PlayAccepted,
     PlayAnswer,
     PlayRequest,

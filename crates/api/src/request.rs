@@ -1,6 +1,6 @@
 //! Request bodies: JSON objects, read with serde.
 //!
-//! [`PlayRequest::parse`], [`ArmRequest::parse`], [`ResetRequest::parse`], [`CalibrateRequest::parse`] and [`parse_empty`] read a body. A key that is null
+//! [`PlayRequest::parse`], [`ArmRequest::parse`], [`DisarmRequest::parse`], [`ResetRequest::parse`], [`CalibrateRequest::parse`] and [`parse_empty`] read a body. A key that is null
 //! counts as absent, but a number may not be null ([`given`]). An error is one line that names the key; for an unknown key it offers the nearest known one.
 
 use crate::body::{
@@ -215,6 +215,27 @@ impl ArmRequest {
             }
             _ => Ok(request),
         }
+    }
+}
+
+/// What to disarm.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+#[schema(examples(json!({"own": true})))]
+pub struct DisarmRequest {
+    /// Whether to take back only what this client has armed: while another client that has armed is there, the motors stay armed for it,
+    /// and only the plays of this client end.
+    #[serde(default, deserialize_with = "null_as_default", skip_serializing_if = "std::ops::Not::not")]
+    pub own: bool,
+}
+
+impl DisarmRequest {
+    /// Reads a body; an empty one gives the defaults.
+    ///
+    /// # Errors
+    /// A `bad-request` that names the key.
+    pub fn parse(body: &[u8]) -> Result<Self, Problem> {
+        read_or_default(body)
     }
 }
 

@@ -13,6 +13,7 @@ use crate::request::MAX_WAIT_S;
 pub enum Route {
     Play,
     Sequence,
+    SequenceCheck,
     Live,
     LiveConnection,
     Stop,
@@ -202,9 +203,10 @@ const STATUS: Answer = Answer::Json("Status");
 
 impl Route {
     /// Every route.
-    pub const ALL: [Self; 42] = [
+    pub const ALL: [Self; 43] = [
         Self::Play,
         Self::Sequence,
+        Self::SequenceCheck,
         Self::Live,
         Self::LiveConnection,
         Self::Stop,
@@ -318,6 +320,23 @@ impl Route {
                 errors: &[BODY, PLAY, QUEUE, COMMAND, ANY],
                 ..Operation::post("/v1/sequence")
             },
+            Self::SequenceCheck => Operation {
+                summary: "Tell whether a sequence would stop at the drift limit on a board",
+                description: "Nothing is played, and no device is needed. The daemon compiles the sequence as `POST /v1/sequence` does, and \
+                              follows the estimate of the drift of a device without telemetry, from level pins on: with the lower stop, the \
+                              limit and the calibration that are in use. A study of many plays is one sequence of all its plays. \
+                              It follows ten million strokes.",
+                body: Body::Json("SequenceRequest"),
+                statuses: OK,
+                answer: Answer::Json("PlanCheck"),
+                errors: &[
+                    SENT,
+                    &[Code::NotFound, Code::BadPattern, Code::Empty, Code::OtherArray, Code::StaleBoot],
+                    &[Code::TooDense, Code::TooSlow, Code::PushLimit, Code::PowerLimit, Code::Store],
+                    ANY,
+                ],
+                ..Operation::post("/v1/sequence/check")
+            },
             Self::Live => Operation {
                 summary: "Start a live play, whose drives change while it runs",
                 description: "The daemon answers when the streamer has taken the play. Its client then opens the connection at `path` \
@@ -397,8 +416,10 @@ impl Route {
             Self::Disarm => Operation {
                 summary: "Stop, return the pins to rest and switch the motors off",
                 description: "It takes precedence over commands that wait; those end with `returning`. Everybody who may operate may \
-                              order it, as for `POST /v1/stop`.",
-                errors: &[SENT, &[Code::Faulted, Code::Returning, Code::DeviceRefused], COMMAND, ANY],
+                              order it, as for `POST /v1/stop`. A client that ends takes back only what it has armed with `own`: \
+                              motors that another client has armed, too, stay armed for that one.",
+                body: Body::OptionalJson("DisarmRequest"),
+                errors: &[BODY, SENT, &[Code::Faulted, Code::Returning, Code::DeviceRefused], COMMAND, ANY],
                 ..Operation::post("/v1/disarm")
             },
             Self::Home => Operation {

@@ -323,6 +323,10 @@ pub struct RecordedPlay {
     #[serde(default)]
     #[schema(required)]
     pub pattern_kept: bool,
+    /// The first pulse of a pin, ticks; null if no pin moved, or if that is not recorded.
+    #[serde(default)]
+    #[schema(required, minimum = 0)]
+    pub first_pulse_tick: Option<u64>,
     /// What the participant answered; null: nothing was recorded. The items of a sequence repeat its answer.
     #[serde(default)]
     #[schema(required)]
@@ -349,7 +353,7 @@ pub struct RecordedPlay {
         "open_loop": false, "ordered_ms": 2000.0, "played_ms": 1998.8, "cut_after_ms": null, "offset_tick": 6442629900_u64,
         "offset_monotonic_ns": 75795645882352_u64, "trigger": {"tick": 6442460000_u64, "width_ms": 10.0, "code": null},
         "ordered": {"bursts": 1240, "pulses": 86800}, "planned_onset_ticks": null, "late_strokes": 0, "refused_strokes": null,
-        "boot": 305419896, "pattern_kept": true,
+        "boot": 305419896, "pattern_kept": true, "first_pulse_tick": 6442460000_u64,
         "answer": {"response": "left", "correct": true, "rt_ms": 512.3, "level": 0.4, "factors": {"block": "2"}}
     }],
     "more": false, "complete": false, "missing": ["the session still runs: end it first"], "plays_missing": 0, "lost": 0, "left_out": 0,

@@ -1,15 +1,16 @@
 //! Calls that wait for their answer: [`Client`].
 
-use crate::connection::{ANSWER_TIMEOUT, Connection, connect, hung_up, read_all, refused, request};
-use crate::endpoint::Endpoint;
+use crate::connection::{ANSWER_TIMEOUT, Connection, Tokens, connect, hung_up, read_all, refused, request};
+use crate::endpoint::{Endpoint, Place};
 use crate::error::ClientError;
 use crate::events::Events;
 use crate::live::LivePlay;
 use hyper::Method;
 use hyper::body::Bytes;
-use meissner_api::{LiveRequest, PlayAccepted, PlayRequest, Problem, SequenceRequest};
+use meissner_api::{LiveRequest, PlanCheck, PlayAccepted, PlayRequest, Problem, SequenceRequest};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
+use std::env;
 use std::path::Path;
 use std::time::Duration;
 use tokio::runtime::{Builder, Runtime};
@@ -29,7 +30,7 @@ pub struct Client {
     endpoint: Endpoint,
     runtime: Runtime,
     connection: Option<Connection>,
-    token: Option<String>,
+    tokens: Tokens,
 }
 
 impl Client {
@@ -41,18 +42,23 @@ impl Client {
         Self::at(Endpoint::at(socket))
     }
 
-    /// A client of the first daemon that listens at this endpoint.
+    /// A client of the first daemon that listens at this endpoint. On the network it shows the access token in `$MEISSNER_TOKEN`, if that is
+    /// set.
     ///
     /// # Errors
     /// [`ClientError::Runtime`].
     pub fn at(endpoint: Endpoint) -> Result<Self, ClientError> {
         let runtime = Builder::new_current_thread().enable_all().build().map_err(ClientError::Runtime)?;
-        Ok(Self { endpoint, runtime, connection: None, token: None })
+        let access = match endpoint.place {
+            Place::Network(_) => env::var("MEISSNER_TOKEN").ok().filter(|token| !token.is_empty()),
+            Place::Socket(_) => None,
+        };
+        Ok(Self { endpoint, runtime, connection: None, tokens: Tokens { access, session: None } })
     }
 
     /// Sends this token of a session with every request, or none. It shows the daemon that the session's owner is there.
     pub fn set_token(&mut self, token: Option<String>) {
-        self.token = token;
+        self.tokens.session = token;
     }
 
     /// Sends a `GET` and reads the JSON answer.
@@ -148,25 +154,25 @@ impl Client {
         body: &Bytes,
         timeout: Duration,
     ) -> Result<(bool, Bytes), ClientError> {
-        let Self { endpoint, runtime, connection, token } = self;
+        let Self { endpoint, runtime, connection, tokens } = self;
         let answer = runtime.block_on(async {
             let exchange = async {
                 // The daemon closes a connection that was idle for 10 minutes, or that another client needs.
                 if !connection.as_ref().is_some_and(Connection::is_open) {
-                    let (found, socket) = connect(endpoint).await?;
+                    let (found, place) = connect(endpoint).await?;
                     *connection = Some(found);
                     // Later calls use the same daemon, even if another one starts.
-                    *endpoint = Endpoint::at(&socket);
+                    *endpoint = endpoint.only(&place);
                 }
-                let socket = &endpoint.socket;
-                let Some(Connection { sender, .. }) = connection else { return Err(hung_up(socket, None)) };
-                sender.ready().await.map_err(|source| hung_up(socket, Some(source)))?;
-                let request = request(method.clone(), path, body.clone(), token.as_deref());
+                let place = &endpoint.place;
+                let Some(Connection { sender, .. }) = connection else { return Err(hung_up(place, None)) };
+                sender.ready().await.map_err(|source| hung_up(place, Some(source)))?;
+                let request = request(method.clone(), path, body.clone(), place, tokens);
                 let response = sender.send_request(request).await;
-                read_all(socket, response.map_err(|source| hung_up(socket, Some(source)))?).await
+                read_all(place, response.map_err(|source| hung_up(place, Some(source)))?).await
             };
             let answer = tokio::time::timeout(timeout, exchange).await;
-            answer.unwrap_or_else(|_| Err(ClientError::Timeout { socket: endpoint.socket.clone(), timeout }))
+            answer.unwrap_or_else(|_| Err(ClientError::Timeout { place: endpoint.place.clone(), timeout }))
         });
         if answer.is_err() {
             self.connection = None;
@@ -175,7 +181,7 @@ impl Client {
     }
 
     fn bad_answer(&self, error: &serde_json::Error) -> ClientError {
-        ClientError::BadAnswer { socket: self.endpoint.socket.clone(), what: error.to_string() }
+        ClientError::BadAnswer { place: self.endpoint.place.clone(), what: error.to_string() }
     }
 
     /// Orders a play. The answer comes once the daemon has compiled and accepted it; a client that ends before takes the order back.
@@ -194,13 +200,21 @@ impl Client {
         self.post_within(COMPILE_TIMEOUT, "/v1/sequence", request)
     }
 
+    /// Asks whether a sequence would stop at the drift limit on a board.
+    ///
+    /// # Errors
+    /// See [`ClientError`].
+    pub fn check_sequence(&mut self, request: &SequenceRequest) -> Result<PlanCheck, ClientError> {
+        self.post_within(COMPILE_TIMEOUT, "/v1/sequence/check", request)
+    }
+
     /// Starts a live play and opens its connection. The play waits 2 s for its first message.
     ///
     /// # Errors
     /// See [`ClientError`].
     pub fn live(&mut self, request: &LiveRequest) -> Result<LivePlay, ClientError> {
         let accepted = self.post_within(LIVE_TIMEOUT, "/v1/live", request)?;
-        LivePlay::open(&self.endpoint, &accepted, self.token.as_deref())
+        LivePlay::open(&self.endpoint, &accepted, &self.tokens)
     }
 
     /// Listens to events on a separate connection. It gets all events that happen after this call returns.
@@ -209,21 +223,21 @@ impl Client {
     /// See [`ClientError`].
     pub fn events(&self) -> Result<Events, ClientError> {
         let runtime = Builder::new_current_thread().enable_all().build().map_err(ClientError::Runtime)?;
-        let (socket, response) = runtime.block_on(async {
-            let (Connection { mut sender, .. }, socket) = connect(&self.endpoint).await?;
-            let request = request(Method::GET, "/v1/events", Bytes::new(), self.token.as_deref());
-            let slow = |_| Err(ClientError::Timeout { socket: socket.clone(), timeout: ANSWER_TIMEOUT });
+        let (place, response) = runtime.block_on(async {
+            let (Connection { mut sender, .. }, place) = connect(&self.endpoint).await?;
+            let request = request(Method::GET, "/v1/events", Bytes::new(), &place, &self.tokens);
+            let slow = |_| Err(ClientError::Timeout { place: place.clone(), timeout: ANSWER_TIMEOUT });
             let response = async {
                 let response = sender.send_request(request).await;
-                let response = response.map_err(|source| hung_up(&socket, Some(source)))?;
+                let response = response.map_err(|source| hung_up(&place, Some(source)))?;
                 if response.status().is_success() {
                     return Ok(response);
                 }
-                Err(refused(&socket, response).await)
+                Err(refused(&place, response).await)
             };
             let response = tokio::time::timeout(ANSWER_TIMEOUT, response).await.unwrap_or_else(slow)?;
-            Ok::<_, ClientError>((socket, response))
+            Ok::<_, ClientError>((place, response))
         })?;
-        Ok(Events::new(socket, runtime, response.into_body()))
+        Ok(Events::new(place, runtime, response.into_body()))
     }
 }

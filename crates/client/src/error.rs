@@ -4,7 +4,7 @@
 //!
 //! Invariant: the display of a [`ClientError`] holds no line break.
 
-use crate::endpoint::{Endpoint, MAX_SOCKET_PATH, is_hidden};
+use crate::endpoint::{Endpoint, MAX_SOCKET_PATH, Place, is_hidden};
 use meissner_api::Problem;
 use std::io;
 use std::path::PathBuf;
@@ -16,7 +16,7 @@ pub enum ClientError {
     /// No daemon listens at the endpoint.
     #[error("no daemon answers at {endpoint}: {}", .endpoint.how_to_start())]
     NoDaemon {
-        /// The sockets that were tried.
+        /// The places that were tried.
         endpoint: Endpoint,
         /// The system's error.
         source: io::Error,
@@ -31,11 +31,11 @@ pub enum ClientError {
         /// What to do.
         advice: String,
     },
-    /// The socket cannot be used for another reason.
-    #[error("{}: {source}; check that you may use the socket (its group), or choose another with --socket", .socket.display())]
+    /// The place cannot be used for another reason.
+    #[error("{place}: {source}; {}", how_to_reach(.place))]
     Connect {
-        /// The socket.
-        socket: PathBuf,
+        /// The place.
+        place: Place,
         /// The system's error.
         source: io::Error,
     },
@@ -45,30 +45,38 @@ pub enum ClientError {
         /// The socket.
         socket: PathBuf,
     },
+    /// This is no URL of a daemon.
+    #[error("{url}: not the URL of a daemon: {why}; give one such as http://lab-pc:8765")]
+    BadUrl {
+        /// The URL.
+        url: String,
+        /// What is wrong with it.
+        why: &'static str,
+    },
     /// The daemon answered with an error.
     #[error(transparent)]
     Problem(#[from] Problem),
     /// The connection broke before the answer was complete.
-    #[error("{}: the daemon closed the connection: see its log", .socket.display())]
+    #[error("{place}: the daemon closed the connection: see its log")]
     HungUp {
-        /// The socket.
-        socket: PathBuf,
+        /// The place.
+        place: Place,
         /// The HTTP library's error.
         source: Option<hyper::Error>,
     },
     /// No answer, or no event, came in time.
-    #[error("{}: no answer within {} s: see the daemon's log", .socket.display(), .timeout.as_secs_f32())]
+    #[error("{place}: no answer within {} s: see the daemon's log", .timeout.as_secs_f32())]
     Timeout {
-        /// The socket.
-        socket: PathBuf,
+        /// The place.
+        place: Place,
         /// How long the client waited.
         timeout: Duration,
     },
     /// The answer is not one that a daemon of this version gives.
-    #[error("{}: not an answer of this version's daemon: {what}; restart the daemon, or choose another with --socket", .socket.display())]
+    #[error("{place}: not an answer of this version's daemon: {what}; restart the daemon, or choose another")]
     BadAnswer {
-        /// The socket.
-        socket: PathBuf,
+        /// The place.
+        place: Place,
         /// What is wrong with the answer.
         what: String,
     },
@@ -82,6 +90,13 @@ impl ClientError {
     /// runtime directory.
     #[must_use]
     pub fn is_hidden(&self) -> bool {
-        matches!(self, Self::Connect { socket, source } if is_hidden(source, socket))
+        matches!(self, Self::Connect { place: Place::Socket(socket), source } if is_hidden(source, socket))
+    }
+}
+
+const fn how_to_reach(place: &Place) -> &'static str {
+    match place {
+        Place::Socket(_) => "check that you may use the socket (its group), or choose another with --socket",
+        Place::Network(_) => "check the URL and the network, or choose another with --connect",
     }
 }

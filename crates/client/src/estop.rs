@@ -6,7 +6,7 @@
 //! Invariant: the client tries both paths until an answer comes. Sending an emergency stop twice does no harm.
 
 use crate::client::Client;
-use crate::endpoint::estop_socket;
+use crate::endpoint::{Endpoint, Place, estop_socket};
 use crate::error::ClientError;
 use meissner_api::{Code, Problem, Status};
 use serde_json::json;
@@ -26,11 +26,27 @@ const MAX_LINE: u64 = 4096;
 /// The daemon's line after the device has confirmed an emergency stop.
 pub const STOPPED: &str = "stopped";
 
-/// Stops at once, switches the motors off and latches the fault; waits for the device's confirmation.
+/// Stops at once, switches the motors off and latches the fault; waits for the device's confirmation. A daemon on the network gets the
+/// request on a new connection, which its real-time thread reads.
 ///
 /// # Errors
 /// [`ClientError::Problem`] if the device did not confirm it; with the code `no-device` the daemon has latched it. Else see
 /// [`ClientError`].
+pub fn estop_at(place: &Place) -> Result<(), ClientError> {
+    match place {
+        Place::Socket(socket) => estop(socket),
+        Place::Network(url) => by_api(Endpoint::on_network(url)),
+    }
+}
+
+fn by_api(endpoint: Endpoint) -> Result<(), ClientError> {
+    Client::at(endpoint)?.post::<Status>("/v1/estop", &json!({})).map(drop)
+}
+
+/// [`estop_at`] a socket.
+///
+/// # Errors
+/// As of [`estop_at`].
 pub fn estop(socket: &Path) -> Result<(), ClientError> {
     let (tell, line) = mpsc::channel();
     let path = estop_socket(socket);
@@ -49,7 +65,7 @@ pub fn estop(socket: &Path) -> Result<(), ClientError> {
         {
             Err(Problem::new(code, detail).into())
         }
-        _ => Client::new(socket)?.post::<Status>("/v1/estop", &json!({})).map(drop),
+        _ => by_api(Endpoint::at(socket)),
     }
 }
 

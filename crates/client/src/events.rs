@@ -1,26 +1,26 @@
 //! The daemon's events, on a separate connection: [`Events`].
 
 use crate::connection::{MAX_ANSWER, hung_up};
+use crate::endpoint::Place;
 use crate::error::ClientError;
 use http_body_util::BodyExt;
 use hyper::body::Incoming;
 use meissner_api::Event;
-use std::path::PathBuf;
 use std::time::Duration;
 use tokio::runtime::Runtime;
 
 /// A stream of events.
 #[derive(Debug)]
 pub struct Events {
-    socket: PathBuf,
+    place: Place,
     runtime: Runtime,
     body: Incoming,
     rest: Vec<u8>,
 }
 
 impl Events {
-    pub(crate) const fn new(socket: PathBuf, runtime: Runtime, body: Incoming) -> Self {
-        Self { socket, runtime, body, rest: Vec::new() }
+    pub(crate) const fn new(place: Place, runtime: Runtime, body: Incoming) -> Self {
+        Self { place, runtime, body, rest: Vec::new() }
     }
 
     /// Waits for the next event; `None` when the daemon ends the stream.
@@ -53,16 +53,16 @@ impl Events {
             match self.runtime.block_on(frame) {
                 Err(_) => {
                     let timeout = timeout.unwrap_or_default();
-                    return Err(ClientError::Timeout { socket: self.socket.clone(), timeout });
+                    return Err(ClientError::Timeout { place: self.place.clone(), timeout });
                 }
                 Ok(None) => return Ok(None),
-                Ok(Some(Err(source))) => return Err(hung_up(&self.socket, Some(source))),
+                Ok(Some(Err(source))) => return Err(hung_up(&self.place, Some(source))),
                 Ok(Some(Ok(frame))) => self.rest.extend(frame.data_ref().into_iter().flatten()),
             }
         }
     }
 
     fn bad_answer(&self, what: String) -> ClientError {
-        ClientError::BadAnswer { socket: self.socket.clone(), what }
+        ClientError::BadAnswer { place: self.place.clone(), what }
     }
 }

@@ -1,13 +1,13 @@
-//! A blocking client of the daemon: HTTP/1.1 over its Unix socket, and streams of events.
+//! A blocking client of the daemon: HTTP/1.1 over its Unix socket or over TCP, and streams of events.
 //!
 //! A [`Client`] keeps one connection open and sends JSON; `meissner-api` has the types of requests and answers, and
 //! `docs/reference/api.md` describes the routes. In the order of a call:
 //!
-//! - [`Endpoint`]: which socket to connect to.
+//! - [`Endpoint`]: where to connect to.
 //! - [`Client`]: calls that wait for their answer, by default for [`ANSWER_TIMEOUT`]. Each client has its own small async runtime.
 //! - [`Events`]: the daemon's events, on a separate connection.
 //! - [`LivePlay`]: the connection of a live play, made by [`Client::live`]: messages that change it, and the daemon's answers.
-//! - [`estop`]: an emergency stop, on its own socket.
+//! - [`estop_at`]: an emergency stop, on a socket of its own if there is one.
 //! - [`ClientError`]: the errors, each one line that says what to do; [`access`] explains why a socket is denied.
 //!
 //! ```no_run
@@ -43,10 +43,12 @@ mod live;
 
 pub use client::{Client, HOME_TIMEOUT};
 pub use connection::{ANSWER_TIMEOUT, escape};
-pub use endpoint::{Endpoint, MAX_SOCKET_PATH, SERVICE_SOCKET, default_socket, estop_socket, is_installed};
+pub use endpoint::{
+    Endpoint, MAX_SOCKET_PATH, Place, SERVICE_SOCKET, default_socket, estop_socket, is_installed, make_dir,
+};
 
 pub use error::ClientError;
-pub use estop::{STOPPED, estop};
+pub use estop::{STOPPED, estop, estop_at};
 pub use events::Events;
 pub use live::LivePlay;
 

@@ -6,32 +6,59 @@
 //!
 //! Invariant: this module sends nothing on its own. A caller that hangs is silent, and the daemon ends its play.
 
-use crate::connection::{ANSWER_TIMEOUT, Connection, MAX_ANSWER, connect, hung_up, refused, request};
-use crate::endpoint::Endpoint;
+use crate::connection::{ANSWER_TIMEOUT, Connection, MAX_ANSWER, Tokens, connect, hung_up, refused, request};
+use crate::endpoint::{Endpoint, Place};
 use crate::error::ClientError;
 use hyper::body::Bytes;
 use hyper::header::{CONNECTION, HeaderValue, UPGRADE};
+use hyper::upgrade::Upgraded;
 use hyper::{Method, StatusCode};
 use hyper_util::rt::TokioIo;
 use meissner_api::{LIVE_UPGRADE, LiveAccepted, LiveAnswer, LiveMessage};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
+use std::fmt;
 use std::io::{self, Read, Write};
+use std::net::TcpStream;
 use std::os::fd::{AsFd, BorrowedFd};
 use std::os::unix::net::UnixStream;
-use std::path::PathBuf;
 use std::time::{Duration, Instant};
 use tokio::runtime::Builder;
 
 /// How long the daemon may leave a message unread; normally it reads them at once.
 const UNREAD: Duration = Duration::from_secs(1);
 
+/// A blocking connection.
+trait Stream: Read + Write + AsFd + fmt::Debug + Send {}
+impl Stream for UnixStream {}
+impl Stream for TcpStream {}
+
+/// The connection as a blocking one, and what has been read from it already.
+fn blocking(upgraded: Upgraded) -> io::Result<(Box<dyn Stream>, Vec<u8>)> {
+    match upgraded.downcast::<TokioIo<tokio::net::UnixStream>>() {
+        Ok(parts) => {
+            let stream = parts.io.into_inner().into_std()?;
+            stream.set_nonblocking(false)?;
+            stream.set_write_timeout(Some(UNREAD))?;
+            Ok((Box::new(stream), parts.read_buf.to_vec()))
+        }
+        Err(upgraded) => {
+            let parts = upgraded.downcast::<TokioIo<tokio::net::TcpStream>>();
+            let parts = parts.expect("the connection was made of a Unix socket or of a TCP stream");
+            let stream = parts.io.into_inner().into_std()?;
+            stream.set_nonblocking(false)?;
+            stream.set_write_timeout(Some(UNREAD))?;
+            Ok((Box::new(stream), parts.read_buf.to_vec()))
+        }
+    }
+}
+
 /// A live play. Dropping it closes the connection, which ends the play.
 #[derive(Debug)]
 pub struct LivePlay {
     id: u64,
     seq: u64,
-    socket: PathBuf,
-    stream: UnixStream,
+    place: Place,
+    stream: Box<dyn Stream>,
     /// Bytes that were read and are not yet a complete answer.
     rest: Vec<u8>,
 }
@@ -41,42 +68,35 @@ impl LivePlay {
     pub(crate) fn open(
         endpoint: &Endpoint,
         accepted: &LiveAccepted,
-        token: Option<&str>,
+        tokens: &Tokens,
     ) -> Result<Self, ClientError> {
         let runtime = Builder::new_current_thread().enable_all().build().map_err(ClientError::Runtime)?;
-        let mut request = request(Method::GET, &accepted.path, Bytes::new(), token);
+        let mut request = request(Method::GET, &accepted.path, Bytes::new(), &endpoint.place, tokens);
         request.headers_mut().insert(CONNECTION, HeaderValue::from_static("upgrade"));
         request.headers_mut().insert(UPGRADE, HeaderValue::from_static(LIVE_UPGRADE));
         runtime.block_on(async {
-            let (Connection { mut sender, .. }, socket) = connect(endpoint).await?;
-            let slow = |_| Err(ClientError::Timeout { socket: socket.clone(), timeout: ANSWER_TIMEOUT });
+            let (Connection { mut sender, .. }, place) = connect(endpoint).await?;
+            let slow = |_| Err(ClientError::Timeout { place: place.clone(), timeout: ANSWER_TIMEOUT });
             let upgrade = async {
-                let broken = |source| hung_up(&socket, Some(source));
+                let broken = |source| hung_up(&place, Some(source));
                 let response = sender.send_request(request).await.map_err(broken)?;
                 if response.status() != StatusCode::SWITCHING_PROTOCOLS {
-                    return Err(refused(&socket, response).await);
+                    return Err(refused(&place, response).await);
                 }
                 hyper::upgrade::on(response).await.map_err(broken)
             };
             let upgraded = tokio::time::timeout(ANSWER_TIMEOUT, upgrade).await.unwrap_or_else(slow)?;
-            let parts = upgraded
-                .downcast::<TokioIo<tokio::net::UnixStream>>()
-                .expect("the connection was made of a Unix socket");
-            let rest = parts.read_buf.to_vec();
-            let stream = parts.io.into_inner().into_std().and_then(|stream| {
-                stream.set_nonblocking(false)?;
-                stream.set_write_timeout(Some(UNREAD))?;
-                Ok(stream)
-            });
-            let stream = stream.map_err(|source| ClientError::Connect { socket: socket.clone(), source })?;
-            Ok(Self { id: accepted.id, seq: 0, socket, stream, rest })
+            let (stream, rest) =
+                blocking(upgraded).map_err(|source| ClientError::Connect { place: place.clone(), source })?;
+            Ok(Self { id: accepted.id, seq: 0, place, stream, rest })
         })
     }
 
     /// A play on this connection.
     #[cfg(test)]
     pub(crate) fn of(id: u64, socket: &std::path::Path, stream: UnixStream) -> Self {
-        Self { id, seq: 0, socket: socket.to_owned(), stream, rest: Vec::new() }
+        let place = Place::Socket(socket.to_owned());
+        Self { id, seq: 0, place, stream: Box::new(stream), rest: Vec::new() }
     }
 
     /// The play's id, as in events and receipts.
@@ -99,9 +119,9 @@ impl LivePlay {
         match self.stream.write_all(&line) {
             Ok(()) => Ok(self.seq),
             Err(error) if error.kind() == io::ErrorKind::WouldBlock => {
-                Err(ClientError::Timeout { socket: self.socket.clone(), timeout: UNREAD })
+                Err(ClientError::Timeout { place: self.place.clone(), timeout: UNREAD })
             }
-            Err(_) => Err(hung_up(&self.socket, None)),
+            Err(_) => Err(hung_up(&self.place, None)),
         }
     }
 
@@ -123,25 +143,25 @@ impl LivePlay {
             }
             let left = until.saturating_duration_since(Instant::now());
             let left = Timespec::try_from(left).unwrap_or(Timespec { tv_sec: i64::MAX, tv_nsec: 0 });
-            let mut fds = [PollFd::new(&self.stream, PollFlags::IN)];
+            let mut fds = [PollFd::from_borrowed_fd(self.stream.as_fd(), PollFlags::IN)];
             match poll(&mut fds, Some(&left)) {
-                Ok(0) => return Err(ClientError::Timeout { socket: self.socket.clone(), timeout }),
+                Ok(0) => return Err(ClientError::Timeout { place: self.place.clone(), timeout }),
                 Ok(_) => {}
                 Err(rustix::io::Errno::INTR) => continue,
-                Err(_) => return Err(hung_up(&self.socket, None)),
+                Err(_) => return Err(hung_up(&self.place, None)),
             }
             let mut bytes = [0; 4096];
             match self.stream.read(&mut bytes) {
                 Ok(0) => return Ok(None),
                 Ok(read) => self.rest.extend(&bytes[..read]),
                 Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
-                Err(_) => return Err(hung_up(&self.socket, None)),
+                Err(_) => return Err(hung_up(&self.place, None)),
             }
         }
     }
 
     fn bad_answer(&self, what: String) -> ClientError {
-        ClientError::BadAnswer { socket: self.socket.clone(), what }
+        ClientError::BadAnswer { place: self.place.clone(), what }
     }
 }
 

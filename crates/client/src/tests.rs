@@ -23,9 +23,9 @@ fn without_a_daemon_the_error_says_how_to_start_one() {
 #[test]
 fn the_error_names_both_sockets_and_the_service() {
     let dir = tempfile::tempdir().unwrap();
-    let (socket, fallback) = (dir.path().join("a"), Some(dir.path().join("b")));
+    let (socket, fallback) = (dir.path().join("a"), Some(Place::Socket(dir.path().join("b"))));
     let line = |endpoint: Endpoint| Client::at(endpoint).unwrap().events().unwrap_err().to_string();
-    let endpoint = Endpoint { socket: socket.clone(), fallback, service_installed: true };
+    let endpoint = Endpoint { place: Place::Socket(socket), fallback, service_installed: true };
     let says = format!("no daemon answers at {0}/a, nor at {0}/b: ", dir.path().display());
     let start = "start one with `meissner daemon`";
     assert_eq!(line(endpoint.clone()), format!("{says}`sudo systemctl start meissner`, or {start}"));
@@ -36,10 +36,13 @@ fn the_error_names_both_sockets_and_the_service() {
 fn the_client_connects_to_the_first_daemon_that_listens() {
     let dir = tempfile::tempdir().unwrap();
     let (users, service) = (dir.path().join("u.sock"), dir.path().join("s.sock"));
-    let endpoint =
-        Endpoint { socket: users.clone(), fallback: Some(service.clone()), service_installed: false };
+    let [place, fallback] = [&users, &service].map(|socket| Place::Socket(socket.clone()));
+    let endpoint = Endpoint { place, fallback: Some(fallback), service_installed: false };
     let runtime = Builder::new_current_thread().enable_all().build().unwrap();
-    let found = || runtime.block_on(connect(&endpoint)).map(|(_, socket)| socket).ok();
+    let found = || match runtime.block_on(connect(&endpoint)).ok()?.1 {
+        Place::Socket(socket) => Some(socket),
+        Place::Network(url) => panic!("{url}"),
+    };
     let listen = |socket| std::os::unix::net::UnixListener::bind(socket).unwrap();
     assert_eq!(found(), None);
     let installed = listen(&service);
@@ -234,4 +237,25 @@ fn a_live_play_waits_no_longer_than_it_is_told() {
     drop(daemon);
     assert_eq!(play.next(Duration::from_secs(10)).unwrap(), None);
     assert!(matches!(play.send(LiveMessage::default()), Err(ClientError::HungUp { .. })));
+}
+
+#[test]
+fn a_url_has_a_host_and_perhaps_a_port() {
+    let host = |url| connection::host(url).map_err(|error| error.to_string());
+    let found = |host: &str, port| Ok((host.to_owned(), port));
+    assert_eq!(host("http://lab-pc:8765"), found("lab-pc", 8765));
+    assert_eq!(host("http://lab-pc.example/"), found("lab-pc.example", 80));
+    assert_eq!(host("http://[::1]:8765"), found("::1", 8765));
+    for (url, why) in [
+        ("https://lab-pc:8765", "ssh"),
+        ("lab-pc:8765", "http://"),
+        ("/run/m.sock", "http://"),
+        ("http://lab-pc:8765/v1", "follows the port"),
+        ("http://ada:secret@lab-pc", "password"),
+        ("http://lab pc", "it is none"),
+        ("http://", "it is none"),
+    ] {
+        let line = host(url).unwrap_err();
+        assert!(line.starts_with(&format!("{url}: ")) && line.contains(why), "{line}");
+    }
 }

@@ -16,7 +16,7 @@
 //! Beside the path: `checks` tests a play against the controller's limits ([`find_overpush`], [`find_too_many`], [`find_dense`]);
 //! [`simulate_play`] and [`Simulation`] (`simulation`) run the same streamer against the mock in virtual
 //! time, over a line that may be bad ([`faulty`]); [`MotorRun`] (`motor_run`) simulates the position control of one motor without a
-//! link; [`calibrate`] measures gains; [`diagnostics`] tests a link; [`sync`] is what threads share.
+//! link; [`forecast_drift`] (`drift`) tells how far a play lets pins drift; [`calibrate`] measures gains; [`diagnostics`] tests a link; [`sync`] is what threads share.
 //!
 //! # Example
 //! ```
@@ -53,6 +53,7 @@ mod checks;
 mod control;
 pub mod device;
 pub mod diagnostics;
+mod drift;
 pub mod faulty;
 pub mod link;
 mod motor_run;
@@ -69,6 +70,7 @@ pub use bandwidth::{Bandwidth, Requirement};
 pub use board::PlayBoard;
 pub use checks::{Dense, Hold, Overpush, find_dense, find_longest_hold, find_overpush, find_too_many};
 pub use control::{Gains, rest_bound_um};
+pub use drift::{Drift, forecast_drift};
 pub use faulty::Line;
 pub use motor_run::{MotorRun, Period};
 pub use settings::{LowerStopSettings, Settings};

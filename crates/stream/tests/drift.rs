@@ -8,8 +8,9 @@ use meissner_array::per_motor::PerMotor;
 use meissner_array::random::normal;
 use meissner_array::simulated::SimulatedMotorsConfig;
 use meissner_array::spec::Array;
+use meissner_array::strokes::{StrokeOptions, Strokes};
 use meissner_stream::queues::{Command, CommandError, End, Snapshot, StreamEvent};
-use meissner_stream::{Gains, Settings};
+use meissner_stream::{Gains, LowerStopSettings, Settings, forecast_drift};
 use meissner_test_support::paper::MOTORS;
 use meissner_test_support::patterns::{drive, pattern};
 use meissner_test_support::rig::{Rig, answer, last_snapshot, outcomes};
@@ -298,4 +299,46 @@ fn no_moment_of_an_unchecked_arm_slips_past_the_estimate() {
             "{ms} ms: {answered:?}"
         );
     }
+}
+
+/// What a plan is told before it begins is what the streamer does with it on a device without telemetry.
+#[test]
+fn a_forecast_ends_where_the_play_ends() {
+    let array = Array::paper();
+    let pattern = pattern("plan", Some(60.0), [drive(3, 62.5, 80.0), drive(9, 62.5, 120.0)]);
+    let strokes = Strokes::new(&pattern, &StrokeOptions::default()).unwrap();
+    let settings = Settings { end_stop_um: 10_000.0, ..Settings::of(array) };
+    let uncalibrated = PerMotor::all(array, Gains::default());
+    let forecast = forecast_drift(strokes.clone(), &settings, &uncalibrated).unwrap();
+    let stopped_at = forecast.stopped_at.expect("it drifts beyond the limit");
+    assert_eq!((forecast.motor, forecast.followed_until), (9, None));
+    assert!((150.0..160.0).contains(&forecast.um), "{forecast:?}");
+
+    let config = blind(5);
+    let mut rig = rig(&config, settings.drift_limit_um);
+    let onset = {
+        rig.start(&pattern, None);
+        rig.run_ms(30_000);
+        let events = rig.take_events();
+        let outcomes = outcomes(&events);
+        let [outcome] = &outcomes[..] else { panic!("{} plays have ended", outcomes.len()) };
+        assert_eq!(outcome.cause, Some(EndCause::DriftLimit));
+        outcome.pulses.played
+    };
+    // Both go by the same strokes: as many pulses as the forecast had until then, and those of the strokes that the stop has returned.
+    let mut strokes_until = strokes.clone();
+    strokes_until.begin(firmware_protocol::tick::Tick(0));
+    let pulses_to = |until: u64| {
+        let steps = strokes_until.clone().map(Result::unwrap);
+        steps.take_while(|step| step.begin().0 < until).map(|step| u64::from(step.pulses())).sum::<u64>()
+    };
+    let (least, most) = (pulses_to(stopped_at - 6 * 1360), pulses_to(stopped_at + 6 * 1360));
+    assert!((least..=most).contains(&onset), "{onset} pulses, not {least} to {most}");
+
+    // A calibration makes it later, a lower stop ends it.
+    let calibrated = forecast_drift(strokes.clone(), &settings, &true_gains(&config)).unwrap();
+    assert!(calibrated.stopped_at.is_none_or(|later| later > stopped_at), "{calibrated:?}");
+    let stop = Settings { lower_stop: Some(LowerStopSettings::of(array)), ..settings };
+    let still = forecast_drift(strokes, &stop, &uncalibrated).unwrap();
+    assert_eq!((still.stopped_at, still.um), (None, 0.0));
 }

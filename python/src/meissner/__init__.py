@@ -30,8 +30,8 @@ from .clocks import ClientClock, Instant
 from .errors import ApiError, MeissnerError, PlayStopped, Unreachable
 from .live import Live, Update
 from .motions import Trace, import_csv, import_wav
-from .program import Daemon, Design, Rendering, Simulation, design, render, simulate
-from .results import Item, LiveResult, Receipt, Status
+from .program import Board, Daemon, Design, Rendering, Simulation, design, render, simulate
+from .results import Item, LiveResult, PlanCheck, Receipt, Status
 from .traces import Displacement, displacement
 
 if TYPE_CHECKING:
@@ -50,6 +50,7 @@ __all__ = [
     "Live",
     "LiveResult",
     "MeissnerError",
+    "PlanCheck",
     "Play",
     "PlayStopped",
     "Receipt",
@@ -135,12 +136,14 @@ async def connect_async(
     raise _nowhere(tried, errors)
 
 
-def demo(*, arm: bool = True, config: str = "") -> Client:
+def demo(*, arm: bool = True, config: str = "", board: Board = False) -> Client:
     """Start a daemon with the simulated array, and connect to it. Both end with the client.
 
-    `arm`: whether to arm, as simulated pins are at rest. `config`: text for the daemon's configuration file.
+    `arm`: whether to arm, as simulated pins are at rest. `config`: text for the daemon's configuration file. The simulated array has
+    telemetry, which no board has. `board=True` is as a board is: without telemetry, so that pins drift, and plays end at the drift
+    limit. `board="lower-stop"` is as a board with a lower stop. Pilot a study with the one that you will use.
     """
-    daemon = Daemon(config)
+    daemon = Daemon(config, board=board)
     try:
         client = connect(daemon.socket)
     except BaseException:
@@ -149,5 +152,6 @@ def demo(*, arm: bool = True, config: str = "") -> Client:
     client.adopt(daemon)
     if arm:
         # No finger: a stall of a busy machine may last.
-        client.arm(assume_rest=True, silence=60.0)
+        # With a lower stop arming moves the pins down to it.
+        client.arm(assume_rest=board != "lower-stop", silence=60.0)
     return client

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any, Literal, Union
 
+from ._http import plain
 from .clocks import Instant
 
 At = Union[float, Instant, None]
@@ -21,6 +22,7 @@ SequenceItem = Union[str, Mapping[str, Any], None]
 
 def trigger_of(trigger: Trigger) -> Any:
     """A number is short for a code."""
+    trigger = plain(trigger) if hasattr(trigger, "tolist") else trigger
     if isinstance(trigger, bool) or trigger is None:
         return trigger
     return {"code": trigger} if isinstance(trigger, int) else dict(trigger)

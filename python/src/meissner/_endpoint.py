@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import socket
+import stat
 from dataclasses import dataclass
 from urllib.parse import urlsplit
 
@@ -45,9 +47,24 @@ def endpoints(address: str | os.PathLike[str] | None) -> list[Endpoint]:
     for variable in ("MEISSNER_URL", "MEISSNER_SOCKET"):
         if os.environ.get(variable):
             return [_endpoint(os.environ[variable])]
-    runtime = os.environ.get("XDG_RUNTIME_DIR")
+    runtime = os.environ.get("XDG_RUNTIME_DIR") or users_directory()
     paths = [os.path.join(runtime, "meissner.sock")] if runtime else []
     return [_endpoint(path) for path in [*paths, SERVICE_SOCKET]]
+
+
+def users_directory(root: str = "/") -> str | None:
+    """The directory of a user's own socket where no login has set `XDG_RUNTIME_DIR`, as the program looks for it."""
+    if not has_unix_sockets():
+        return None
+    uid = os.getuid()
+    for path in (f"run/user/{uid}", f"tmp/meissner-{uid}"):
+        directory = os.path.join(root, path)
+        with contextlib.suppress(OSError):
+            found = os.lstat(directory)
+            # Nobody else can have put a socket there.
+            if stat.S_ISDIR(found.st_mode) and found.st_uid == uid and not found.st_mode & 0o022:
+                return directory
+    return None
 
 
 def _endpoint(address: str) -> Endpoint:

@@ -9,7 +9,8 @@ from typing import Any
 
 from . import bids, nwb
 from ._http import Op
-from ._operations import Core, pattern, session_plays, status
+from ._operations import Core, pattern, status
+from ._sessions import session_plays
 from .clocks import NS, Instant
 from .errors import BadPattern, IncompleteSession, NotFound
 from .traces import ArrayName
@@ -103,12 +104,14 @@ def export_nwb(
     displacement_hz: float | None = 1000.0,
     array: ArrayName | None = None,
     incomplete: bool = False,
+    spikes: bool = False,
 ) -> Op[nwb.Export]:
-    """Write a recorded session as an NWB file: a table of stimuli, the displacement of the pins, the device.
+    """Write a recorded session as an NWB file: a table of stimuli, the trials with their answers, the displacement of the pins.
 
     It needs the package `pynwb`. `subject` has keys of `pynwb.file.Subject`, such as `age="P30Y"` and `sex="F"`, `metadata` those of
     `pynwb.NWBFile`, such as `experimenter`, `institution` and `keywords`. `displacement_hz`,
-    `array` and `incomplete`: as in `export_bids`.
+    `array` and `incomplete`: as in `export_bids`. `spikes`: also the spikes of a simulated fingertip's afferents, as units: predicted by
+    the program `meissner` on this machine.
     """
     nwb.needs_pynwb()
     recorded, found = yield from _stimuli(core, session_id, incomplete)
@@ -121,4 +124,5 @@ def export_nwb(
         metadata=metadata,
         displacement_hz=displacement_hz,
         array=array,
+        spikes=spikes,
     )

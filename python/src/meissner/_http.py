@@ -97,7 +97,20 @@ def get(path: str, *, timeout: float = 10.0) -> Request:
     return Request("GET", path, timeout=timeout, repeatable=True)
 
 
+def plain(value: Any) -> Any:
+    """A NumPy number or array as JSON has it."""
+    if hasattr(value, "tolist"):
+        return value.tolist()
+    kind = type(value).__name__
+    raise TypeError(f"a request, a scene or an object cannot hold a {kind}: use numbers, texts, lists and dicts")
+
+
+def encode(body: Any) -> bytes:
+    """A document as JSON. It may hold NumPy values."""
+    return json.dumps(body, default=plain).encode()
+
+
 def post(path: str, body: dict[str, Any] | None = None, *, timeout: float = 10.0) -> Request:
     """A command. Keys that are None are left out."""
-    content = json.dumps({key: value for key, value in (body or {}).items() if value is not None})
-    return Request("POST", path, content.encode(), {"Content-Type": "application/json"}, timeout)
+    content = encode({key: value for key, value in (body or {}).items() if value is not None})
+    return Request("POST", path, content, {"Content-Type": "application/json"}, timeout)

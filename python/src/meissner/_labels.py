@@ -1,7 +1,4 @@
-"""Labels of trials and sessions, and factors of answers, as columns of a table, so that nothing is ambiguous.
-
-The column `labels` joins a trial's labels as `key=value;key=value`. A label whose key or value would make that ambiguous gets a
-column of its own, in all rows. The labels of the session and the factors of the answers have a column each.
+"""Labels of trials and sessions, and factors of answers, as columns of a table: one for each key.
 
 Invariant: columns have different names, also without regard to case, whatever the keys are.
 """
@@ -10,11 +7,11 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
-_NOT_JOINED = re.compile(r'[;="\x00-\x1f\x7f]|[^\S ]')
+Source = Literal["trial", "session", "answer"]
 ABOUT = "A text that a cell cannot hold as it is stands in quotes, as JSON"
 
 
@@ -30,7 +27,7 @@ class Column:
 
     name: str
     key: str
-    source: Literal["trial", "session", "answer"]
+    source: Source
 
     @property
     def description(self) -> str:
@@ -40,28 +37,22 @@ class Column:
 
 
 class Labels:
-    """Which labels of a session's rows have columns of their own."""
+    """The columns of a session's labels and factors."""
 
     def __init__(self, session: Mapping[str, Any], rows: list[dict[str, Any]]) -> None:
         self._session: Mapping[str, str] = session.get("labels") or {}
-        texts: dict[str, list[str]] = {}
-        for row in rows:
-            for key, value in row["labels"].items():
-                texts.setdefault(key, [key]).append(value)
-        own = [key for key, found in sorted(texts.items()) if any(_NOT_JOINED.search(text) for text in found)]
-        self._own = frozenset(own)
         taken: set[str] = set()
-        factors = sorted({key for row in rows for key in _factors(row)})
-        self.columns = [Column(_name(f"label_{key}", taken), key, "trial") for key in own]
-        self.columns += [Column(_name(f"session_label_{key}", taken), key, "session") for key in sorted(self._session)]
-        self.columns += [Column(_name(f"factor_{key}", taken), key, "answer") for key in factors]
+        self.columns: list[Column] = []
 
-    def joined(self, row: Mapping[str, Any]) -> str:
-        """The cell of the column `labels`."""
-        return ";".join(f"{key}={value}" for key, value in sorted(row["labels"].items()) if key not in self._own)
+        def add(prefix: str, source: Source, keys: Iterable[str]) -> None:
+            self.columns += [Column(_name(f"{prefix}_{key}", taken), key, source) for key in sorted(set(keys))]
+
+        add("label", "trial", (key for row in rows for key in row["labels"]))
+        add("session_label", "session", self._session)
+        add("factor", "answer", (key for row in rows for key in _factors(row)))
 
     def cells(self, row: Mapping[str, Any]) -> dict[str, str | None]:
-        """The cells of the other columns; None: the trial has no such label or factor."""
+        """The cells of the columns; None: the trial has no such label or factor."""
         made: dict[str, str | None] = {}
         sources = {"trial": row["labels"], "session": self._session, "answer": _factors(row)}
         for column in self.columns:

@@ -259,7 +259,7 @@ class Updates(Generic[U]):
             return b""
         (update, body), self._held = self._held, None
         self.under_way[update.seq] = update
-        return json.dumps({"seq": update.seq, **body}).encode() + b"\n"
+        return _http.encode({"seq": update.seq, **body}) + b"\n"
 
     def check_open(self) -> None:
         """Raises why the play takes no message."""
@@ -272,7 +272,7 @@ class Updates(Generic[U]):
         self.is_ending = True
         last = self._release()
         self._seq += 1
-        return last + json.dumps({"seq": self._seq, "end": True}).encode() + b"\n"
+        return last + _http.encode({"seq": self._seq, "end": True}) + b"\n"
 
     def raise_failure(self) -> None:
         """Raises why the play is over, unless its client has ended it."""

@@ -61,6 +61,8 @@ class Owned:
 
     id: str
     token: str
+    resumes: bool = False
+    """Whether it goes on after an error, for the next run of the program."""
 
 
 @dataclass
@@ -152,7 +154,7 @@ def send(core: Core, request: Request) -> Op[Answer]:
         pause = min(2 * pause, 1.0)
 
 
-def _document(core: Core, request: Request) -> Op[Any]:
+def document(core: Core, request: Request) -> Op[Any]:
     answer = yield from send(core, request)
     return core.read(answer)
 
@@ -193,7 +195,7 @@ def array(core: Core) -> Op[Array]:
     """The array that the daemon drives."""
     if core.array is None:
         try:
-            core.array = Array.of((yield from _document(core, _http.get("/v1/array"))))
+            core.array = Array.of((yield from document(core, _http.get("/v1/array"))))
         except NotFound:
             core.array = Array.paper()
     return core.array
@@ -285,9 +287,10 @@ def _onset(core: Core, at: At) -> Op[dict[str, Any]]:
         return {}
     if isinstance(at, Instant):
         return {"at_tick": at.tick, "boot": at.boot}
+    core.clock.check(float(at))
     if not core.clock.is_shared and core.clock.now_ns() - core.synced_ns > _SYNC_AGE_NS:
         yield from status(core)
-    return {"at_monotonic_ns": core.clock.to_host(round(at * NS))[0]}
+    return {"at_monotonic_ns": core.clock.to_host(round(float(at) * NS))[0]}
 
 
 def instant(core: Core, tick: int) -> Op[Instant]:
@@ -308,7 +311,7 @@ def instant(core: Core, tick: int) -> Op[Instant]:
 
 
 def _accepted(core: Core, request: Request, pattern: str) -> Op[Accepted]:
-    raw = yield from _document(core, request)
+    raw = yield from document(core, request)
     ordered = raw["ordered_ms"]
     followed = tuple(raw.get("motions", ()))
     return Accepted(raw["id"], pattern, None if ordered is None else ordered / 1000, core.daemon, followed)
@@ -415,14 +418,8 @@ def sequence(
     `pattern` is None, is a blank item: nothing is played for its `seconds`. Items may overlap if they drive different motors. `isi` is the pause from one item's end to the next
     onset, `soa` the distance of onsets, s. `seconds` and `scale` are for items that give none. `strict`, `hold` and `map`: as in `play`.
     """
-    driven = yield from array(core)
-
-    def inline(item: dict[str, Any]) -> dict[str, Any]:
-        own = {key: item.pop(key) for key in ("samples", "rate", "drives") if key in item}
-        return {**item, "pattern": motions.pattern(**own, **_limits(driven))} if own else item
-
     body = {
-        "items": sequence_items(items, isi, soa, {"seconds": seconds, "scale": scale}, inline),
+        "items": (yield from items_of(core, items, isi, soa, seconds, scale)),
         "name": name,
         "strict": strict or None,
         "hold_ms": None if hold is None else hold * 1000,
@@ -438,30 +435,34 @@ def sequence(
     return (yield from _accepted(core, _http.post("/v1/sequence", body, timeout=_COMPILING), name or "sequence"))
 
 
+def items_of(
+    core: Core,
+    items: Iterable[SequenceItem],
+    isi: float | None,
+    soa: float | None,
+    seconds: float | None,
+    scale: float | None,
+) -> Op[list[dict[str, Any]]]:
+    """The items of a sequence as the daemon takes them."""
+    driven = yield from array(core)
+
+    def inline(item: dict[str, Any]) -> dict[str, Any]:
+        own = {key: item.pop(key) for key in ("samples", "rate", "drives") if key in item}
+        return {**item, "pattern": motions.pattern(**own, **_limits(driven))} if own else item
+
+    return sequence_items(items, isi, soa, {"seconds": seconds, "scale": scale}, inline)
+
+
 def receipt(core: Core, play_id: int | str = "last") -> Op[Receipt]:
     """Ask for what became of a play."""
-    raw = yield from _document(core, _http.get(f"/v1/plays/{play_id}"))
+    raw = yield from document(core, _http.get(f"/v1/plays/{play_id}"))
     return core.receipt(raw)
 
 
 def withdraw(core: Core, play_id: int) -> Op[Receipt]:
     """Take a waiting play out of the queue, and return its receipt."""
-    raw = yield from _document(core, Request("DELETE", f"/v1/plays/{play_id}"))
+    raw = yield from document(core, Request("DELETE", f"/v1/plays/{play_id}"))
     return core.receipt(raw)
-
-
-def answer(
-    core: Core,
-    accepted: Accepted,
-    response: object,
-    correct: bool | None = None,
-    rt_ms: float | None = None,
-    level: float | None = None,
-    factors: Labels = None,
-) -> Op[None]:
-    """Record what the participant answered to a play of the running session. `response` and the factors are kept as text."""
-    body = {"response": str(response), "correct": correct, "rt_ms": rt_ms, "level": level, "factors": texts(factors)}
-    yield from _document(core, _http.post(f"/v1/plays/{accepted.id}/answer", body))
 
 
 def checked(result: Receipt) -> Receipt:
@@ -479,7 +480,7 @@ def wait(core: Core, accepted: Accepted, timeout: float | None = None) -> Op[Rec
         seconds = max(0.0, min(left, _LONGEST_WAIT))
         request = _http.get(f"/v1/plays/{accepted.id}?wait={seconds:.3f}", timeout=seconds + 10.0)
         try:
-            raw = yield from _document(core, request)
+            raw = yield from document(core, request)
         except MeissnerError:
             yield from _same_daemon(core, accepted)
             raise
@@ -512,13 +513,13 @@ def wait_until_idle(core: Core) -> Op[None]:
 
 def doctor(core: Core) -> Op[dict[str, Any]]:
     """Check what could keep the daemon's machine or its device from playing: keys `ok` and `findings`, each with its remedy."""
-    raw: dict[str, Any] = yield from _document(core, _http.get("/v1/doctor", timeout=20.0))
+    raw: dict[str, Any] = yield from document(core, _http.get("/v1/doctor", timeout=20.0))
     return raw
 
 
 def patterns(core: Core) -> Op[list[dict[str, Any]]]:
     """List the patterns."""
-    raw = yield from _document(core, _http.get("/v1/patterns"))
+    raw = yield from document(core, _http.get("/v1/patterns"))
     listed: list[dict[str, Any]] = raw["patterns"]
     return listed
 
@@ -526,7 +527,7 @@ def patterns(core: Core) -> Op[list[dict[str, Any]]]:
 def pattern(core: Core, name: str, *, sha256: str | None = None) -> Op[dict[str, Any]]:
     """Show one pattern with its drives. `sha256` asks for another text of that name, as it was played: the session record keeps it."""
     path = f"/v1/patterns/{quote(name, safe='')}" + ("" if sha256 is None else f"?sha256={sha256}")
-    raw: dict[str, Any] = yield from _document(core, _http.get(path))
+    raw: dict[str, Any] = yield from document(core, _http.get(path))
     return raw
 
 
@@ -537,94 +538,32 @@ def store_pattern(core: Core, name: str, toml: str | os.PathLike[str], *, replac
             toml = file.read()
     path = f"/v1/patterns/{quote(name, safe='')}" + ("?replace=true" if replace else "")
     request = Request("PUT", path, toml.encode(), {"Content-Type": "application/toml"}, timeout=20.0)
-    raw: dict[str, Any] = yield from _document(core, request)
+    raw: dict[str, Any] = yield from document(core, request)
     return raw
 
 
 def remove_pattern(core: Core, name: str) -> Op[None]:
     """Remove a pattern that was stored."""
-    yield from _document(core, Request("DELETE", f"/v1/patterns/{quote(name, safe='')}"))
-
-
-def session(
-    core: Core,
-    participant: str,
-    *,
-    exclusive: bool = False,
-    experiment: str | None = None,
-    seed: int | None = None,
-    labels: Labels = None,
-) -> Op[dict[str, Any]]:
-    """Start a session that this client owns. `exclusive`: others may change nothing but stop.
-
-    Every play of this client belongs to it from now on. If the session ends without this client, as by a restart of the daemon,
-    plays raise `SessionOver` until the client has left it by its end, or starts another one.
-    """
-    body = {
-        "participant": participant,
-        "exclusive": exclusive,
-        "experiment": experiment,
-        "seed": seed,
-        "labels": texts(labels),
-    }
-    answer = yield from send(core, _http.post("/v1/sessions", body))
-    started: dict[str, Any] = answer.json()
-    core.session = Owned(started["id"], started["token"])
-    return started
-
-
-def session_leave(core: Core, session_id: str, failed: bool) -> Op[None]:
-    """End a session after its plays have ended; after an error stop them first. One that is over already is left."""
-    if not core.is_own:
-        return
-    if (yield from _runs(core, session_id)):
-        if failed:
-            # A latched fault refuses the stop, and has stopped already.
-            with contextlib.suppress(ApiError):
-                yield from stop(core)
-        yield from wait_until_idle(core)
-        # Somebody else may end it meanwhile.
-        with contextlib.suppress(NotFound, SessionOver):
-            yield from _document(core, _http.post(f"/v1/sessions/{session_id}/end"))
-    if core.session is not None and core.session.id == session_id:
-        core.session = None
-
-
-def _runs(core: Core, session_id: str) -> Op[bool]:
-    state = yield from status(core)
-    running = state.raw["session"]
-    return running is not None and bool(running["id"] == session_id)
-
-
-def sessions(core: Core) -> Op[list[dict[str, Any]]]:
-    """List the recorded sessions."""
-    raw = yield from _document(core, _http.get("/v1/sessions", timeout=60.0))
-    listed: list[dict[str, Any]] = raw["sessions"]
-    return listed
-
-
-def session_plays(core: Core, session_id: str) -> Op[dict[str, Any]]:
-    """The recorded plays of a session, all pages: keys `session`, `plays`, `complete`, `missing`, `lost`, `problems`."""
-    plays: list[dict[str, Any]] = []
-    while True:
-        path = f"/v1/sessions/{session_id}/plays?from={len(plays)}"
-        page: dict[str, Any] = yield from _document(core, _http.get(path, timeout=60.0))
-        plays += page["plays"]
-        if not page["more"]:
-            return {**page, "plays": plays}
+    yield from document(core, Request("DELETE", f"/v1/patterns/{quote(name, safe='')}"))
 
 
 def leave(core: Core) -> Op[None]:
-    """Disarm at the end if this client has armed. A device that is off already is fine."""
+    """Disarm at the end if this client has armed, unless another one has armed, too. A device that is off already is fine."""
     if core.has_armed and core.is_own:
         yield from switch_off(core)
         core.has_armed = False
 
 
 def switch_off(core: Core) -> Op[None]:
-    """Disarm. A device that is off already is fine."""
+    """Take back what this client has armed: motors that another one has armed stay armed for that one. A device that is off is fine."""
     with contextlib.suppress(Faulted, NoDevice):
-        yield from _command(core, "/v1/disarm")
+        try:
+            yield from _command(core, "/v1/disarm", {"own": True})
+        except BadRequest as error:
+            # An older daemon disarms for everybody.
+            if "unknown key `own`" not in error.detail:
+                raise
+            yield from _command(core, "/v1/disarm")
 
 
 def heartbeat(core: Core) -> Op[float]:
@@ -636,7 +575,7 @@ def heartbeat(core: Core) -> Op[float]:
     owned = core.session
     if owned is not None:
         try:
-            raw = yield from _document(core, _http.get("/v1/sessions/running"))
+            raw = yield from document(core, _http.get("/v1/sessions/running"))
         except NotFound:
             raw = {"id": None}
         if raw["id"] != owned.id:

@@ -1,16 +1,24 @@
-"""What blocking and asynchronous plays have in common: the receipt that is known so far, and ends that hide no error."""
+"""What blocking and asynchronous plays and sessions have in common: the receipt that is known so far, what answers are, and ends that
+hide no error.
+"""
 
 from __future__ import annotations
 
 import contextlib
 import warnings
 from collections.abc import Generator
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from ._bodies import Labels
 from ._operations import Accepted
 from .clocks import Instant
 from .errors import MeissnerError, NotKnownYet
 from .results import Item, Receipt
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
+    from .experiment.trials import Trial
 
 
 class KnownPlay:
@@ -69,6 +77,33 @@ class KnownPlay:
     def __repr__(self) -> str:
         state = self._receipt.state if self._receipt else "accepted"
         return f"<play {self.id}: {self.pattern}, {state}>"
+
+
+def trial_answer(trial: Trial | int, level: float | None, factors: Labels) -> tuple[int, float | None, dict[str, Any]]:
+    """A trial's number, and the level and factors of an answer in it: its own `level` is the level, its other factors are factors."""
+    if isinstance(trial, int):
+        return trial, level, dict(factors or {})
+    own = {**trial.factors, **(factors or {})}
+    if level is None and isinstance(own.get("level"), (int, float)):
+        level = own.pop("level")
+    return trial.number, level, own
+
+
+def answered(plays: Iterable[Mapping[str, Any]], factors: Mapping[str, Any]) -> list[tuple[float, bool]]:
+    """Of recorded plays the level and the correctness of each answer that has both, and these factors."""
+    wanted = {key: str(value) for key, value in factors.items()}.items()
+    found = []
+    for row in plays:
+        answer = row.get("answer") if row["item"] is None else None
+        if answer and None not in (answer["level"], answer["correct"]) and wanted <= answer["factors"].items():
+            found.append((float(answer["level"]), bool(answer["correct"])))
+    return found
+
+
+def unanswered(plays: Iterable[Mapping[str, Any]], trials: Iterable[Trial]) -> list[Trial]:
+    """The trials that have no answer in the recorded plays."""
+    finished = {row["trial"] for row in plays if row.get("answer")}
+    return [trial for trial in trials if trial.number not in finished]
 
 
 @contextlib.contextmanager

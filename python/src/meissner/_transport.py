@@ -77,7 +77,7 @@ class BlockingTransport:
                 request.method, request.path, content=request.content, headers=headers, timeout=request.timeout
             )
         except (httpx.HTTPError, httpx.InvalidURL, OSError) as error:
-            raise _failure(error, self._endpoint) from error
+            raise _failure(error, self._endpoint) from None
         return Answer(response.status_code, response.content, sent, self._now_ns())
 
     @contextmanager
@@ -94,7 +94,7 @@ class BlockingTransport:
                         Answer(response.status_code, response.read()).json()
                     yield response.iter_raw()
             except (httpx.HTTPError, OSError) as error:
-                raise _failure(error, self._endpoint) from error
+                raise _failure(error, self._endpoint) from None
 
     def pause(self, seconds: float) -> None:
         """Waits."""
@@ -135,7 +135,7 @@ class AsyncTransport:
                 request.method, request.path, content=request.content, headers=headers, timeout=request.timeout
             )
         except (httpx.HTTPError, httpx.InvalidURL, OSError) as error:
-            raise _failure(error, self._endpoint) from error
+            raise _failure(error, self._endpoint) from None
         return Answer(response.status_code, response.content, sent, self._now_ns())
 
     @asynccontextmanager
@@ -151,7 +151,7 @@ class AsyncTransport:
                         Answer(response.status_code, await response.aread()).json()
                     yield response.aiter_raw()
             except (httpx.HTTPError, OSError) as error:
-                raise _failure(error, self._endpoint) from error
+                raise _failure(error, self._endpoint) from None
 
     async def pause(self, seconds: float) -> None:
         """Waits."""

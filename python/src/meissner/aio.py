@@ -8,23 +8,25 @@ async with await meissner.connect_async() as m:
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncGenerator, Awaitable, Callable, Generator
+from collections.abc import AsyncGenerator, Awaitable, Callable, Generator, Iterable
 from types import TracebackType
 from typing import Any, Concatenate, ParamSpec, TypeVar
 
-from . import _ending, _exports, _live, program
+from . import _ending, _exports, _live, _plan, _sessions, program
 from . import _operations as ops
 from ._aio_live import AsyncLive
 from ._alive import Alive
 from ._bodies import Labels
 from ._http import Answer, Op, Pause, Step
 from ._operations import Accepted, Core
-from ._plays import KnownPlay, quietly
+from ._plays import KnownPlay, answered, quietly, trial_answer, unanswered
+from ._presses import Press
 from ._sse import Event, EventParser
 from ._transport import AsyncTransport
 from .arrays import Array
 from .clocks import NS
 from .errors import ConnectionLost, MeissnerError, Unreachable
+from .experiment.trials import Trial
 from .results import Receipt
 
 P = ParamSpec("P")
@@ -61,7 +63,9 @@ def _playing(
     """A method that orders a play and returns it."""
 
     async def method(client: AsyncClient, /, *args: P.args, **kwargs: P.kwargs) -> AsyncPlay:
-        return AsyncPlay(client, await client.run(operation(client.core, *args, **kwargs)))
+        play = AsyncPlay(client, await client.run(operation(client.core, *args, **kwargs)))
+        client.trials[kwargs.get("trial")] = play
+        return play
 
     return ops.named_after(operation, method)
 
@@ -121,7 +125,11 @@ class AsyncPlay(KnownPlay):
         factors: Labels = None,
     ) -> None:
         """Record what the participant answered. As `Play.answer`."""
-        await self._client.run(ops.answer(self._client.core, self._accepted, response, correct, rt_ms, level, factors))
+        if isinstance(response, Press) and (self._receipt is None or self._receipt.onset is None):
+            await self.refresh()
+        onset = self.onset if isinstance(response, Press) else None
+        order = _sessions.answer(self._client.core, self._accepted, onset, response, correct, rt_ms, level, factors)
+        await self._client.run(order)
 
 
 class AsyncSession:
@@ -131,6 +139,38 @@ class AsyncSession:
         self._client, self._start = client, start
         self.id = ""
         self.record_problem: str | None = None
+        self.resumed = False
+        """Whether it was running, and its program had ended."""
+
+    async def plays(self) -> list[dict[str, Any]]:
+        """What was played and answered so far. As `Session.plays`."""
+        rows: list[dict[str, Any]] = (await self._client.session_plays(self.id))["plays"]
+        return rows
+
+    async def answers(self, **factors: object) -> list[tuple[float, bool]]:
+        """The level and the correctness of each answer so far. As `Session.answers`."""
+        return answered(await self.plays(), factors)
+
+    async def remaining(self, trials: Iterable[Trial]) -> list[Trial]:
+        """The trials that have no answer yet."""
+        return unanswered(await self.plays(), trials)
+
+    async def answer(
+        self,
+        trial: Trial | int,
+        response: object,
+        *,
+        correct: bool | None = None,
+        rt_ms: float | None = None,
+        level: float | None = None,
+        factors: Labels = None,
+    ) -> None:
+        """Record the answer in a trial. As `Session.answer`."""
+        number, level, own = trial_answer(trial, level, factors)
+        play = self._client.trials.get(number)
+        if play is None:
+            raise MeissnerError(f"this program has played nothing in trial {number}: play with `trial={number}` first")
+        await play.answer(response, correct=correct, rt_ms=rt_ms, level=level, factors=own)
 
     @property
     def heartbeat_problem(self) -> MeissnerError | None:
@@ -139,7 +179,8 @@ class AsyncSession:
 
     async def _begin(self) -> AsyncSession:
         started = await self._client.run(self._start)
-        self.id, self.record_problem = started["id"], started["record_problem"]
+        self.id, self.record_problem, self.resumed = started["id"], started["record_problem"], started["resumed"]
+        self._client.trials.clear()
         self._client.alive.begin()
         return self
 
@@ -150,7 +191,7 @@ class AsyncSession:
     async def _leave(self, failed: bool) -> None:
         owned = self._client.core.session
         if owned is not None and owned.id == self.id:
-            await self._client.run(ops.session_leave(self._client.core, self.id, failed))
+            await self._client.run(_sessions.session_leave(self._client.core, self.id, failed))
             self._client.alive.end()
 
     def __await__(self) -> Generator[Any, None, AsyncSession]:
@@ -177,6 +218,8 @@ class AsyncClient:
     def __init__(self, core: Core) -> None:
         """`connect_async()` makes clients."""
         self.core = core
+        self.trials: dict[Any, AsyncPlay] = {}
+        """The newest play of each trial."""
         self._transport = AsyncTransport(core.endpoint, lambda: core.headers, core.clock.now_ns)
         self.alive = Alive(core)
         self._is_closed = False
@@ -222,8 +265,9 @@ class AsyncClient:
     home = _awaiting(ops.home)
     play = _playing(ops.play)
     sequence = _playing(ops.sequence)
+    check = _awaiting(_plan.check)
     live = _living(_live.start)
-    session = _opening(ops.session)
+    session = _opening(_sessions.session)
     receipt = _awaiting(ops.receipt)
     wait_until_idle = _awaiting(ops.wait_until_idle)
     doctor = _awaiting(ops.doctor)
@@ -231,8 +275,8 @@ class AsyncClient:
     pattern = _awaiting(ops.pattern)
     store_pattern = _awaiting(ops.store_pattern)
     remove_pattern = _awaiting(ops.remove_pattern)
-    sessions = _awaiting(ops.sessions)
-    session_plays = _awaiting(ops.session_plays)
+    sessions = _awaiting(_sessions.sessions)
+    session_plays = _awaiting(_sessions.session_plays)
     export_bids = _awaiting(_exports.export_bids)
     export_nwb = _awaiting(_exports.export_nwb)
 

@@ -27,15 +27,24 @@ from .traces import ArrayName, Grid
 
 VERSION = "1.10.0"
 _HED = "Sensory-event, Tactile-presentation, Experimental-stimulus"
+_ANSWERED = "Agent-action, Participant-response"
+_MOST_LEVELS = 40
+"""The most different responses that the sidecar lists."""
 _COLUMNS: dict[str, dict[str, Any]] = {
     "onset": {"Description": "Onset of the stimulus, from the session's first onset or as asked for", "Units": "s"},
     "duration": {"Description": "From the onset to the end of the last pulse", "Units": "s"},
     "trial_type": {"Description": "Name of the vibration pattern"},
     "stim_file": {"Description": "The pattern, below /stimuli; n/a if its text as played is not kept"},
     "trial": {"Description": "Number of the trial, as the experiment gave it"},
-    "labels": {"Description": "Labels of the trial, as the experiment gave them: key=value, separated by ;"},
     "scale": {"Description": "Factor of the amplitudes"},
-    "amplitude": {"Description": "Largest amplitude that a drive reaches, peak to peak", "Units": "um"},
+    "reached_um": {
+        "Description": "Largest amplitude that a pin reaches, peak to peak, by the motor model: predicted, not measured",
+        "Units": "um",
+    },
+    "first_pulse": {
+        "Description": "First pulse of a pin, on the time line of the onsets; n/a: none, or not recorded",
+        "Units": "s",
+    },
     "state": {
         "Description": "What became of the stimulus",
         "Levels": {
@@ -60,8 +69,15 @@ _COLUMNS: dict[str, dict[str, Any]] = {
         "Description": "Name of the array that the pattern is for, if it was mapped by position; n/a: it was not"
     },
     "response": {"Description": "What the participant answered; n/a: no answer was recorded"},
-    "correct": {"Description": "Whether the answer is right", "Levels": {"true": "right", "false": "wrong"}},
-    "response_time": {"Description": "Response time, as the experiment measured it", "Units": "s"},
+    "correct": {
+        "Description": "Whether the answer is right",
+        "Levels": {"true": "right", "false": "wrong"},
+        "HED": {"true": "Correct-action", "false": "Incorrect-action"},
+    },
+    "response_time": {
+        "Description": "Response time, as the experiment measured it; of keys and button boxes from the onset of the play",
+        "Units": "s",
+    },
     "level": {"Description": "Level of the stimulus, as the experiment gave it with the answer"},
 }
 
@@ -85,6 +101,12 @@ class Export:
 def stimulus_rows(plays: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """The rows that are stimuli: of a sequence its items, without those that never began; sorted by onset, each with its array."""
     rows = [of_record(play) for play in plays if play["onset_tick"] is not None and play["items_planned"] is None]
+    return sorted(rows, key=lambda row: int(row["onset_monotonic_ns"]))
+
+
+def trial_rows(plays: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """The rows that are plays or whole sequences, and began; sorted by onset, each with its array."""
+    rows = [of_record(play) for play in plays if play["onset_tick"] is not None and play["item"] is None]
     return sorted(rows, key=lambda row: int(row["onset_monotonic_ns"]))
 
 
@@ -191,16 +213,16 @@ def _um(value: float) -> str:
 
 
 def _event(row: Mapping[str, Any], zero: int, stimuli: Mapping[str, str], labels: Labels) -> dict[str, Any]:
-    played, uncertainty = row["played_ms"], row["onset_uncertainty_ns"]
+    played, uncertainty, pulse_ns = row["played_ms"], row["onset_uncertainty_ns"], first_pulse_ns(row)
     return {
         "onset": f"{(row['onset_monotonic_ns'] - zero) / 1e9:.9f}",
         "duration": None if played is None else f"{played / 1000:.6f}",
         "trial_type": row["pattern"],
         "stim_file": stimuli.get(row["pattern_sha256"] or ""),
         "trial": row["trial"],
-        "labels": labels.joined(row),
         "scale": row["scale"],
-        "amplitude": row["reached_um"],
+        "reached_um": row["reached_um"],
+        "first_pulse": None if pulse_ns is None else f"{(pulse_ns - zero) / 1e9:.9f}",
         "state": row["state"],
         "late_strokes": row["late_strokes"],
         "trigger_code": row["trigger"] and row["trigger"]["code"],
@@ -213,6 +235,16 @@ def _event(row: Mapping[str, Any], zero: int, stimuli: Mapping[str, str], labels
         "mapped_from": row["mapped_from"],
         **answer_cells(row),
     }
+
+
+def first_pulse_ns(row: Mapping[str, Any]) -> int | None:
+    """The first pulse of a pin on the recording PC's clock, ns; None: none, or an older daemon has recorded it."""
+    tick: int | None = row.get("first_pulse_tick")
+    if tick is None:
+        return None
+    onset_ns: int = row["onset_monotonic_ns"]
+    after_ticks: int = tick - row["onset_tick"]
+    return onset_ns + round(after_ticks * 1e9 / int(row["tick_hz"]))
 
 
 def answer_cells(row: Mapping[str, Any]) -> dict[str, Any]:
@@ -233,7 +265,11 @@ def _sidecar(rows: list[dict[str, Any]], labels: Labels, software: tuple[int, st
         columns[column.name] = {"LongName": column.key, "Description": column.description}
     kinds = sorted({row["pattern"] for row in rows})
     columns["trial_type"]["Levels"] = {kind: f"the pattern {kind}" for kind in kinds}
-    columns["trial_type"]["HED"] = {kind: f"{_HED}, Label/{kind}" for kind in kinds}
+    columns["trial_type"]["HED"] = {kind: f"{_HED}, Label/{_hed_name(kind)}" for kind in kinds}
+    said = {str(cell) for row in rows if (cell := answer_cells(row)["response"]) is not None}
+    if 0 < len(said) <= _MOST_LEVELS:
+        columns["response"]["Levels"] = {each: f"the answer {each}" for each in sorted(said)}
+        columns["response"]["HED"] = {each: f"({_ANSWERED}, Label/{_hed_name(each)})" for each in sorted(said)}
     presentation = {
         "OperatingSystem": platform.platform(),
         "SoftwareName": "meissner",
@@ -241,6 +277,11 @@ def _sidecar(rows: list[dict[str, Any]], labels: Labels, software: tuple[int, st
         "Code": "n/a",
     }
     return {**columns, "StimulusPresentation": presentation}
+
+
+def _hed_name(text: str) -> str:
+    """A text as a label of HED, which has letters, digits, `-` and `_` alone."""
+    return re.sub(r"[^A-Za-z0-9_-]", "_", text)
 
 
 def _dataset(root: Path, names: Names) -> None:

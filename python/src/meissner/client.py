@@ -5,22 +5,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Iterable
 from types import TracebackType
 from typing import Any, Concatenate, ParamSpec, TypeVar
 
-from . import _ending, _exports, _http, _live, program
+from . import _ending, _exports, _http, _live, _plan, _sessions, program
 from . import _operations as ops
 from ._alive import Alive
 from ._bodies import Labels
 from ._http import Op
 from ._operations import Accepted, Core
-from ._plays import KnownPlay, quietly
+from ._plays import KnownPlay, answered, quietly, trial_answer, unanswered
+from ._presses import Press
 from ._sse import Event, EventParser
 from ._transport import BlockingTransport
 from .arrays import Array
 from .clocks import NS
 from .errors import ConnectionLost, MeissnerError, Unreachable
+from .experiment.trials import Trial
 from .live import Live
 from .results import Receipt
 
@@ -54,7 +56,9 @@ def _playing(operation: Callable[Concatenate[Core, P], Op[Accepted]]) -> Callabl
     """A method that orders a play and returns it."""
 
     def method(client: Client, /, *args: P.args, **kwargs: P.kwargs) -> Play:
-        return Play(client, client.run(operation(client.core, *args, **kwargs)))
+        play = Play(client, client.run(operation(client.core, *args, **kwargs)))
+        client.trials[kwargs.get("trial")] = play
+        return play
 
     return ops.named_after(operation, method)
 
@@ -75,6 +79,7 @@ def _opening(
 
     def method(client: Client, /, *args: P.args, **kwargs: P.kwargs) -> Session:
         session = Session(client, client.run(operation(client.core, *args, **kwargs)))
+        client.trials.clear()
         client.alive.begin()
         return session
 
@@ -119,9 +124,14 @@ class Play(KnownPlay):
         """Record what the participant answered: the text of `response`, whether it is right, the response time in ms.
 
         The play belongs to the running session and has begun; it takes one answer. `level` is that of the stimulus, such as a
-        staircase's; `factors` are texts by name. Every export has them in the row of the play.
+        staircase's; `factors` are texts by name. Every export has them in the row of the play. A `Press` has its response time, from
+        the onset of the play, and becomes the factors `response_tick` and `response_uncertainty_s`, too.
         """
-        self._client.run(ops.answer(self._client.core, self._accepted, response, correct, rt_ms, level, factors))
+        if isinstance(response, Press) and (self._receipt is None or self._receipt.onset is None):
+            self.refresh()
+        onset = self.onset if isinstance(response, Press) else None
+        order = _sessions.answer(self._client.core, self._accepted, onset, response, correct, rt_ms, level, factors)
+        self._client.run(order)
 
 
 class Session:
@@ -131,6 +141,39 @@ class Session:
         self._client = client
         self.id: str = started["id"]
         self.record_problem: str | None = started["record_problem"]
+        self.resumed: bool = started["resumed"]
+        """Whether it was running, and its program had ended."""
+
+    @property
+    def plays(self) -> list[dict[str, Any]]:
+        """What was played and answered so far, with the keys of the API reference: also before the session was resumed."""
+        rows: list[dict[str, Any]] = self._client.session_plays(self.id)["plays"]
+        return rows
+
+    def answers(self, **factors: object) -> list[tuple[float, bool]]:
+        """The level and the correctness of each answer so far that has these factors: what `Staircase.resume` takes."""
+        return answered(self.plays, factors)
+
+    def remaining(self, trials: Iterable[Trial]) -> list[Trial]:
+        """The trials that have no answer yet."""
+        return unanswered(self.plays, trials)
+
+    def answer(
+        self,
+        trial: Trial | int,
+        response: object,
+        *,
+        correct: bool | None = None,
+        rt_ms: float | None = None,
+        level: float | None = None,
+        factors: Labels = None,
+    ) -> None:
+        """Record the answer in a trial, to its newest play. As `Play.answer`; the factors of a `Trial` are those of the answer, too."""
+        number, level, own = trial_answer(trial, level, factors)
+        play = self._client.trials.get(number)
+        if play is None:
+            raise MeissnerError(f"this program has played nothing in trial {number}: play with `trial={number}` first")
+        play.answer(response, correct=correct, rt_ms=rt_ms, level=level, factors=own)
 
     @property
     def heartbeat_problem(self) -> MeissnerError | None:
@@ -144,7 +187,7 @@ class Session:
     def _leave(self, failed: bool) -> None:
         owned = self._client.core.session
         if owned is not None and owned.id == self.id:
-            self._client.run(ops.session_leave(self._client.core, self.id, failed))
+            self._client.run(_sessions.session_leave(self._client.core, self.id, failed))
             self._client.alive.end()
 
     def __enter__(self) -> Session:
@@ -163,7 +206,7 @@ class Session:
 
 
 class Client:
-    """A connection to a daemon. As a context manager it disarms, if it has armed, and closes.
+    """A connection to a daemon. As a context manager it takes back what it has armed, and closes.
 
     Threads may share a client.
     """
@@ -172,6 +215,8 @@ class Client:
         """`connect()` and `demo()` make clients."""
         self.core = core
         self.alive = Alive(core)
+        self.trials: dict[Any, Play] = {}
+        """The newest play of each trial."""
         self._daemon: program.Daemon | None = None
         self._transport = BlockingTransport(core.endpoint, lambda: core.headers, core.clock.now_ns)
         self._is_closed = False
@@ -204,8 +249,9 @@ class Client:
     home = _blocking(ops.home)
     play = _playing(ops.play)
     sequence = _playing(ops.sequence)
+    check = _blocking(_plan.check)
     live = _living(_live.start)
-    session = _opening(ops.session)
+    session = _opening(_sessions.session)
     receipt = _blocking(ops.receipt)
     wait_until_idle = _blocking(ops.wait_until_idle)
     doctor = _blocking(ops.doctor)
@@ -213,8 +259,8 @@ class Client:
     pattern = _blocking(ops.pattern)
     store_pattern = _blocking(ops.store_pattern)
     remove_pattern = _blocking(ops.remove_pattern)
-    sessions = _blocking(ops.sessions)
-    session_plays = _blocking(ops.session_plays)
+    sessions = _blocking(_sessions.sessions)
+    session_plays = _blocking(_sessions.session_plays)
     export_bids = _blocking(_exports.export_bids)
     export_nwb = _blocking(_exports.export_nwb)
 
@@ -248,7 +294,7 @@ class Client:
         return found
 
     def close(self) -> None:
-        """Disarm, if this client has armed, and close all connections."""
+        """Disarm, if this client has armed and no other one, and close all connections."""
         if self._is_closed:
             return
         self._is_closed = True

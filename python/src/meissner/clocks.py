@@ -25,6 +25,7 @@ NS = 1_000_000_000
 MAX_SKEW = 200e-6
 """Largest difference in rate between two PCs' clocks: quartz errs by up to 100e-6, and NTP corrects slowly."""
 _MAX_SAMPLES = 64
+_DAY = 86_400.0
 
 
 @dataclass(frozen=True)
@@ -116,6 +117,18 @@ class ClientClock:
     def now_ns(self) -> int:
         """This process's clock, ns."""
         return self._monotonic_ns()
+
+    def check(self, at: float) -> None:
+        """Raises `ValueError` for an onset that is a time of another clock than this process's `time.monotonic()`, or no seconds."""
+        now, wall = self.now_ns(), self._wall_ns()
+        others = {"time.time()": wall / NS, "time.time_ns()": wall, "time.monotonic_ns()": now}
+        for name, value in others.items():
+            # Within a day of that clock, and farther than that from this one.
+            unit = NS if name.endswith("_ns()") else 1
+            if abs(at - value) / unit < _DAY < abs(at - now / NS):
+                raise ValueError(
+                    f"`at` is {at:.0f}, which is a time of `{name}`: give seconds of `time.monotonic()`, such as `m.now() + 0.5`"
+                )
 
     @property
     def is_shared(self) -> bool:

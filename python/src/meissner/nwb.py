@@ -18,7 +18,8 @@ from pathlib import Path
 from typing import Any
 
 from ._labels import Labels
-from .bids import answer_cells, losses, pattern_toml, stimulus_rows
+from ._spikes import Predicted, predict
+from .bids import answer_cells, first_pulse_ns, losses, pattern_toml, stimulus_rows, trial_rows
 from .clocks import NS
 from .errors import MeissnerError, ProgramError
 from .results import Status
@@ -28,9 +29,9 @@ _COLUMNS = {
     "pattern": "Name of the vibration pattern",
     "pattern_sha256": "SHA-256 of the pattern's file; empty: not known",
     "trial": "Number of the trial, as the experiment gave it; NaN: none",
-    "labels": "Labels of the trial, as the experiment gave them: key=value, separated by ;",
     "scale": "Factor of the amplitudes",
-    "amplitude_um": "Largest amplitude that a drive reaches, peak to peak, um",
+    "reached_um": "Largest amplitude that a pin reaches, peak to peak, by the motor model: predicted, not measured, um",
+    "first_pulse": "First pulse of a pin, s; NaN: none, or not recorded",
     "state": "What became of the stimulus, as the daemon reports it: done, played: played to its end",
     "late_strokes": "Number of strokes that came late and were left out",
     "trigger_code": "Code of the trigger output; NaN: one pulse, or nothing",
@@ -43,7 +44,7 @@ _COLUMNS = {
     "mapped_from": "Name of the array that the pattern is for, if it was mapped by position; empty: it was not",
     "response": "What the participant answered; empty: no answer was recorded",
     "correct": "Whether the answer is right: true, false; empty: not known",
-    "response_time": "Response time, as the experiment measured it, s; NaN: not known",
+    "response_time": "Response time, as the experiment measured it, of keys and button boxes from the onset of the play, s; NaN: not known",
     "level": "Level of the stimulus, as the experiment gave it with the answer; NaN: none",
 }
 
@@ -78,6 +79,7 @@ def write(
     metadata: Mapping[str, Any] | None = None,
     displacement_hz: float | None = 1000.0,
     array: ArrayName | None = None,
+    spikes: bool = False,
 ) -> Export:
     """Writes a session. `recorded` is as of `session_plays`, `patterns` holds the patterns' keys by SHA-256."""
     pynwb = needs_pynwb()
@@ -108,6 +110,7 @@ def write(
     nwb.subject = pynwb.file.Subject(**person)
     nwb.add_device(_device(pynwb, rows, status))
     nwb.add_events_table(_table(pynwb, rows, Labels(session, rows), zero_ns))
+    _add_trials(nwb, trial_rows(recorded["plays"]), session, zero_ns)
     if "age" not in person and "date_of_birth" not in person:
         left_out.append("the participant's age, which archives ask for: export with subject={'age': 'P30Y'}")
     if displacement_hz is not None:
@@ -117,6 +120,10 @@ def write(
             left_out.append(f"no displacement of the pins: {error}")
         else:
             left_out += _add_displacement(pynwb, nwb, grid)
+    if spikes:
+        predicted = predict(rows, patterns)
+        left_out += predicted.problems
+        _add_units(pynwb, nwb, predicted, zero_ns)
     beside = file.with_name(f".{file.stem}.{os.getpid()}.nwb")
     try:
         with pynwb.NWBHDF5IO(str(beside), "w") as io:
@@ -149,7 +156,16 @@ def _number(value: Any) -> float:
 
 def _table(pynwb: Any, rows: list[dict[str, Any]], labels: Labels, zero_ns: int) -> Any:
     """A row per stimulus."""
-    numbers = {"trial", "scale", "amplitude_um", "late_strokes", "trigger_code", "onset_uncertainty", "item"}
+    numbers = {
+        "trial",
+        "scale",
+        "reached_um",
+        "first_pulse",
+        "late_strokes",
+        "trigger_code",
+        "onset_uncertainty",
+        "item",
+    }
     numbers |= {"response_time", "level"}
     meanings = {**_COLUMNS, **{column.name: f"{column.description}; empty: none" for column in labels.columns}}
     columns: dict[str, list[Any]] = {name: [] for name in ("timestamp", "duration", *meanings)}
@@ -161,9 +177,8 @@ def _table(pynwb: Any, rows: list[dict[str, Any]], labels: Labels, zero_ns: int)
             "duration": math.nan if row["played_ms"] is None else row["played_ms"] / 1000,
             "pattern_sha256": row["pattern_sha256"] or "",
             "mapped_from": row["mapped_from"] or "",
-            "labels": labels.joined(row),
             **{name: cell or "" for name, cell in labels.cells(row).items()},
-            "amplitude_um": row["reached_um"],
+            "first_pulse": None if (pulse_ns := first_pulse_ns(row)) is None else (pulse_ns - zero_ns) / NS,
             "trigger_code": row["trigger"] and row["trigger"]["code"],
             "onset_uncertainty": None if uncertainty_ns is None else uncertainty_ns / NS,
             **{name: "" if cell is None and name not in numbers else cell for name, cell in answer_cells(row).items()},
@@ -195,6 +210,43 @@ def _table(pynwb: Any, rows: list[dict[str, Any]], labels: Labels, zero_ns: int)
         columns=made,
         colnames=list(columns),
     )
+
+
+def _add_trials(nwb: Any, plays: list[dict[str, Any]], session: Mapping[str, Any], zero_ns: int) -> None:
+    """A row per play or sequence, with its answer."""
+    plays = [play for play in plays if play["offset_monotonic_ns"] is not None]
+    if not plays:
+        return
+    labels = Labels(session, plays)
+    numbers = ("trial", "response_time", "level")
+    about = {name: _COLUMNS[name] for name in ("play", "trial", "response", "correct", "response_time", "level")}
+    about |= {column.name: f"{column.description}; empty: none" for column in labels.columns}
+    for name, meaning in about.items():
+        nwb.add_trial_column(name=name, description=meaning)
+    for play in plays:
+        cells = {"play": play["play"], "trial": play["trial"], **answer_cells(play), **labels.cells(play)}
+        nwb.add_trial(
+            start_time=(play["onset_monotonic_ns"] - zero_ns) / NS,
+            stop_time=(play["offset_monotonic_ns"] - zero_ns) / NS,
+            **{
+                name: _number(cell) if name in numbers else "" if cell is None else cell for name, cell in cells.items()
+            },
+        )
+
+
+def _add_units(pynwb: Any, nwb: Any, predicted: Predicted, zero_ns: int) -> None:
+    """A unit per afferent."""
+    if not predicted.afferents:
+        return
+    about = (
+        "Afferents of a simulated fingertip, 1 mm apart. Their spikes are PREDICTED from what was ordered by the model `membrane`: "
+        "nothing was recorded. Each stimulus is predicted by itself, from rest."
+    )
+    nwb.units = pynwb.misc.Units(name="units", description=about, resolution=1 / NS)
+    nwb.add_unit_column(name="x_mm", description="Place on the fingertip, from the array's middle, mm")
+    nwb.add_unit_column(name="y_mm", description="Place on the fingertip, from the array's middle, towards the tip, mm")
+    for (x_mm, y_mm), times in zip(predicted.afferents, predicted.spikes_ns, strict=True):
+        nwb.add_unit(x_mm=x_mm, y_mm=y_mm, spike_times=[(time - zero_ns) / NS for time in times])
 
 
 def _add_displacement(pynwb: Any, nwb: Any, grid: Grid) -> list[str]:

@@ -1,12 +1,13 @@
 """The program `meissner` on this machine: a daemon with the simulated array, simulation of afferents, search for patterns.
 
 The client has no calls for the daemon's searches, renderings and previews, so `simulate`, `design` and `render` run the installed program. It is found by
-`$MEISSNER_PROGRAM`, else on the `PATH`. NumPy is used where it is installed.
+`$MEISSNER_PROGRAM`, else in the wheel that was installed, else on the `PATH`. NumPy is used where it is installed.
 """
 
 from __future__ import annotations
 
 import contextlib
+import importlib.metadata
 import json
 import os
 import shutil
@@ -17,10 +18,11 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Union
+from typing import Any, Literal, Union
 
 from . import _ending
 from ._endpoint import has_unix_sockets
+from ._http import plain
 from .arrays import Array
 from .errors import ProgramError
 
@@ -31,15 +33,27 @@ Object = Union[str, "os.PathLike[str]", Mapping[str, Any]]
 def find_program() -> str:
     """The path of the program `meissner`."""
     named = os.environ.get("MEISSNER_PROGRAM")
-    found = shutil.which(named or "meissner")
+    found = shutil.which(named) if named else _of_wheel() or shutil.which("meissner")
     if found is None:
         place = (
             f"MEISSNER_PROGRAM is `{named}`, which cannot be run"
             if named
-            else "the program `meissner` is not on the PATH"
+            else "neither this package nor the PATH has the program `meissner`"
         )
-        raise ProgramError(f"{place}: install it with `cargo install --path .`, or set MEISSNER_PROGRAM to its path")
+        raise ProgramError(
+            f"{place}: install the wheel that contains it, or set MEISSNER_PROGRAM to its path (docs/how-to/install.md)"
+        )
     return found
+
+
+def _of_wheel() -> str | None:
+    """The program that was installed with this package, also where its folder is not on the PATH."""
+    try:
+        files = importlib.metadata.files("meissner") or []
+    except importlib.metadata.PackageNotFoundError:
+        return None
+    paths = (str(file.locate()) for file in files if file.name == "meissner" and file.parent.name == "bin")
+    return next(filter(os.path.isfile, paths), None)
 
 
 def _run(arguments: Sequence[str], stdin: str | None = None) -> Any:
@@ -87,7 +101,7 @@ def simulate(scene: Scene, *, model: str | None = None, rates_only: bool = False
     arguments = ["simulate"]
     if isinstance(scene, Mapping):
         arguments.append("-")
-        text = json.dumps(scene, default=_plain)
+        text = json.dumps(scene, default=plain)
     else:
         arguments.append(os.fspath(scene))
         text = None
@@ -98,13 +112,6 @@ def simulate(scene: Scene, *, model: str | None = None, rates_only: bool = False
     raw = _run(arguments, text)
     spikes = [as_array(times) for times in raw.get("spikes_s") or []]
     return Simulation(spikes, as_array(raw["rates_hz"]), raw)
-
-
-def _plain(value: Any) -> Any:
-    """A NumPy number or array as JSON has it."""
-    if hasattr(value, "tolist"):
-        return value.tolist()
-    raise TypeError(f"a scene or an object cannot hold a {type(value).__name__}: use numbers, texts, lists and dicts")
 
 
 @dataclass(frozen=True)
@@ -248,7 +255,7 @@ def _toml_value(value: Any) -> str:
     if isinstance(value, float):
         # TOML has `inf` and `nan`, as Python; the program refuses them by their keys.
         return repr(float(value))
-    return _toml_value(_plain(value))
+    return _toml_value(plain(value))
 
 
 _PATIENT = {"lead_ms": 500, "lease_ms": 5000}
@@ -258,11 +265,18 @@ With a lead of 1 s the line would not carry the 50 updates per second of a live 
 """
 
 
+Board = Union[bool, Literal["lower-stop"]]
+"""Whether the simulated array is as a board is: without telemetry, so that pins drift, and on a line as fast as USB; with a lower stop, which
+keeps them at rest, or without one."""
+
+
 class Daemon:
     """A daemon with the simulated array, for a script or a test. It keeps its files in a folder that goes with it."""
 
-    def __init__(self, config: str = "") -> None:
-        """Starts it. `config` is text for its configuration file, such as `session_silence_s = 5`."""
+    def __init__(self, config: str = "", *, board: Board = False) -> None:
+        """Starts it. `config` is text for its configuration file, such as `session_silence_s = 5`. `board`: whether the simulated array is as
+        a board is; `"lower-stop"`: as one whose array has a lower stop.
+        """
         program = find_program()
         if not has_unix_sockets():
             raise ProgramError("the daemon runs on Linux only: connect to the URL of a PC where it runs")
@@ -282,7 +296,7 @@ class Daemon:
                 program,
                 "daemon",
                 "--device",
-                "mock",
+                {False: "mock", True: "mock:board", "lower-stop": "mock:board,lower-stop"}[board],
                 "--socket",
                 self.socket,
                 "--config",

@@ -40,6 +40,39 @@ class Status:
 
 
 @dataclass(frozen=True)
+class PlanCheck:
+    """Whether a plan would come to its end on a board."""
+
+    ends: bool
+    """Whether it comes to its end."""
+    stopped_at: int | None
+    """The number of the item, from 0, in which a pin would pass the drift limit; None: no pin does."""
+    stopped_after: float | None
+    """When, s from the onset of the plan."""
+    drift_um: float
+    """The largest estimate of a pin's distance from rest, root mean square, µm: at the end, or when the plan stops."""
+    limit_um: float
+    """The daemon's `drift_limit_um`, µm."""
+    motor: int
+    """The motor of that pin."""
+    raw: dict[str, Any] = field(repr=False)
+
+    @staticmethod
+    def of(raw: dict[str, Any]) -> PlanCheck:
+        """The answer in a document."""
+        stop = raw["stopped_at"]
+        return PlanCheck(
+            ends=stop is None and raw["followed_ms"] is None,
+            stopped_at=stop and stop["item"],
+            stopped_after=stop and stop["after_ms"] / 1000,
+            drift_um=raw["drift_um"],
+            limit_um=raw["drift_limit_um"],
+            motor=raw["motor"],
+            raw=raw,
+        )
+
+
+@dataclass(frozen=True)
 class Item:
     """What became of an item of a sequence."""
 

@@ -23,14 +23,14 @@ pub(super) fn finding(error: ClientError) -> Finding {
 mod tests {
     use super::*;
     use crate::doctor::fake;
-    use std::path::PathBuf;
+    use meissner_client::Place;
 
     #[test]
     fn a_daemon_that_does_not_answer_is_a_finding() {
         let line = |error| fake::line(&finding(error));
         let endpoint = meissner_client::Endpoint {
-            socket: PathBuf::from("/a"),
-            fallback: Some(PathBuf::from("/b")),
+            place: Place::Socket("/a".into()),
+            fallback: Some(Place::Socket("/b".into())),
             service_installed: true,
         };
         let source = std::io::ErrorKind::NotFound.into();

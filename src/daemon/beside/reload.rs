@@ -149,7 +149,7 @@ fn apply(
     let fixed = [
         ("`device`", new.device != running.device),
         ("`socket`", new.socket != running.socket),
-        ("`listen`, `listen_hosts`, `listen_token`", new.listen != running.listen),
+        ("`listen`, `listen_hosts`, `listen_origins`, `listen_token`", new.listen != running.listen),
         ("`tokens`", new.tokens != running.tokens),
         ("[mock]", new.mock != running.mock),
     ];

@@ -1,6 +1,7 @@
 //! Writes log lines about events and plays: one line for a play, at its end, and none for frequent events.
 
 use crate::daemon::engine::Engine;
+use crate::doctor::device::ON_NO_BOARD;
 use crate::receipts::end_text;
 use jiff::{SignedDuration, Timestamp, Zoned};
 use meissner_api::{EndCause, Event, PlayState, Receipt};
@@ -15,6 +16,9 @@ impl Engine {
             Event::Connected { device } => {
                 let (kind, firmware, boot) = (&*device.kind, &*device.firmware, device.boot);
                 info!(kind, firmware, boot, "device connected: {kind}, firmware {firmware}, boot {boot}");
+                if device.simulated && device.telemetry {
+                    info!("telemetry: {ON_NO_BOARD}");
+                }
             }
             Event::Disconnected { reason } if *reason == EndCause::AnotherDevice => info!("{reason}"),
             Event::Disconnected { reason } => {

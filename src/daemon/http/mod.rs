@@ -28,11 +28,16 @@ use crate::daemon::http::handlers::{
 use crate::daemon::page;
 use axum::Router;
 use axum::body::Body;
-use axum::http::{Method, Uri};
+use axum::http::header::{AUTHORIZATION, CONTENT_TYPE, HeaderName};
+use axum::http::{HeaderValue, Method, Uri};
 use axum::middleware::{from_fn, from_fn_with_state};
 use axum::routing::{MethodFilter, MethodRouter, on};
 use meissner_api::{Code, Problem, REFERENCE, Route};
 use std::sync::Arc;
+use tower_http::cors::{AllowOrigin, CorsLayer};
+
+const SESSION: HeaderName = HeaderName::from_static("meissner-session");
+const CLIENT: HeaderName = HeaderName::from_static("meissner-client");
 
 /// The routes, with what every request passes before its handler.
 pub(in crate::daemon) fn router(app: App) -> Router {
@@ -44,12 +49,21 @@ pub(in crate::daemon) fn router(app: App) -> Router {
         router.route(route.path(), handler)
     });
     let gate = from_fn_with_state(Arc::clone(&app.engine.gate), admission::layer);
-    routes
-        .merge(page::routes())
-        .fallback(no_route)
-        .method_not_allowed_fallback(no_method)
-        .layer(gate)
-        .with_state(app)
+    let origins =
+        app.engine.gate.origins().iter().filter_map(|origin| origin.parse().ok()).collect::<Vec<_>>();
+    let routes =
+        routes.merge(page::routes()).fallback(no_route).method_not_allowed_fallback(no_method).layer(gate);
+    let routes = if origins.is_empty() { routes } else { routes.layer(open_to(origins)) };
+    routes.with_state(app)
+}
+
+/// What browsers ask and read before a page of one of these sites gets an answer. The gate decides all the same.
+fn open_to(origins: Vec<HeaderValue>) -> CorsLayer {
+    CorsLayer::new()
+        .allow_origin(AllowOrigin::list(origins))
+        .allow_methods([Method::GET, Method::POST, Method::PUT, Method::DELETE])
+        .allow_headers([AUTHORIZATION, CONTENT_TYPE, SESSION, CLIENT])
+        .allow_private_network(true)
 }
 
 fn handler(route: Route) -> MethodRouter<App> {
@@ -62,6 +76,7 @@ fn handler(route: Route) -> MethodRouter<App> {
     match route {
         Route::Play => on(method, plays::play),
         Route::Sequence => on(method, plays::sequence),
+        Route::SequenceCheck => on(method, plays::check),
         Route::Live => on(method, live::start),
         Route::LiveConnection => on(method, live::connect),
         Route::Stop => on(method, motors::stop),

@@ -66,6 +66,11 @@ impl Gate {
         self.refresher.refresh().await;
     }
 
+    /// Sites whose pages may send requests over the network.
+    pub(in crate::daemon) fn origins(&self) -> &[String] {
+        self.listen.as_ref().map_or(&[], |listen| &listen.origins)
+    }
+
     /// Who can reach the daemon; none if nothing listens.
     pub(in crate::daemon) fn status(&self) -> Option<NetworkStatus> {
         let listen = self.listen.as_ref()?;
@@ -112,7 +117,7 @@ impl Gate {
             let detail = "the `Host` header names another host: use this machine's address, or add the name to `listen_hosts`";
             return Err(Refusal(Code::Forbidden, detail));
         }
-        check_site(head)?;
+        check_site(head, &listen.origins)?;
         // The page itself needs no token: it asks the person for it.
         let Some(needs) = needs(head) else { return Ok(Checked::default()) };
         let shown = shown?;
@@ -139,7 +144,7 @@ impl Gate {
             let detail = "the `Host` header names another host: use `localhost`";
             return Err(Refusal(Code::Forbidden, detail));
         }
-        check_site(head)?;
+        check_site(head, &[])?;
         let Some(needs) = needs(head) else { return Ok(Checked::default()) };
         if Route::find(head.method, head.path) == Some(Route::EStop) {
             // Every client of the socket may order an emergency stop, and the acceptor has already done so before it read any
@@ -176,8 +181,11 @@ fn needs(head: &Head<'_>) -> Option<Access> {
     )
 }
 
-/// Refuses requests that a page of another site has sent.
-fn check_site(head: &Head<'_>) -> Result<(), Refusal> {
+/// Refuses requests that a page of another site has sent, unless it is one of these.
+fn check_site(head: &Head<'_>, origins: &[String]) -> Result<(), Refusal> {
+    if head.origin.is_some_and(|origin| origins.iter().any(|allowed| allowed == origin)) {
+        return Ok(());
+    }
     let same_origin = head.origin.is_none_or(|origin| is_same_origin(origin, head.host));
     // A link on another site may open the page.
     let same_site =
@@ -185,7 +193,10 @@ fn check_site(head: &Head<'_>) -> Result<(), Refusal> {
     if same_origin && same_site {
         return Ok(());
     }
-    Err(Refusal(Code::Forbidden, "a page of another site has sent this request: use the daemon's own page"))
+    Err(Refusal(
+        Code::Forbidden,
+        "a page of another site has sent this request: use the daemon's own page, or add the site to `listen_origins`",
+    ))
 }
 
 /// Whether a `Host` header names this machine: by an address, as `localhost`, or by a configured name. The port does not matter.
@@ -231,7 +242,12 @@ mod tests {
         let of = |role| tokens.create(role, "a test").unwrap().token;
         let made = [of(Role::Observe), of(Role::Operate)];
         let address = "0.0.0.0:8765".parse().unwrap();
-        let listen = Listen { address, hosts: vec!["lab-pc.example".to_owned()], always_token };
+        let listen = Listen {
+            address,
+            hosts: vec!["lab-pc.example".to_owned()],
+            origins: vec!["https://lab.example".to_owned()],
+            always_token,
+        };
         (Gate::new(Some(listen), None, tokens), made)
     }
 
@@ -294,6 +310,10 @@ mod tests {
         is("ok", &[]);
         is("ok", &[("Origin", "http://127.0.0.1:8765"), ("Sec-Fetch-Site", "same-origin")]);
         is("ok", &[("Host", "lab-pc.example"), ("Origin", "https://LAB-PC.example")]);
+        is("ok", &[("Origin", "https://lab.example"), ("Sec-Fetch-Site", "cross-site")]);
+        is("forbidden", &[("Origin", "https://lab.example"), ("Host", "evil.example")]);
+        is("forbidden", &[("Origin", "http://lab.example")]);
+        is("forbidden", &[("Origin", "https://lab.example:8443")]);
         is("forbidden", &[("Origin", "http://evil.example")]);
         is("forbidden", &[("Origin", "http://127.0.0.1:8766")]);
         is("forbidden", &[("Origin", "null")]);

@@ -11,20 +11,22 @@ use crate::daemon::plays::pattern::hold;
 use crate::daemon::plays::terms::{Terms, trigger};
 use crate::daemon::state::limits::check_limits;
 use crate::daemon::state::{NewPlay, check_samples};
-use crate::daemon::system::runtime::PLAYS;
+use crate::daemon::system::runtime::{PLAYS, computing};
 use crate::exposure::Vibration;
 use crate::receipts::{BLANK, NoPrediction, Order, PlannedItem, motions, motions_of_items, too_slow, walk};
 use crate::session_record::Peer;
 use crate::store::{MappedFrom, Stored, hash};
 use firmware_protocol::tick::Tick;
-use meissner_api::{Code, Fit, FollowedMotion, PlayAccepted, Problem, SequenceItem, SequenceRequest};
+use meissner_api::{
+    Code, Fit, FollowedMotion, PlanCheck, PlanStop, PlayAccepted, Problem, SequenceItem, SequenceRequest,
+};
 use meissner_array::motion::TRIED_S;
 use meissner_array::strokes::{
     CompiledItem, Sequence, SequenceError, Start, StrokeOptions, Strokes, Surplus,
 };
 use meissner_array::units::TickRate;
 use meissner_stream::queues::Item;
-use meissner_stream::{Bandwidth, Settings};
+use meissner_stream::{Bandwidth, Drift, Settings, Source, forecast_drift};
 use std::collections::hash_map::Entry;
 use std::collections::{HashMap, HashSet};
 use std::future::Future;
@@ -354,6 +356,46 @@ fn sha256(items: &[SequenceItem]) -> String {
 }
 
 impl Engine {
+    /// Tells how far a sequence would let pins drift on a device without telemetry.
+    pub(in crate::daemon) async fn check_sequence<P, F: Future<Output = Result<(Stored, P), Problem>>>(
+        &self,
+        request: &SequenceRequest,
+        client: Peer,
+        find: impl Fn(String, Option<String>) -> F,
+    ) -> Result<PlanCheck, Problem> {
+        let basis = self.compiles_for(request.boot)?;
+        let (gains, calibrated) = {
+            let state = self.lock();
+            (state.gains(), state.calibration.in_use().is_some())
+        };
+        let settings = basis.0;
+        let compiled = Compiled::of_sequence(request, &Terms::from(request), basis, client, find).await?;
+        let Source::Compiled(strokes) = compiled.strokes else {
+            return Err(Problem::new(Code::BadRequest, "internal error: a sequence is not live"));
+        };
+        let (rate, end) = (settings.array.rate(), strokes.end().unwrap_or(0));
+        let drift = computing(move || forecast_drift(*strokes, &settings, &gains)).await?;
+        let Drift { um, motor, stopped_at, followed_until } =
+            drift.map_err(|error| Problem::new(Code::BadRequest, error.to_string()))?;
+        let planned = compiled.new.items.unwrap_or_default();
+        let stopped_at = stopped_at.map(|at| {
+            let item = planned.partition_point(|item| item.span.0 <= at).saturating_sub(1);
+            let pattern = planned.get(item).map(|item| item.pattern.to_string()).unwrap_or_default();
+            PlanStop { item, pattern, after_ms: rate.ticks_to_ms(at) }
+        });
+        Ok(PlanCheck {
+            items: request.items.len(),
+            ordered_ms: rate.ticks_to_ms(end),
+            drift_um: um,
+            drift_limit_um: settings.drift_limit_um,
+            motor,
+            lower_stop: settings.lower_stop.is_some(),
+            calibrated,
+            stopped_at,
+            followed_ms: followed_until.map(|at| rate.ticks_to_ms(at)),
+        })
+    }
+
     /// Begins a sequence and waits until the streamer accepts it.
     pub(in crate::daemon) async fn sequence<P, F: Future<Output = Result<(Stored, P), Problem>>>(
         &self,

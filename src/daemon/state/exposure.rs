@@ -105,7 +105,7 @@ impl State {
         let most_um = self.exposure.account.limits().max_amplitude_um;
         if largest_um > most_um {
             return Err(exceeded(format!(
-                "`participant.max_amplitude_um` is {most_um} um, and `{pattern}` asks for {largest_um} um: play a weaker pattern, or \
+                "limit for participants: `participant.max_amplitude_um` is {most_um} um, and `{pattern}` asks for {largest_um} um: play a weaker pattern, or \
                  raise the limit in the daemon's configuration"
             )));
         }

@@ -200,10 +200,15 @@ impl State {
         }
     }
 
-    /// The surplus of plays, from the calibration in use, if there is one.
-    pub(super) fn surplus(&self) -> Surplus {
+    /// The gains of the calibration in use, or those of motors without one.
+    pub(super) fn gains(&self) -> PerMotor<Gains> {
         let gains = self.calibration.in_use().map(|stored| stored.calibration.gains());
-        self.settings.surplus(&gains.unwrap_or_else(|| PerMotor::all(self.settings.array, Gains::default())))
+        gains.unwrap_or_else(|| PerMotor::all(self.settings.array, Gains::default()))
+    }
+
+    /// The surplus of plays, from these gains.
+    pub(super) fn surplus(&self) -> Surplus {
+        self.settings.surplus(&self.gains())
     }
 
     /// Refuses a play during a calibration.

@@ -51,6 +51,11 @@ impl Rights {
         self.plays.get(&id)
     }
 
+    /// The plays of this client that are not over.
+    pub(super) fn plays_of(&self, caller: &Caller) -> Vec<u64> {
+        self.plays.iter().filter(|(_, by)| by.is_same(caller)).map(|(&id, _)| id).collect()
+    }
+
     /// Notes that a play is about to be sent for the requesting client.
     pub(in crate::daemon) fn add_play(&mut self, id: u64) {
         if let Some(Asker { caller, .. }) = Asker::find() {

@@ -60,6 +60,11 @@ impl Searches {
         self.running.as_ref()?.caller.as_ref()
     }
 
+    /// The number of the newest search, if there was one.
+    pub(in crate::daemon) fn last_id(&self) -> Option<u64> {
+        Some(self.last_id).filter(|id| *id > 0)
+    }
+
     /// The search with this id, or the `last` one.
     pub(in crate::daemon) fn show(&self, id: &str) -> Result<Arc<Search>, Problem> {
         let id = self.id(id)?;
@@ -96,7 +101,7 @@ impl Searches {
     fn id(&self, id: &str) -> Result<u64, Problem> {
         if id == "last" {
             let none = || Problem::new(Code::NotFound, "there is no search yet: start one");
-            return Some(self.last_id).filter(|id| *id > 0).ok_or_else(none);
+            return self.last_id().ok_or_else(none);
         }
         let bad = |_| Problem::new(Code::BadRequest, "a search's id is a number, or `last`");
         id.parse().map_err(bad)

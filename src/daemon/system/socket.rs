@@ -8,7 +8,7 @@
 //! Invariant: while a [`Bound`] lives, no other daemon is bound to its path.
 
 use listenfd::ListenFd;
-use meissner_client::{MAX_SOCKET_PATH, estop_socket};
+use meissner_client::{MAX_SOCKET_PATH, estop_socket, make_dir};
 use rustix::fs::{FlockOperation, OFlags, flock};
 use rustix::net::sockopt::socket_acceptconn;
 use rustix::process::geteuid;
@@ -133,6 +133,7 @@ impl Bound {
 
     pub(in crate::daemon) fn new(socket: &Path) -> Result<Self, SocketError> {
         check(socket)?;
+        make_dir(socket).map_err(|source| SocketError::Io { path: socket.to_owned(), source })?;
         let lock = lock(socket)?;
         // Bind the socket for emergency stops first, so that it exists before any client connects.
         let (estop, estop_file) = bind(&estop_socket(socket))?;

@@ -6,7 +6,7 @@
 //! | module | what it is | `--device` |
 //! |---|---|---|
 //! | `mock` | controller and simulated motors in this process, in virtual time | |
-//! | `wall_mock` | the mock in wall time | `mock` |
+//! | `wall_mock` | the mock in wall time, also like a board on USB | `mock`, `mock:board` |
 //! | `pty` | the mock behind a real pseudo-terminal | `pty` |
 //! | `serial` | a board on a serial port | `serial...` |
 //! | `usb` | a board on its own USB interface | `usb...` |
@@ -82,6 +82,9 @@ pub fn open(spec: &Spec, array: Array, motors: &SimulatedMotorsConfig) -> Result
         },
         Spec::Board => board(),
         Spec::Mock => mock(),
+        Spec::MockBoard { .. } => {
+            Ok(Device::Mock(Box::new(WallMock::like_a_board(array, motors, HostInstant::now())?)))
+        }
         Spec::Pty => {
             let mock = PtyMock::spawn(WallMock::new(array, motors, HostInstant::now())?)?;
             let port = SerialPort::open(mock.path())?;
@@ -119,10 +122,11 @@ pub fn is_plugged(query: &BoardQuery) -> bool {
 }
 
 impl Device {
-    /// Its name for people: `mock`, `pty:PATH`, `serial:PATH`, `usb:SERIAL`.
+    /// Its name for people: `mock`, `mock:board`, `pty:PATH`, `serial:PATH`, `usb:SERIAL`.
     #[must_use]
     pub fn kind(&self) -> String {
         match self {
+            Self::Mock(mock) if mock.is_like_a_board() => "mock:board".to_owned(),
             Self::Mock(_) => "mock".to_owned(),
             Self::Pty(port, _) => format!("pty:{}", port.path().display()),
             Self::Serial(port) => format!("serial:{}", port.path().display()),
@@ -187,7 +191,7 @@ impl Device {
         match self {
             Self::Mock(mock) => {
                 mock.run(now);
-                Ok(mock.mock().read(bytes))
+                Ok(mock.read(bytes))
             }
             Self::Pty(port, _) | Self::Serial(port) => port.read(bytes),
             Self::Usb(port) => port.read(bytes),
@@ -200,7 +204,7 @@ impl Device {
     /// If the device is gone.
     pub fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         match self {
-            Self::Mock(mock) => Ok(mock.mock().write(bytes)),
+            Self::Mock(mock) => Ok(mock.write(bytes)),
             Self::Pty(port, _) | Self::Serial(port) => port.write(bytes),
             Self::Usb(port) => port.write(bytes),
         }

@@ -1,4 +1,4 @@
-//! The names of devices on the command line and in the configuration: `auto`, `mock`, `pty`, `serial...`, `usb...`.
+//! The names of devices on the command line and in the configuration: `auto`, `mock...`, `pty`, `serial...`, `usb...`.
 //!
 //! A [`Spec`] is parsed from its name and displays as that name.
 
@@ -17,6 +17,11 @@ pub enum Spec {
     Board,
     /// Controller and simulated motors in this process, in wall time.
     Mock,
+    /// The mock as a board is: without telemetry, on a line as fast as USB; with a lower stop or without one.
+    MockBoard {
+        /// Whether the array has a lower stop.
+        lower_stop: bool,
+    },
     /// The mock behind a pseudo-terminal, reached as a serial port.
     Pty,
     /// A serial port by its path.
@@ -32,7 +37,7 @@ pub enum Spec {
 pub enum SpecError {
     /// It begins like no device's name.
     #[error(
-        "not one of auto, mock, pty, serial, serial:PATH, serial:SERIAL, serial:VID:PID[:SERIAL], usb, usb:SERIAL"
+        "not one of auto, mock, mock:board, mock:board,lower-stop, pty, serial, serial:PATH, serial:SERIAL, serial:VID:PID[:SERIAL], usb, usb:SERIAL"
     )]
     Unknown,
     /// `serial:` with malformed ids.
@@ -52,7 +57,7 @@ impl Spec {
         match self {
             Self::Auto | Self::Board => Some(BoardQuery::default()),
             Self::Found(wanted) | Self::Usb(wanted) => Some(wanted.clone()),
-            Self::Mock | Self::Pty | Self::Serial(_) => None,
+            Self::Mock | Self::MockBoard { .. } | Self::Pty | Self::Serial(_) => None,
         }
     }
 }
@@ -63,6 +68,8 @@ impl FromStr for Spec {
         match text.split_once(':') {
             None if text == "auto" => Ok(Self::Auto),
             None if text == "mock" => Ok(Self::Mock),
+            Some(("mock", "board")) => Ok(Self::MockBoard { lower_stop: false }),
+            Some(("mock", "board,lower-stop")) => Ok(Self::MockBoard { lower_stop: true }),
             None if text == "pty" => Ok(Self::Pty),
             None if text == "serial" => Ok(Self::Found(BoardQuery::default())),
             None if text == "usb" => Ok(Self::Usb(BoardQuery::default())),
@@ -87,6 +94,8 @@ impl fmt::Display for Spec {
         match self {
             Self::Auto | Self::Board => out.write_str("auto"),
             Self::Mock => out.write_str("mock"),
+            Self::MockBoard { lower_stop: false } => out.write_str("mock:board"),
+            Self::MockBoard { lower_stop: true } => out.write_str("mock:board,lower-stop"),
             Self::Pty => out.write_str("pty"),
             Self::Serial(path) => write!(out, "serial:{}", path.display()),
             Self::Found(wanted) if wanted.ids == BoardQuery::default().ids => {
@@ -109,6 +118,8 @@ mod tests {
         for text in [
             "auto",
             "mock",
+            "mock:board",
+            "mock:board,lower-stop",
             "pty",
             "serial",
             "serial:/dev/ttyACM0",
@@ -129,6 +140,7 @@ mod tests {
             ("serial:", SpecError::Unknown),
             ("usb:", SpecError::Unknown),
             ("mock:1", SpecError::Unknown),
+            ("mock:board,stop", SpecError::Unknown),
             ("board", SpecError::Unknown),
             ("serial:12:34", SpecError::Ids),
             ("serial:1209:1", SpecError::Ids),

@@ -1,16 +1,20 @@
-//! The mock in wall time: each read lets it run up to now.
+//! The mock in wall time: each run takes it up to now.
 //!
-//! It has no thread: its time passes only when its owner calls it with the host's instant.
+//! It has no thread: its time passes only when its owner calls it with the host's instant. [`WallMock::like_a_board`] has no telemetry,
+//! and a line between it and its owner that takes the time of USB.
 
 use crate::device::error::DeviceError;
 use crate::device::mock::{Mock, TruePositions};
+use crate::link::LineRate;
 use crate::time::HostInstant;
 use firmware_protocol::tick::Tick;
 use meissner_array::simulated::SimulatedMotorsConfig;
 use meissner_array::spec::Array;
 use meissner_array::units::TickRate;
+use std::collections::VecDeque;
 use std::hash::{BuildHasher, Hasher, RandomState};
 use std::sync::Arc;
+use std::time::Duration;
 
 /// A mock whose clock follows the host's.
 #[derive(Debug)]
@@ -20,6 +24,38 @@ pub struct WallMock {
     mock: Mock,
     /// When its clock stood at [`Tick::BOOT`].
     started: HostInstant,
+    /// The line to it and from it; `None`: bytes take no time.
+    usb: Option<Usb>,
+}
+
+/// Bytes that one way of the line holds: as a kernel does for a serial port.
+const HELD: usize = 4096;
+
+/// A line of USB, both ways. It has its memory from the start.
+#[derive(Debug)]
+struct Usb {
+    /// Until when bytes have been carried.
+    carried: HostInstant,
+    to_device: VecDeque<u8>,
+    /// What the device has sent, of which the first `arrived` bytes are here.
+    to_host: VecDeque<u8>,
+    arrived: usize,
+}
+
+impl Usb {
+    fn new(now: HostInstant) -> Self {
+        let held = || VecDeque::with_capacity(HELD);
+        Self { carried: now, to_device: held(), to_host: held(), arrived: 0 }
+    }
+
+    /// How many bytes either way carries up to now.
+    fn carries(&mut self, now: HostInstant) -> usize {
+        let per_s = u128::from(LineRate::USB_FULL_SPEED.0);
+        let bytes = now.since(self.carried).as_nanos() * per_s / 1_000_000_000;
+        // The rest of a byte counts the next time.
+        self.carried = self.carried + Duration::from_nanos((bytes * 1_000_000_000).div_ceil(per_s) as u64);
+        usize::try_from(bytes).unwrap_or(usize::MAX)
+    }
 }
 
 impl WallMock {
@@ -29,7 +65,26 @@ impl WallMock {
     /// If the settings of the simulated motors are out of range.
     pub fn new(array: Array, motors: &SimulatedMotorsConfig, now: HostInstant) -> Result<Self, DeviceError> {
         let boot = RandomState::new().build_hasher().finish() as u32;
-        Ok(Self { rate: array.rate(), mock: Mock::new(array, *motors, boot)?, started: now })
+        Ok(Self { rate: array.rate(), mock: Mock::new(array, *motors, boot)?, started: now, usb: None })
+    }
+
+    /// A mock as a board is: it has no telemetry, whatever the settings say, and its bytes take the time of full-speed USB.
+    ///
+    /// # Errors
+    /// As [`Self::new`].
+    pub fn like_a_board(
+        array: Array,
+        motors: &SimulatedMotorsConfig,
+        now: HostInstant,
+    ) -> Result<Self, DeviceError> {
+        let blind = SimulatedMotorsConfig { telemetry_hz: 0, ..*motors };
+        Ok(Self { usb: Some(Usb::new(now)), ..Self::new(array, &blind, now)? })
+    }
+
+    /// Whether it is [`Self::like_a_board`].
+    #[must_use]
+    pub fn is_like_a_board(&self) -> bool {
+        self.usb.is_some()
     }
 
     /// The mock itself.
@@ -51,6 +106,38 @@ impl WallMock {
 
     /// Takes in the bytes that were written, and runs up to `now`.
     pub(super) fn run(&mut self, now: HostInstant) {
+        let carries = self.usb.as_mut().map_or(0, |usb| usb.carries(now));
+        if let Some(Usb { to_device, .. }) = &mut self.usb {
+            let bytes = to_device.make_contiguous();
+            let taken = self.mock.write(&bytes[..carries.min(bytes.len())]);
+            to_device.drain(..taken);
+        }
         self.mock.run(Tick::BOOT + self.rate.duration_to_ticks(now.since(self.started)));
+        if let Some(Usb { to_host, arrived, .. }) = &mut self.usb {
+            *arrived = (*arrived + carries).min(to_host.len());
+            let mut bytes = [0; HELD];
+            let room = HELD - to_host.len();
+            let len = self.mock.read(&mut bytes[..room]);
+            to_host.extend(&bytes[..len]);
+        }
+    }
+
+    /// Writes bytes to it, and returns how many it has taken.
+    pub(super) fn write(&mut self, bytes: &[u8]) -> usize {
+        let Some(Usb { to_device, .. }) = &mut self.usb else { return self.mock.write(bytes) };
+        let len = bytes.len().min(HELD - to_device.len());
+        to_device.extend(&bytes[..len]);
+        len
+    }
+
+    /// Reads the bytes that have come from it, and returns how many.
+    pub(super) fn read(&mut self, bytes: &mut [u8]) -> usize {
+        let Some(Usb { to_host, arrived, .. }) = &mut self.usb else { return self.mock.read(bytes) };
+        let len = bytes.len().min(*arrived);
+        for (to, from) in bytes.iter_mut().zip(to_host.drain(..len)) {
+            *to = from;
+        }
+        *arrived -= len;
+        len
     }
 }

@@ -11,18 +11,23 @@
 - `trials`, `constant_stimuli`, `two_afc`, `counterbalanced`: lists, random by seed.
 - `Staircase`, `QuestPlus`: the next level from the answers so far.
 - `Log`: a CSV file, each trial on the disk before the next one begins.
-- `SimulatedObserver`, `ask`: who answers.
+- `SimulatedObserver`, `ask`: who answers. `Keys`, `ButtonBox`: answers with times.
 """
 
+from .._presses import Press
 from .answers import SimulatedObserver, ask
+from .devices import ButtonBox, Keys
 from .log import Log, LogError
 from .quest import QuestPlus
 from .staircase import Staircase
 from .trials import Trial, constant_stimuli, counterbalanced, trials, two_afc
 
 __all__ = [
+    "ButtonBox",
+    "Keys",
     "Log",
     "LogError",
+    "Press",
     "QuestPlus",
     "SimulatedObserver",
     "Staircase",

@@ -4,15 +4,31 @@ from __future__ import annotations
 
 import math
 import random
+import sys
 from collections.abc import Sequence
 
 
 def ask(question: str, choices: Sequence[str] = ("1", "2")) -> str:
-    """Asks at the terminal until one of the choices is typed."""
+    """Asks at the terminal until one of the choices is typed. What was typed before the question is no answer."""
+    forget_typed()
     while True:
         answer = input(f"{question} [{'/'.join(choices)}] ").strip()
         if answer in choices:
             return answer
+
+
+def forget_typed() -> None:
+    """Drops what was typed at the terminal and not read."""
+    if sys.stdin is not None and sys.stdin.isatty():
+        try:
+            import termios
+        except ImportError:  # Windows
+            import msvcrt
+
+            while msvcrt.kbhit():  # type: ignore[attr-defined]
+                msvcrt.getwch()  # type: ignore[attr-defined]
+        else:
+            termios.tcflush(sys.stdin, termios.TCIFLUSH)
 
 
 class SimulatedObserver:

@@ -15,12 +15,15 @@ import os
 import re
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
-from .._plays import KnownPlay
+from .._plays import KnownPlay, trial_answer
 from ..clocks import Instant
 from ..errors import MeissnerError
 from .trials import Trial
+
+if TYPE_CHECKING:
+    from ..client import Play
 
 # What stands in the columns that the log fills by itself, if it wrote them.
 _WHOLE = re.compile(r"(trial|play|(item\d+_)?(onset|offset)_(tick|monotonic_ns|wall_ns))")
@@ -70,9 +73,13 @@ def _times(played: _Played, prefix: str) -> dict[str, Any]:
 class Log:
     """A CSV file with a row per trial. The first row that is added names the columns."""
 
-    def __init__(self, path: str | os.PathLike[str], *, resume: bool = False) -> None:
-        """`resume`: go on with a file that is there. Without it the log refuses to touch one."""
+    def __init__(self, path: str | os.PathLike[str], *, resume: bool = False, answers: bool = False) -> None:
+        """`resume`: go on with a file that is there. Without it the log refuses to touch one.
+
+        `answers`: `add` also records what was answered, in the session that runs, so that exports have it in the row of the play.
+        """
         self.path = Path(path)
+        self._answers = answers
         self._columns: list[str] | None = None
         self.rows: list[dict[str, str]] = []
         """The rows, as text."""
@@ -149,8 +156,12 @@ class Log:
                     )
         return [trial for trial in trials if str(trial.number) not in finished]
 
-    def add(self, trial: Trial | int, play: KnownPlay | None = None, **columns: Any) -> None:
-        """Writes a trial: its number and factors, the play's times, and columns of your own. It is on the disk then."""
+    def add(self, trial: Trial | int, play: Play | None = None, **columns: Any) -> None:
+        """Writes a trial: its number and factors, the play's times, and columns of your own. It is on the disk then.
+
+        Of a log with `answers` the columns `response`, `correct`, `rt_ms` and `level` are those of `play.answer`, and factors and other
+        columns are its factors.
+        """
         number, factors = (trial, {}) if isinstance(trial, int) else (trial.number, trial.factors)
         row: dict[str, Any] = {"trial": number, **factors}
         for name, value in [*(play_columns(play) if play else {}).items(), *columns.items()]:
@@ -170,6 +181,14 @@ class Log:
                 )
             self._write(self._file, [[row.get(name) for name in self._columns]])
         self.rows.append({name: _text(row.get(name)) for name in self._columns})
+        if self._answers and play is not None:
+            given = {name: columns.pop(name, None) for name in ("response", "correct", "rt_ms", "level")}
+            _, level, own = trial_answer(trial, given.pop("level"), columns)
+            correct = None if given["correct"] is None else bool(given["correct"])
+            said = (
+                given["response"] if given["response"] is not None else "" if correct is None else str(correct).lower()
+            )
+            play.answer(said, correct=correct, rt_ms=given["rt_ms"], level=level, factors=own)
 
     def _write(self, file: int, lines: list[list[Any]]) -> None:
         data = _text_of([[_text(value) for value in line] for line in lines])

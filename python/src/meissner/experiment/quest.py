@@ -9,7 +9,7 @@ print(quest.threshold)
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 
@@ -63,6 +63,11 @@ class QuestPlus:
         self.answers.append((presented, bool(correct)))
         intensity = self._nearest(math.log10(presented))
         self._quest.update(intensity=intensity, response="correct" if correct else "wrong")
+
+    def resume(self, answers: Iterable[tuple[float, bool]]) -> None:
+        """Takes the answers of an earlier run, such as `session.answers()`."""
+        for level, correct in answers:
+            self.answer(correct, level=level)
 
     @property
     def threshold(self) -> float:

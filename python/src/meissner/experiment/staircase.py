@@ -12,6 +12,7 @@ correct answers is 0.5 ** (1 / down): 0.707 for 2, 0.794 for 3.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 
 
 class Staircase:
@@ -87,6 +88,19 @@ class Staircase:
         self._direction = direction
         step = self._step * (2 if len(self._turns) < self._coarse else 1)
         self._at = min(max(self._at + direction * step, self._low), self._high)
+
+    def resume(self, answers: Iterable[tuple[float, bool]]) -> None:
+        """Takes the answers of an earlier run, in their order, such as `session.answers()`: then `level` is the next one.
+
+        Raises `ValueError` if a level is not the one that this staircase presents then: it has other settings, or other answers.
+        """
+        for number, (level, correct) in enumerate(answers, 1):
+            if not math.isclose(level, self.level, rel_tol=1e-9, abs_tol=1e-12):
+                raise ValueError(
+                    f"answer {number} is to level {level}, but the staircase presents {self.level} then: give it the settings and the "
+                    "answers of the earlier run"
+                )
+            self.answer(correct)
 
     @property
     def threshold(self) -> float:

@@ -12,7 +12,7 @@ use crate::session_record::Peer;
 use axum::Json;
 use axum::body::Body;
 use axum::extract::{Extension, State};
-use meissner_api::{ArmRequest, Code, Event, Problem, ResetRequest, Status, parse_empty};
+use meissner_api::{ArmRequest, Code, DisarmRequest, Event, Problem, ResetRequest, Status, parse_empty};
 use meissner_stream::queues::Command;
 use std::time::Duration;
 
@@ -46,25 +46,18 @@ pub(in crate::daemon::http) async fn stop(
     Extension(caller): Extension<Caller>,
     body: Body,
 ) -> Answer<Json<Status>> {
-    make_safe(&app, &caller, body, "stop", Command::Stop).await
+    let done = simple_command(&app, caller.peer, body, "stop", Command::Stop, TIMEOUT).await?;
+    tell_owner(&app, &caller, "stop");
+    Ok(done)
 }
 
-/// Carries out a command that everybody may use; the owner of an exclusive session learns who used it.
-async fn make_safe(
-    app: &App,
-    caller: &Caller,
-    body: Body,
-    name: &'static str,
-    command: Command,
-) -> Answer<Json<Status>> {
-    let done = simple_command(app, caller.peer, body, name, command, TIMEOUT).await?;
+/// Tells the owner of an exclusive session who has used a command that everybody may use.
+fn tell_owner(app: &App, caller: &Caller, name: &str) {
     let mut state = app.engine.lock();
     if let Some(session) = state.sessions.foreign(caller.session()) {
         let by = app.engine.names.client(caller.peer);
         state.publish(&Event::Intervened { command: name.to_owned(), by, session });
     }
-    drop(state);
-    Ok(done)
 }
 
 /// Orders the stop before it reads the body, which may hold anything. The acceptor may have ordered it already.
@@ -152,7 +145,21 @@ pub(in crate::daemon::http) async fn disarm(
     Extension(caller): Extension<Caller>,
     body: Body,
 ) -> Answer<Json<Status>> {
-    make_safe(&app, &caller, body, "disarm", Command::Disarm).await
+    let mut logged = LoggedRequest::new(&app.engine, "disarm", caller.peer);
+    let result = async {
+        let request = DisarmRequest::parse(&body::read_command(body).await?)?;
+        logged.set_arguments(&request);
+        if request.own && app.engine.lock().give_back_armed(&caller) {
+            return Ok((Json(app.engine.status()), false));
+        }
+        Ok((carry_out(&app, Command::Disarm, TIMEOUT).await?, true))
+    };
+    let result: Answer<_> = result.await;
+    let (done, is_off) = logged.result(result)?;
+    if is_off {
+        tell_owner(&app, &caller, "disarm");
+    }
+    Ok(done)
 }
 
 /// Answers when the pins are at rest.

@@ -17,8 +17,8 @@ use axum::extract::rejection::PathRejection;
 use axum::extract::{Extension, Path, State};
 use axum::http::{StatusCode, Uri};
 use meissner_api::{
-    AnswerTaken, Code, MAX_PACKED_BODY, MAX_WAIT_S, PatternChoice, PlayAccepted, PlayAnswer, PlayRequest,
-    Problem, Receipt, SequenceRequest,
+    AnswerTaken, Code, MAX_PACKED_BODY, MAX_WAIT_S, PatternChoice, PlanCheck, PlayAccepted, PlayAnswer,
+    PlayRequest, Problem, Receipt, SequenceRequest,
 };
 use meissner_stream::queues::Command;
 use serde_json::{Map, Value, json};
@@ -26,6 +26,7 @@ use std::collections::HashMap;
 use std::pin::pin;
 use std::sync::Arc;
 use std::time::Duration;
+use tokio::sync::SemaphorePermit;
 
 pub(in crate::daemon::http) async fn play(
     State(app): State<App>,
@@ -87,7 +88,50 @@ fn asked_of_sequence(request: &SequenceRequest) -> Value {
     })
 }
 
+/// A sequence that was read, and the patterns that it holds by their SHA-256.
+struct ReadSequence {
+    request: SequenceRequest,
+    inlines: HashMap<String, Stored>,
+    /// Its places among the bodies.
+    _places: body::Places,
+}
+
 /// Parses on a separate thread, because the body may be as large as a file.
+async fn read_sequence(app: &App, body: Body) -> Result<ReadSequence, Problem> {
+    let (body, _places) = body::read_file(body, MAX_PACKED_BODY).await?;
+    let mut request = PLAYS.computing(move || SequenceRequest::parse(&body)).await??;
+    let mut inlines: HashMap<String, Stored> = HashMap::new();
+    for (number, item) in request.items.iter_mut().enumerate() {
+        let Some(PatternChoice::Inline(keys)) = item.pattern.take_if(|pattern| pattern.inline().is_some())
+        else {
+            continue;
+        };
+        let stored = inline(app, keys).await;
+        let stored = stored.map_err(|problem| Problem {
+            detail: format!("`items[{number}]`: {}", problem.detail),
+            ..problem
+        })?;
+        item.pattern = Some(stored.pattern.name().into());
+        item.pattern_sha256 = Some(stored.sha256.clone());
+        inlines.insert(stored.sha256.clone(), stored);
+        check_samples(inlines.values().map(|stored| stored.pattern.motion_bytes()).sum())?;
+    }
+    Ok(ReadSequence { request, inlines, _places })
+}
+
+/// Finds a pattern of a sequence: one that it holds, or one that is stored.
+async fn find_for(
+    app: &App,
+    inlines: &HashMap<String, Stored>,
+    name: String,
+    sha256: Option<String>,
+) -> Result<(Stored, Option<SemaphorePermit<'static>>), Problem> {
+    match sha256.as_ref().and_then(|sha256| inlines.get(sha256)) {
+        Some(stored) => Ok((stored.clone(), None)),
+        None => find(app.store.get(), &app.engine, &PLAYS, &name, sha256.as_deref()).await,
+    }
+}
+
 pub(in crate::daemon::http) async fn sequence(
     State(app): State<App>,
     Extension(peer): Extension<Peer>,
@@ -95,39 +139,26 @@ pub(in crate::daemon::http) async fn sequence(
 ) -> Answer<(StatusCode, Json<PlayAccepted>)> {
     let mut logged = LoggedRequest::new(&app.engine, "sequence", peer);
     let result = async {
-        let (body, _places) = body::read_file(body, MAX_PACKED_BODY).await?;
-        let mut request = PLAYS.computing(move || SequenceRequest::parse(&body)).await??;
-        let mut inlines: HashMap<String, Stored> = HashMap::new();
-        for (number, item) in request.items.iter_mut().enumerate() {
-            let Some(PatternChoice::Inline(keys)) =
-                item.pattern.take_if(|pattern| pattern.inline().is_some())
-            else {
-                continue;
-            };
-            let stored = inline(&app, keys).await;
-            let stored = stored.map_err(|problem| Problem {
-                detail: format!("`items[{number}]`: {}", problem.detail),
-                ..problem
-            })?;
-            item.pattern = Some(stored.pattern.name().into());
-            item.pattern_sha256 = Some(stored.sha256.clone());
-            inlines.insert(stored.sha256.clone(), stored);
-            check_samples(inlines.values().map(|stored| stored.pattern.motion_bytes()).sum())?;
-        }
+        let ReadSequence { mut request, inlines, _places } = read_sequence(&app, body).await?;
         request.session = app.engine.lock().session_of_play(request.session.as_deref())?;
         logged.set_arguments(&asked_of_sequence(&request));
-        let find = async |name: String, sha256: Option<String>| {
-            if let Some(stored) = sha256.as_ref().and_then(|sha256| inlines.get(sha256)) {
-                return Ok((stored.clone(), None));
-            }
-            find(app.store.get(), &app.engine, &PLAYS, &name, sha256.as_deref()).await
-        };
+        let find = |name, sha256| find_for(&app, &inlines, name, sha256);
         let accepted = app.engine.sequence(&request, peer, find).await?;
         logged.set_play(accepted.id);
         Ok((StatusCode::ACCEPTED, Json(accepted)))
     }
     .await;
     logged.result(result)
+}
+
+pub(in crate::daemon::http) async fn check(
+    State(app): State<App>,
+    Extension(peer): Extension<Peer>,
+    body: Body,
+) -> Answer<Json<PlanCheck>> {
+    let ReadSequence { request, inlines, _places } = read_sequence(&app, body).await?;
+    let find = |name, sha256| find_for(&app, &inlines, name, sha256);
+    Ok(Json(app.engine.check_sequence(&request, peer, find).await?))
 }
 
 pub(in crate::daemon::http) async fn receipt(

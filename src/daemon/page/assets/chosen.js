@@ -3,7 +3,7 @@
 
 import { order, put } from "./api.js";
 import { array } from "./array.js";
-import { element, facts, operates, refuse, say, valid } from "./control.js";
+import { element, facts, refuse, say, valid } from "./control.js";
 import { Drives } from "./drives.js";
 import { isForeign, mapping } from "./foreign.js";
 import { figures, highest, preview } from "./preview.js";
@@ -44,7 +44,6 @@ export class Chosen {
     for (const id of ["preview-from", "preview-seconds"]) on(id, "change", () => this.#draw());
     on("preview-motor", "change", () => this.#choosePin($("preview-motor").valueAsNumber));
     on("compare-end", "click", () => this.compare(null));
-    for (const id of ["chosen-play", "chosen-save"]) operates($(id));
     document.addEventListener("pin", ({ detail }) => this.#choosePin(detail));
     document.addEventListener("array", () => this.choose(null));
   }

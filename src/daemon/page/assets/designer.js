@@ -79,6 +79,7 @@ export class Designer {
       view: "design",
       at: "designer-title",
       load: () => this.#start(),
+      state: () => (this.#paper.doubt(), this.#rendering.doubt()),
       on: { search: (event) => this.#handle(event) },
       hide: () => (this.#live.end(), this.#paper.end()),
     });

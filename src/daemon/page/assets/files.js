@@ -1,7 +1,7 @@
 // Files that a person chooses or drops on the page: patterns, which are stored, and sequences, which are loaded.
 
 import { put } from "./api.js";
-import { operates, refuse, say } from "./control.js";
+import { refuse, say } from "./control.js";
 import { loadSequence } from "./sequence.js";
 
 const $ = (id) => document.getElementById(id);
@@ -41,7 +41,7 @@ export function bindFiles(stored) {
   const imports = (files) => store(files, stored).catch((error) => refuse($("import"), error));
   const loads = (file) => load(file).catch((error) => refuse($("sequence-file"), error));
   // The same file may be chosen again.
-  const chosen = (id, take) => operates($(id)).addEventListener("change", async () => {
+  const chosen = (id, take) => $(id).addEventListener("change", async () => {
     const files = [...$(id).files];
     if (files.length) await take(files);
     $(id).value = "";

@@ -1,7 +1,7 @@
 // The paper's search: for the drawn shape, or a loaded target, the daemon searches for a vibration whose afferents near the shape fire and
 // the others do not. The page shows, plays and saves what is found.
 
-import { call, order, put } from "./api.js";
+import { call, known, last, order, put } from "./api.js";
 import { array } from "./array.js";
 import { refuse, say } from "./control.js";
 import { Live } from "./live.js";
@@ -59,14 +59,32 @@ export class Paper {
 
   // The search that the daemon knows.
   async start() {
-    const last = await call("GET", "/v1/searches/last").catch(() => null);
+    const newest = last()?.last_search;
+    const search = newest ? await call("GET", `/v1/searches/${newest}`).catch(() => null) : null;
     // A restarted daemon counts from 1; an event may have come before the answer.
-    if (!last) this.#search = null;
-    else if (last.method === null && (last.state !== "running" || last.id !== this.#search?.id)) this.#show(last);
+    if (!search) this.#forget();
+    else if (search.method === null && (search.state !== "running" || search.id !== this.#search?.id)) this.#show(search);
+  }
+
+  // Says so when it is not known whether the search goes on.
+  doubt() {
+    if (this.#search?.state !== "running" || known()) return;
+    $("search-progress").textContent = "Whether the search goes on is not known.";
+    $("search-busy").hidden = true;
   }
 
   end() {
     this.#live.end();
+  }
+
+  // The daemon was started again, and has no search.
+  #forget() {
+    if (!this.#search) return;
+    this.#search = null;
+    $("search-note").textContent = "The daemon was started again: the search and what it found are gone.";
+    $("search-progress").textContent = "";
+    $("search-busy").hidden = $("result").hidden = true;
+    this.buttons();
   }
 
   // The details of a pattern that was found here.

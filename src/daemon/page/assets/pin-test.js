@@ -2,7 +2,7 @@
 
 import { order } from "./api.js";
 import { array } from "./array.js";
-import { operates, refuse, say, valid } from "./control.js";
+import { refuse, say, valid } from "./control.js";
 
 const $ = (id) => document.getElementById(id);
 
@@ -39,5 +39,5 @@ export function bindPinTest(chosen) {
   });
   $("pin-motor").addEventListener("input", mark);
   $("pin-what").addEventListener("change", () => ($("pin-seconds-label").hidden = $("pin-what").value === "stroke"));
-  operates($("pin-play")).addEventListener("click", play);
+  $("pin-play").addEventListener("click", play);
 }

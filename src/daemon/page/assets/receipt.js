@@ -1,6 +1,6 @@
 // The last play: its receipt.
 
-import { call } from "./api.js";
+import { call, last } from "./api.js";
 import { facts, refuse, say } from "./control.js";
 import { keep } from "./toml.js";
 import { part } from "./views.js";
@@ -51,12 +51,8 @@ function states(items) {
 const whole = (id) => call("GET", `/v1/plays/${id}`);
 
 async function load() {
-  try {
-    show(await call("GET", "/v1/plays/last"));
-  } catch (error) {
-    // Nothing was played yet.
-    if (error.code !== "not-found") throw error;
-  }
+  const newest = last()?.last_play;
+  if (newest) show(await whole(newest));
 }
 
 export function bindReceipt() {

@@ -1,7 +1,7 @@
 // The rendering of the drawn thing: the page asks the daemon for it, plays it as soon as it is found, and shows how near it comes once it is
 // judged. One rendering runs at a time: a newer one cancels the one before.
 
-import { call, order, put } from "./api.js";
+import { call, known, last, order, put } from "./api.js";
 import { rasters, responses, rows, verdict } from "./compare.js";
 import { refuse, say, speak } from "./control.js";
 import { plain } from "./words.js";
@@ -65,7 +65,8 @@ export class Rendering {
 
   // Shows a rendering of before, if the daemon has it still. Returns whether it has.
   async resume({ id, sha256 } = this.kept ?? this.#search ?? {}) {
-    if (id === undefined) return false;
+    // A daemon that was restarted counts from 1.
+    if (id === undefined || !(id <= last()?.last_search)) return false;
     const search = await call("GET", `/v1/searches/${id}`).catch(({ code }) => (code === "not-found" ? null : undefined));
     if (search === undefined || this.#isAsking || (this.#search && this.#search.id !== id)) return true;
     if (!search || search.method === null || (sha256 && search.rendered?.sha256 !== sha256) || !["running", "done"].includes(search.state)) return false;
@@ -186,6 +187,13 @@ export class Rendering {
     } catch (error) {
       refuse($("thing-feel"), error);
     }
+  }
+
+  // Says so when it is not known whether the rendering goes on.
+  doubt() {
+    if (this.#search?.state !== "running" || known()) return;
+    $("thing-note").textContent = "Whether the rendering goes on is not known.";
+    $("thing-busy").hidden = true;
   }
 
   // Stores the pattern under a name. Throws what the daemon says against it.

@@ -39,7 +39,7 @@ const WORDS = [
 // A sentence in the page's words. `text`: the `detail` of a problem.
 export function plain(text) {
   const words = WORDS.reduce((text, [from, to]) => text.replace(from, to), text.trim());
-  // A name at the beginning stays as it is.
-  const begins = text.startsWith("`") ? words : words.charAt(0).toUpperCase() + words.slice(1);
+  // A name at the beginning stays as it is, such as that of a file.
+  const begins = text.startsWith("`") ? words : words.replace(/^\p{Ll}+(?=[\s,:]|$)/u, (word) => word.charAt(0).toUpperCase() + word.slice(1));
   return /[.!?…]$/.test(begins) ? begins : `${begins}.`;
 }

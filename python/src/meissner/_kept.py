@@ -1,0 +1,73 @@
+"""The tokens of running sessions, kept in files of the user, so that the next run of a program that has crashed can go on.
+
+Each session has a file beside those of the command line. Its owner holds a lock on it, which the system releases when the process
+ends, however it ends.
+
+Invariant: only the user may read a file, and no other process takes a token whose owner still runs.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+from pathlib import Path
+
+try:
+    import fcntl
+except ImportError:  # Windows: sessions are not resumed there.
+    fcntl = None  # type: ignore[assignment]
+
+_held: dict[str, int] = {}
+"""The open files, by session."""
+
+
+def _file(session_id: str) -> Path | None:
+    runtime, home = os.environ.get("XDG_RUNTIME_DIR"), os.environ.get("HOME")
+    base = Path(runtime) if runtime else Path(home, ".local", "state") if home else None
+    if base is None or fcntl is None or not re.fullmatch(r"[\w-]{1,100}", session_id, re.ASCII):
+        return None
+    return base / "meissner" / f"session-{session_id}.token"
+
+
+def keep(session_id: str, token: str) -> None:
+    """Keeps a token. Where no file can hold it, the session is not resumed."""
+    path = _file(session_id)
+    if path is None:
+        return
+    with contextlib.suppress(OSError):
+        path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+        file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o600)
+        _held[session_id] = file
+        fcntl.lockf(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        os.write(file, f"{token}\n{session_id}\n".encode())
+
+
+def take(session_id: str) -> str | None:
+    """The kept token, for this process from now on; None: there is none. `BlockingIOError` if its owner still runs."""
+    path = _file(session_id)
+    if path is None:
+        return None
+    if session_id not in _held:
+        try:
+            file = os.open(path, os.O_RDWR)
+        except OSError:
+            return None
+        try:
+            fcntl.lockf(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            os.close(file)
+            raise BlockingIOError(f"{path} is locked") from error
+        _held[session_id] = file
+    found = re.match(rb"([0-9a-f]{1,64})\n", os.pread(_held[session_id], 100, 0))
+    return found[1].decode() if found else None
+
+
+def let_go(session_id: str, *, forget: bool) -> None:
+    """Leaves a session to the next run, or forgets its token."""
+    path, file = _file(session_id), _held.pop(session_id, None)
+    if forget and path is not None:
+        with contextlib.suppress(OSError):
+            path.unlink()
+    if file is not None:
+        os.close(file)

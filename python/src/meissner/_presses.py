@@ -1,0 +1,38 @@
+"""A press of a key or button, and when it was."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from .clocks import NS, Instant
+
+
+@dataclass(frozen=True)
+class Press:
+    """A press of a key or button by a participant."""
+
+    name: str
+    """Which one."""
+    monotonic_ns: int
+    """This process's `time.monotonic_ns()`."""
+    uncertainty: float
+    """Uncertainty of that, s: how late the device may have told it."""
+
+    @property
+    def monotonic(self) -> float:
+        """This process's `time.monotonic()`, s."""
+        return self.monotonic_ns / NS
+
+    def after(self, onset: Instant) -> float:
+        """The time since an onset, s."""
+        return (self.monotonic_ns - onset.monotonic_ns) / NS
+
+    def at(self, onset: Instant) -> Instant:
+        """The press on every clock, by an onset of about that time: the device's nearest tick, and the uncertainty of each clock, s."""
+        there = onset.later(self.after(onset))
+        return replace(
+            there,
+            host_uncertainty=there.monotonic_uncertainty + self.uncertainty,
+            monotonic_uncertainty=there.monotonic_uncertainty + self.uncertainty,
+            wall_uncertainty=there.wall_uncertainty + self.uncertainty,
+        )

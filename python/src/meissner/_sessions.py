@@ -1,0 +1,152 @@
+"""The methods of the client about sessions: start, resume and leave them, answers, what was played. Written as `_operations.py` explains."""
+
+from __future__ import annotations
+
+import contextlib
+from typing import Any
+
+from . import _http, _kept
+from ._bodies import Labels, texts
+from ._http import Op
+from ._operations import Accepted, Core, Owned, document, send, status, stop, wait_until_idle
+from ._presses import Press
+from .clocks import Instant
+from .errors import ApiError, NotFound, SessionOver, SessionRunning
+
+
+def session(
+    core: Core,
+    participant: str,
+    *,
+    exclusive: bool = False,
+    experiment: str | None = None,
+    seed: int | None = None,
+    labels: Labels = None,
+    resume: bool = False,
+) -> Op[dict[str, Any]]:
+    """Start a session that this client owns. `exclusive`: others may change nothing but stop.
+
+    Every play of this client belongs to it from now on. If the session ends without this client, as by a restart of the daemon,
+    plays raise `SessionOver` until the client has left it by its end, or starts another one.
+
+    `resume`: go on with the running session of this participant, if a program of this user on this machine has started it and has
+    ended without its end. Plays of that program are stopped. `SessionRunning` if that program still runs, or if the session is of
+    another participant. After an error in its block the session goes on, for the next run of the program.
+    """
+    if resume:
+        resumed = yield from _resumed(core, participant)
+        if resumed is not None:
+            return resumed
+    body = {
+        "participant": participant,
+        "exclusive": exclusive,
+        "experiment": experiment,
+        "seed": seed,
+        "labels": texts(labels),
+    }
+    answer = yield from send(core, _http.post("/v1/sessions", body))
+    started: dict[str, Any] = answer.json()
+    core.session = Owned(started["id"], started["token"], resume)
+    _kept.keep(started["id"], started["token"])
+    return {**started, "resumed": False}
+
+
+def _resumed(core: Core, participant: str) -> Op[dict[str, Any] | None]:
+    """The running session, taken over from a program that has ended; None: no session runs."""
+    try:
+        running: dict[str, Any] = yield from document(core, _http.get("/v1/sessions/running"))
+    except NotFound:
+        return None
+    name = f"session {running['id']} with participant `{running['participant']}` runs"
+    if running["participant"] != participant:
+        raise SessionRunning(
+            f"{name}: end it with `meissner session end`, or resume it for that participant", status=409
+        )
+    try:
+        token = _kept.take(running["id"])
+    except BlockingIOError:
+        raise SessionRunning(
+            f"{name}, and the program that has started it runs, too: end that first", status=409
+        ) from None
+    if token is None:
+        raise SessionRunning(
+            f"{name}, but its token is not kept for this user on this machine: end it with `meissner session end`",
+            status=409,
+        )
+    core.session = Owned(running["id"], token, True)
+    # A latched fault refuses the stop, and has stopped already.
+    with contextlib.suppress(ApiError):
+        yield from stop(core)
+    return {"id": running["id"], "record_problem": None, "resumed": True}
+
+
+def session_leave(core: Core, session_id: str, failed: bool) -> Op[None]:
+    """End a session after its plays have ended; after an error stop them first, and let a session that resumes go on.
+
+    One that is over already is left.
+    """
+    if not core.is_own or core.session is None:
+        return
+    goes_on = failed and core.session.resumes
+    if (yield from _runs(core, session_id)):
+        if failed:
+            # A latched fault refuses the stop, and has stopped already.
+            with contextlib.suppress(ApiError):
+                yield from stop(core)
+        if not goes_on:
+            yield from wait_until_idle(core)
+            # Somebody else may end it meanwhile.
+            with contextlib.suppress(NotFound, SessionOver):
+                yield from document(core, _http.post(f"/v1/sessions/{session_id}/end"))
+    _kept.let_go(session_id, forget=not goes_on)
+    if core.session is not None and core.session.id == session_id:
+        core.session = None
+
+
+def _runs(core: Core, session_id: str) -> Op[bool]:
+    state = yield from status(core)
+    running = state.raw["session"]
+    return running is not None and bool(running["id"] == session_id)
+
+
+def answer(
+    core: Core,
+    accepted: Accepted,
+    onset: Instant | None,
+    response: object,
+    correct: bool | None = None,
+    rt_ms: float | None = None,
+    level: float | None = None,
+    factors: Labels = None,
+) -> Op[None]:
+    """Record what the participant answered to a play of the running session. `response` and the factors are kept as text.
+
+    A `Press` has its time: from the play's `onset`.
+    """
+    given = dict(factors or {})
+    if isinstance(response, Press) and onset is not None:
+        at = response.at(onset)
+        given |= {"response_tick": at.tick, "response_uncertainty_s": f"{at.monotonic_uncertainty:.6f}"}
+        rt_ms = response.after(onset) * 1000 if rt_ms is None else rt_ms
+    said = response.name if isinstance(response, Press) else response
+    numbers = {"rt_ms": None if rt_ms is None else float(rt_ms), "level": None if level is None else float(level)}
+    body = {"response": str(said), "correct": None if correct is None else bool(correct), **numbers}
+    yield from document(core, _http.post(f"/v1/plays/{accepted.id}/answer", {**body, "factors": texts(given)}))
+
+
+def sessions(core: Core) -> Op[list[dict[str, Any]]]:
+    """List the recorded sessions."""
+    raw = yield from document(core, _http.get("/v1/sessions", timeout=60.0))
+    listed: list[dict[str, Any]] = raw["sessions"]
+    return listed
+
+
+def session_plays(core: Core, session_id: str) -> Op[dict[str, Any]]:
+    """The recorded plays of a session, all pages: keys `session`, `plays`, `complete`, `missing`, `lost`, `problems`."""
+    plays: list[dict[str, Any]] = []
+    while True:
+        path = f"/v1/sessions/{session_id}/plays?from={len(plays)}"
+        page: dict[str, Any] = yield from document(core, _http.get(path, timeout=60.0))
+        plays += page["plays"]
+        if not page["more"]:
+            return {**page, "plays": plays}

@@ -1,0 +1,244 @@
+"""Answers with times: the keys of a keyboard by evdev, and a button box on a serial line.
+
+    keys = Keys(keys={"KEY_LEFT": "left", "KEY_RIGHT": "right"})
+    keys.flush()
+    play = m.play("edge-45", seconds=0.3, trial=1)
+    play.wait()
+    press = keys.wait(timeout=3.0, after=play.onset)
+    session.answer(1, press, correct=press.name == "left")
+
+The kernel stamps a key when the keyboard reports it; a thread stamps a byte of a button box when it arrives. Both are times of
+`time.monotonic()`, as `play.onset.monotonic`. How late the device itself reports, `uncertainty` tells: its data sheet or a measurement
+has it. `Press.at(play.onset)` is the press on every clock, also the array's.
+
+Needs `pip install 'meissner[keys]'` (evdev, Linux) and `pip install 'meissner[buttons]'` (pyserial).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import os
+import queue
+import select
+import struct
+import threading
+import time
+from abc import ABC, abstractmethod
+from collections import deque
+from collections.abc import Iterable, Mapping
+from types import TracebackType
+from typing import Any, Protocol
+
+from .._presses import Press
+from ..clocks import NS, Instant
+from ..errors import MeissnerError
+
+_HOUR_NS = 3600 * NS
+_SET_CLOCK = 0x4004_45A0
+"""`EVIOCSCLOCKID` of linux/input.h."""
+
+
+class _Presses(ABC):
+    """What keyboards and button boxes have in common."""
+
+    def __init__(self, uncertainty: float) -> None:
+        self._uncertainty = uncertainty
+        self._since_ns = time.monotonic_ns()
+
+    def flush(self) -> None:
+        """Forget all presses so far: call it before each trial."""
+        self._since_ns = time.monotonic_ns()
+
+    def wait(self, timeout: float | None = None, *, after: Instant | None = None) -> Press | None:
+        """The next press since `flush`, and since the onset `after`; None: there was none for `timeout` s."""
+        deadline = math.inf if timeout is None else time.monotonic() + timeout
+        since_ns = self._since_ns if after is None else max(self._since_ns, after.monotonic_ns)
+        while (press := self._next(deadline - time.monotonic())) is not None:
+            if press.monotonic_ns >= since_ns:
+                return press
+        return None
+
+    @abstractmethod
+    def _next(self, seconds: float) -> Press | None:
+        """The next press, also an old one, within so many seconds, which may be infinite or below 0."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Close the device."""
+
+    def __enter__(self) -> Any:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+class InputDevice(Protocol):
+    """What `Keys` needs of an `evdev.InputDevice`."""
+
+    def fileno(self) -> int:
+        """What becomes readable with an event."""
+
+    def read(self) -> Iterable[Any]:
+        """The events that wait, with `type`, `code`, `value`, `sec` and `usec`."""
+
+    def close(self) -> None:
+        """Close it."""
+
+
+class Keys(_Presses):
+    """The keys of a keyboard, with the kernel's times. It may be read while another program has the keyboard, too."""
+
+    def __init__(
+        self,
+        device: str | os.PathLike[str] | InputDevice | None = None,
+        *,
+        keys: Mapping[str, str] | None = None,
+        uncertainty: float = 0.008,
+    ) -> None:
+        """`device`: a path such as `/dev/input/event3`, or an `evdev.InputDevice`; None: the first keyboard that this user may read.
+
+        `keys`: the names of the answers by evdev's names of the keys, such as `{"KEY_LEFT": "left"}`; other keys are no answers. Without it
+        every key is one, by its name without `KEY_`, in lower case. `uncertainty`: how late the keyboard may report a key, s; a USB
+        keyboard is asked every 8 ms at least, and many debounce some ms more.
+        """
+        try:
+            import evdev
+        except ImportError as error:
+            raise ImportError(f"keys need the package evdev: pip install 'meissner[keys]' ({error})") from error
+        super().__init__(uncertainty)
+        self._codes: Any = evdev.ecodes
+        self._names = keys
+        for name in keys or ():
+            if name not in self._codes.ecodes:
+                raise ValueError(f"`keys` has `{name}`, which is no key: names are as `KEY_LEFT`, `KEY_1`, `KEY_SPACE`")
+        try:
+            self._device: InputDevice = (
+                self._first(evdev)
+                if device is None
+                else evdev.InputDevice(os.fspath(device))
+                if isinstance(device, (str, os.PathLike))
+                else device
+            )
+        except OSError as error:
+            raise MeissnerError(
+                f"the keyboard {device} cannot be opened: {error.strerror}: may this user read it?"
+            ) from error
+        self._came: deque[Press] = deque()
+        # A device of one's own making has no such clock to set: `_press` checks what it tells.
+        with contextlib.suppress(OSError, ImportError):
+            import fcntl
+
+            fcntl.ioctl(self._device.fileno(), _SET_CLOCK, struct.pack("i", time.CLOCK_MONOTONIC))
+
+    def _first(self, evdev: Any) -> InputDevice:
+        for path in evdev.list_devices():
+            device = evdev.InputDevice(path)
+            if self._codes.KEY_SPACE in device.capabilities().get(self._codes.EV_KEY, ()):
+                found: InputDevice = device
+                return found
+            device.close()
+        raise MeissnerError(
+            "this user may read no keyboard: add the user to the group `input`, log in again, or give `device`"
+        )
+
+    def _next(self, seconds: float) -> Press | None:
+        deadline = time.monotonic() + seconds
+        while not self._came:
+            left = deadline - time.monotonic()
+            ready, _, _ = select.select([self._device], [], [], None if math.isinf(left) else max(0.0, left))
+            try:
+                self._came += [
+                    press for event in (self._device.read() if ready else ()) if (press := self._press(event))
+                ]
+            except OSError as error:
+                raise MeissnerError(f"the keyboard is gone: {error.strerror}") from error
+            if not ready:
+                return None
+        return self._came.popleft()
+
+    def _press(self, event: Any) -> Press | None:
+        # A release is 0, and a key that is held repeats as 2.
+        if event.type != self._codes.EV_KEY or event.value != 1:
+            return None
+        named = self._codes.bytype[event.type].get(event.code, f"KEY_{event.code}")
+        names = [named] if isinstance(named, str) else list(named)
+        if self._names is None:
+            name = names[0].removeprefix("KEY_").lower()
+        else:
+            known = [self._names[each] for each in names if each in self._names]
+            if not known:
+                return None
+            name = known[0]
+        stamp_ns = event.sec * NS + event.usec * 1000
+        if not 0 <= time.monotonic_ns() - stamp_ns < _HOUR_NS:
+            raise MeissnerError("the keyboard's times are not of CLOCK_MONOTONIC: give the path of its device")
+        return Press(name, stamp_ns, self._uncertainty)
+
+    def close(self) -> None:
+        """Close the device."""
+        self._device.close()
+
+
+class ButtonBox(_Presses):
+    """A box that sends a byte for each press on a serial line. A thread stamps each byte as it arrives."""
+
+    def __init__(
+        self,
+        port: str,
+        *,
+        buttons: Mapping[bytes, str] | None = None,
+        baudrate: int = 115_200,
+        uncertainty: float = 0.016,
+    ) -> None:
+        """`port`: such as `/dev/ttyUSB0` or `COM3`. `buttons`: the names of the answers by byte; other bytes are no answers. Without it
+        each byte is one, as its character. `uncertainty`: how late a byte may arrive, s; USB adapters hold bytes for up to 16 ms, unless
+        their latency timer is set to 1 ms.
+        """
+        try:
+            import serial
+        except ImportError as error:
+            raise ImportError(
+                f"button boxes need the package pyserial: pip install 'meissner[buttons]' ({error})"
+            ) from error
+        super().__init__(uncertainty)
+        self._buttons = buttons
+        try:
+            self._serial: Any = serial.Serial(port, baudrate, timeout=0.1)
+        except serial.SerialException as error:
+            raise MeissnerError(f"the button box at {port} cannot be opened: {error}") from error
+        self._came: queue.SimpleQueue[Press | Exception] = queue.SimpleQueue()
+        self._is_closed = False
+        self._thread = threading.Thread(target=self._read, name="meissner-buttons", daemon=True)
+        self._thread.start()
+
+    def _read(self) -> None:
+        while not self._is_closed:
+            try:
+                byte = self._serial.read(1)
+            except Exception as error:
+                self._came.put(error)
+                return
+            stamp_ns = time.monotonic_ns()
+            name = byte.decode("latin-1") if self._buttons is None else self._buttons.get(byte)
+            if byte and name is not None:
+                self._came.put(Press(name, stamp_ns, self._uncertainty))
+
+    def _next(self, seconds: float) -> Press | None:
+        try:
+            came = self._came.get(timeout=None if math.isinf(seconds) else max(0.0, seconds))
+        except queue.Empty:
+            return None
+        if isinstance(came, Exception):
+            self._came.put(came)
+            raise MeissnerError(f"the button box is gone: {came}") from came
+        return came
+
+    def close(self) -> None:
+        """Close the port."""
+        self._is_closed = True
+        self._thread.join()
+        self._serial.close()

@@ -1,0 +1,162 @@
+"""Keys, button boxes and questions, at devices that these tests make: a pipe of the kernel's events, and pseudoterminals."""
+
+from __future__ import annotations
+
+import os
+import pty
+import struct
+import subprocess
+import sys
+import time
+import tty
+from collections.abc import Iterator
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+import meissner
+from meissner.errors import MeissnerError
+from meissner.experiment import ButtonBox, Keys, Press
+
+EVENT = struct.Struct("llHHi")
+"""`struct input_event` of linux/input.h on 64-bit machines: time (s, us), type, code, value."""
+EV_SYN, EV_KEY = 0, 1
+LEFT, RIGHT, A = 105, 106, 30
+"""Of linux/input-event-codes.h."""
+
+
+class Pipe:
+    """A keyboard: the bytes that the kernel gives."""
+
+    def __init__(self) -> None:
+        self._reading, self._writing = os.pipe()
+
+    def fileno(self) -> int:
+        return self._reading
+
+    def read(self) -> Iterator[Any]:
+        for sec, usec, kind, code, value in EVENT.iter_unpack(os.read(self._reading, 64 * EVENT.size)):
+            yield SimpleNamespace(sec=sec, usec=usec, type=kind, code=code, value=value)
+
+    def close(self) -> None:
+        os.close(self._reading)
+        os.close(self._writing)
+
+    def send(self, code: int, value: int = 1, *, ns: int | None = None) -> int:
+        """A key and its report. Returns when it was, in whole us."""
+        us = (time.monotonic_ns() if ns is None else ns) // 1000
+        for event in ((EV_KEY, code, value), (EV_SYN, 0, 0)):
+            os.write(self._writing, EVENT.pack(us // 10**6, us % 10**6, *event))
+        return us * 1000
+
+
+def test_a_key_has_the_time_of_the_kernel() -> None:
+    pytest.importorskip("evdev")
+    pipe = Pipe()
+    with Keys(pipe, keys={"KEY_LEFT": "left", "KEY_RIGHT": "right"}, uncertainty=0.01) as keys:
+        assert keys.wait(timeout=0) is None
+        pipe.send(LEFT)
+        keys.flush()
+        pipe.send(A)
+        stamp_ns = pipe.send(RIGHT)
+        pipe.send(RIGHT, 2)
+        pipe.send(RIGHT, 0)
+        # The kernel's time has whole us, so it may lie just before `flush`.
+        press = keys.wait(timeout=60)
+        assert press == Press("right", stamp_ns, 0.01)
+        assert keys.wait(timeout=0) is None
+    pipe = Pipe()
+    with Keys(pipe) as keys:
+        pipe.send(A, ns=time.monotonic_ns() + 10**6)
+        time.sleep(0.002)
+        press = keys.wait(timeout=60)
+        assert press is not None
+        assert press.name == "a"
+        pipe.send(A, ns=time.time_ns())
+        with pytest.raises(MeissnerError, match="not of CLOCK_MONOTONIC"):
+            keys.wait(timeout=60)
+
+
+def test_keys_that_are_none_are_refused() -> None:
+    pytest.importorskip("evdev")
+    with pytest.raises(ValueError, match="`LEFT`, which is no key"):
+        Keys(Pipe(), keys={"LEFT": "left"})
+    with pytest.raises(MeissnerError, match="/dev/none cannot be opened: No such file"):
+        Keys("/dev/none")
+
+
+def test_a_press_is_recorded_on_the_clock_of_the_device(m: meissner.Client) -> None:
+    pytest.importorskip("evdev")
+    pipe = Pipe()
+    with m.session("P07") as session, Keys(pipe, uncertainty=0.004) as keys:
+        pipe.send(LEFT)
+        play = m.play("pin-60", 0.05, trial=1)
+        play.wait()
+        pipe.send(RIGHT, ns=play.onset.monotonic_ns - 10**7)
+        pressed_ns = pipe.send(LEFT, ns=play.onset.monotonic_ns + 40_000_000)
+        press = keys.wait(timeout=60, after=play.onset)
+        assert press is not None
+        session.answer(1, press, correct=press.name == "left")
+        (row,) = session.plays
+    answer = row["answer"]
+    assert (answer["response"], answer["correct"]) == ("left", True)
+    after_s = (pressed_ns - play.onset.monotonic_ns) / 1e9
+    assert answer["rt_ms"] == pytest.approx(after_s * 1000, abs=1e-6)
+    assert int(answer["factors"]["response_tick"]) == play.onset.tick + round(after_s * 85_000)
+    uncertainty = float(answer["factors"]["response_uncertainty_s"])
+    assert 0.004 < uncertainty < 0.004 + play.onset.monotonic_uncertainty + 0.001
+    assert press.at(play.onset).wall == pytest.approx(play.onset.wall + after_s, abs=1e-4)
+
+
+def test_a_button_box_speaks_on_a_serial_line() -> None:
+    pytest.importorskip("serial")
+    box, line = pty.openpty()
+    tty.setraw(line)
+    with ButtonBox(os.ttyname(line), buttons={b"1": "left", b"2": "right"}, uncertainty=0.002) as buttons:
+        os.write(box, b"1")
+        # The thread has it: only then is it old.
+        assert (early := buttons.wait(timeout=60)) is not None
+        os.write(box, b"1")
+        while buttons._came.empty():
+            time.sleep(0.001)
+        buttons.flush()
+        begun_ns = time.monotonic_ns()
+        os.write(box, b"x2")
+        press = buttons.wait(timeout=60)
+        assert press is not None
+        assert (early.name, press.name, press.uncertainty) == ("left", "right", 0.002)
+        assert begun_ns <= press.monotonic_ns <= time.monotonic_ns()
+        assert buttons.wait(timeout=0) is None
+        os.close(box)
+        with pytest.raises(MeissnerError, match="the button box is gone"):
+            buttons.wait(timeout=60)
+    os.close(line)
+    with pytest.raises(MeissnerError, match="cannot be opened"):
+        ButtonBox("/dev/none")
+
+
+def test_a_question_does_not_take_what_was_typed_before() -> None:
+    terminal, line = pty.openpty()
+    go, going = os.pipe()
+    code = "import os; from meissner.experiment import ask; print('ready', flush=True); "
+    code += f"os.read({go}, 1); print('said', ask('Which?'))"
+    command = [sys.executable, "-c", code]
+    script = subprocess.Popen(command, stdin=line, stdout=line, stderr=line, pass_fds=(go,))
+    os.close(line)
+    said = b""
+
+    def until(text: bytes) -> None:
+        nonlocal said
+        while text not in said:
+            said += os.read(terminal, 1000)
+
+    until(b"ready")
+    os.write(terminal, b"1\n")
+    until(b"1\r\n")
+    os.write(going, b"!")
+    until(b"Which?")
+    os.write(terminal, b"2\n")
+    until(b"said 2")
+    script.wait()
+    os.close(terminal)
