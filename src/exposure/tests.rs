@@ -68,7 +68,7 @@ fn a_play_without_end_is_stopped_before_it_passes_the_limit() {
     assert!((9.5..=9.7).contains(&played), "{played}");
     let refused = check_next(&mut account, at(112.0), &play(None)).unwrap_err();
     assert_eq!(refused.limit, Limit::Continuous);
-    let says = "`participant.max_continuous_s` allows 10 s of vibration without a pause: 0.4 s are left; play again after a pause of 5 s";
+    let says = "limit for participants: `participant.max_continuous_s` allows 10 s of vibration without a pause: 0.4 s are left; play again after a pause of 5 s";
     assert!(refused.text().starts_with(says), "{}", refused.text());
     assert_eq!(check_next(&mut account, at(116.0), &play(None)), Ok(()), "after a pause");
 }

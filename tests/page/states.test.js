@@ -93,61 +93,59 @@ test("a state that is older than a second is not known, and an answer that was h
   });
 });
 
-// What runs when the daemon is killed: its view, what begins it, and where the page says what before, without the daemon and of the next
-// one. Sessions have a test of their own.
-const RUNNING = {
-  play: {
-    view: "play",
-    begin: (page, daemon) => daemon.run("play", "pin-60", "--seconds", "600"),
-    says: [["touch", "Pins vibrate."], ["touch", "The state is not known"], ["touch", "the place of the pins is not known"]],
-  },
-  search: {
-    view: "design",
-    async begin(page) {
-      await page.$eval("#paper", (details) => (details.open = true));
-      await shows(page, "load", "edge-45");
-      await page.select("#load", "edge-45");
-      await page.waitForSelector("#find:not([disabled])");
-      await page.$eval("#budget", (field) => (field.value = "600"));
-      await press(page, "#find");
-    },
-    says: [["search-progress", "evaluations"], ["search-progress", "Whether the search goes on is not known."], ["search-note", "the search and what it found are gone"]],
-  },
-  live: {
-    view: "design",
-    async begin(page) {
-      await page.select("#shape", "dots");
-      await page.$eval("#points", (field) => ((field.value = "0 0"), field.dispatchEvent(new Event("change"))));
-      await press(page, "#thing-live-start");
-      await shows(page, "state-text", "Playing live");
-    },
-    says: [["thing-live-note", "pressed by 500 µm"], ["thing-live-note", "The connection is lost"], ["state-text", "Disarmed"]],
-  },
+// The daemon is killed in what `begin` begins in a view, and started again. `says`: where the page tells of it, and what, before, without the
+// daemon and with the next one. Sessions have a test of their own.
+const killed = (name, begin, [before, dead, after]) => async () => {
+  const daemon = await new Daemon().start();
+  const page = await open(daemon);
+  await arm(page);
+  await view(page, name);
+  await begin(page, daemon);
+  await shows(page, ...before);
+  await daemon.end("SIGKILL");
+  await labelled(page, "not known");
+  assert.deepEqual(await finger(page), { label: "What the pins do is not known.", moving: [], marks: 24 });
+  assert.equal(await page.$eval("#state", (state) => state.dataset.state), "unknown");
+  await shows(page, "touch", "The state is not known");
+  await shows(page, "finger-note", "What the pins do is not known.");
+  await shows(page, ...dead);
+  assert.equal(await page.$eval("#disarm", (button) => button.disabled), false, "what makes pins still may be tried");
+  await daemon.start();
+  await shows(page, "state-text", "Disarmed");
+  await shows(page, ...after);
+  assert.deepEqual((await finger(page)).moving, []);
+  await arm(page);
 };
-for (const [what, { view: name, begin, says: [before, dead, after] }] of Object.entries(RUNNING)) {
-  test(`a daemon that is killed in a ${what} is not known, and the next one has nothing of it`, async () => {
-    const daemon = await new Daemon().start();
-    const page = await open(daemon);
-    await arm(page);
-    await view(page, name);
-    await begin(page, daemon);
-    await shows(page, ...before);
-    if (what === "play") await page.waitForSelector('.finger .hand[visibility="visible"]');
-    await daemon.end("SIGKILL");
-    await labelled(page, "not known");
-    assert.deepEqual(await finger(page), { label: "What the pins do is not known.", moving: [], marks: 24 });
-    assert.equal(await page.$eval("#state", (state) => state.dataset.state), "unknown");
-    await shows(page, "touch", "The state is not known");
-    await shows(page, "finger-note", "What the pins do is not known.");
-    await shows(page, ...dead);
-    assert.equal(await page.$eval("#disarm", (button) => button.disabled), false, "what makes pins still may be tried");
-    await daemon.start();
-    await shows(page, "state-text", "Disarmed");
-    await shows(page, ...after);
-    assert.deepEqual((await finger(page)).moving, []);
-    await arm(page);
-  });
-}
+
+const playing = async (page, daemon) => {
+  await daemon.run("play", "pin-60", "--seconds", "600");
+  await labelled(page, "1 of 24 pins vibrate");
+};
+test("the finger stops and is marked when the daemon dies in a play, and the next daemon has no play", killed("play", playing, [
+  ["touch", "Pins vibrate."], ["touch", "The state is not known"], ["touch", "the place of the pins is not known"],
+]));
+
+const searching = async (page) => {
+  await page.$eval("#paper", (details) => (details.open = true));
+  await shows(page, "load", "edge-45");
+  await page.select("#load", "edge-45");
+  await page.waitForSelector("#find:not([disabled])");
+  await page.$eval("#budget", (field) => (field.value = "600"));
+  await press(page, "#find");
+};
+test("a search is not known when the daemon dies, and the next daemon has none", killed("design", searching, [
+  ["search-progress", "evaluations"], ["search-progress", "Whether the search goes on is not known."], ["search-note", "the search and what it found are gone"],
+]));
+
+const dragging = async (page) => {
+  await page.select("#shape", "dots");
+  await page.$eval("#points", (field) => ((field.value = "0 0"), field.dispatchEvent(new Event("change"))));
+  await press(page, "#thing-live-start");
+  await shows(page, "state-text", "Playing live");
+};
+test("a live play has lost its connection when the daemon dies, and the next daemon is disarmed", killed("design", dragging, [
+  ["thing-live-note", "pressed by 500 µm"], ["thing-live-note", "The connection is lost"], ["state-text", "Disarmed"],
+]));
 
 test("all drives of a pattern have hands, also those that a receipt does not list", async () => {
   const daemon = await new Daemon().start();

@@ -246,8 +246,8 @@ fn errors(operation: &Operation) -> Map<String, Value> {
 mod tests {
     use super::*;
     use crate::{
-        ArmRequest, CalibrateRequest, LiveMessage, LiveRequest, PlayAnswer, PlayRequest, ResetRequest,
-        SearchRequest, SequenceRequest, SessionRequest, TokenRequest,
+        ArmRequest, CalibrateRequest, DisarmRequest, LiveMessage, LiveRequest, PlayAnswer, PlayRequest,
+        ResetRequest, SearchRequest, SequenceRequest, SessionRequest, TokenRequest,
     };
     use std::collections::BTreeSet;
 
@@ -277,6 +277,7 @@ mod tests {
             ("LiveDrive", "/drives/0", &message),
             ("ArmRequest", "", &(json!({}), read!(ArmRequest))),
             ("ResetRequest", "", &(json!({}), read!(ResetRequest))),
+            ("DisarmRequest", "", &(json!({}), read!(DisarmRequest))),
             ("CalibrateRequest", "", &(json!({}), read!(CalibrateRequest))),
             ("SearchRequest", "", &(json!({"target": "dot"}), read!(SearchRequest))),
             ("SessionRequest", "", &(json!({"participant": "P07"}), read!(SessionRequest))),

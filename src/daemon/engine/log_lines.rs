@@ -141,7 +141,7 @@ mod tests {
         let odd = || "x\n2026-11-22T00:00:00Z  INFO estop by ada\r\u{1b}[2J\u{9b}\u{2028}\u{202e}".to_owned();
         let (commands, settings) = (queues().unwrap().1, Settings::of(meissner_array::spec::Array::paper()));
         let engine = Engine::new(commands, settings, odd(), None);
-        let (simulated, telemetry) = (true, true);
+        let (simulated, telemetry) = (true, false);
         let device = DeviceInfo { kind: odd(), firmware: odd(), build: odd(), boot: 1, simulated, telemetry };
         let mut receipt = Receipt::new(3, &odd(), &odd(), None);
         receipt.cause = Some(odd().into());

@@ -79,7 +79,7 @@ impl Armed {
             self.holders.remove(0);
         }
         self.holders.push(Holder { number, caller, name, silence, heard });
-        self.was_silent = false;
+        (self.mover, self.was_silent) = (None, false);
         number
     }
 

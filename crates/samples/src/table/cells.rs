@@ -104,7 +104,7 @@ fn is_date(cell: &str) -> bool {
 /// Whether a cell says that there is no value: empty, or a word or signs that instruments write then.
 #[must_use]
 pub fn is_missing(cell: &str) -> bool {
-    const WORDS: [&str; 24] = [
+    const WORDS: &[&str] = &[
         "nan",
         "inf",
         "infinity",
