@@ -146,3 +146,76 @@ def test_temporal_order_at_5_ms_gives_pse_and_jnd(lab: meissner.Client, tmp_path
     pse, width = likeliest(pairs, answers, lambda soa, pse, width: logistic((soa - pse) / width))
     assert pse == pytest.approx(pse_ms, abs=4)
     assert width == pytest.approx(width_ms, rel=0.5)
+
+
+def test_apparent_motion_with_overlap_gives_the_asynchrony_at_which_two_taps_become_one_motion(
+    lab: meissner.Client, tmp_path: Path
+) -> None:
+    """Two pins in one after the other, the second while the first still vibrates; longer than some 35 ms apart they are two."""
+    chance = random.Random(8)
+    with lab.session("P07", experiment="motion") as session:
+        for trial in constant_stimuli([10, 20, 30, 40, 55, 70], repeats=16, seed=2):
+            pins: list[dict[str, Any]] = [
+                {"pattern": "pin-60"},
+                {"drives": [{"motor": 14, "frequency_hz": 60.0, "amplitude_um": 40.0}], "start": trial["level"] / 1000},
+            ]
+            lab.sequence(pins, seconds=0.1, trial=trial.number).wait()
+            moves = chance.random() < logistic((35 - trial["level"]) / 6)
+            session.answer(trial, "one" if moves else "two")
+    lab.export_bids(session.id, tmp_path, displacement_hz=None)
+    answers = []
+    rows = events(tmp_path)
+    for first, second in zip(rows[::2], rows[1::2], strict=True):
+        soa_s = float(second["onset"]) - float(first["onset"])
+        assert first["trial"] == second["trial"]
+        assert soa_s < float(first["duration"]), "they overlap"
+        answers.append((round(1000 * soa_s), first["response"] == "one"))
+    assert len(answers) == 96
+    pairs = list(itertools.product(grid(15, 60, 46), grid(2, 20, 37)))
+    limit, width = likeliest(pairs, answers, lambda soa, limit, width: logistic((limit - soa) / width))
+    assert limit == pytest.approx(35, abs=6)
+    assert width == pytest.approx(6, rel=0.6)
+
+
+def test_noise_that_masks_raises_the_threshold(lab: meissner.Client, tmp_path: Path) -> None:
+    """A tone of one pin beside noise of its neighbour: the amplitude that is felt in half of the trials, with and without noise."""
+    chance = random.Random(6)
+    thresholds = {"0": 20.0, "60": 40.0}
+    with lab.session("P07", experiment="masking") as session:
+        number = itertools.count(1)
+        for mask, trial in itertools.product(thresholds, constant_stimuli([10, 20, 30, 40, 60], repeats=12, seed=1)):
+            drives = [{"motor": 9, "frequency_hz": 60.0, "amplitude_um": trial["level"]}]
+            noise = [
+                {"motor": 10, "duration_s": 0.2, "low_hz": 5.0, "high_hz": 40.0, "peak_um": float(mask), "seed": 1}
+            ]
+            masked = {"noise": noise} if mask != "0" else {}
+            play = lab.play({"name": "target", "duration_s": 0.2, "drive": drives, **masked}, trial=next(number))
+            play.wait()
+            felt = chance.random() < logistic((trial["level"] - thresholds[mask]) / 6)
+            play.answer("yes" if felt else "no", level=trial["level"], factors={"mask_um": mask})
+    lab.export_bids(session.id, tmp_path, displacement_hz=None)
+    rows = events(tmp_path)
+    assert len(rows) == 120
+    for mask, threshold in thresholds.items():
+        of = [(float(row["level"]), row["response"] == "yes") for row in rows if row["factor_mask_um"] == mask]
+        pairs = list(itertools.product(grid(5, 60, 111), [6.0]))
+        found, _ = likeliest(pairs, of, lambda level, at, width: logistic((level - at) / width))
+        assert found == pytest.approx(threshold, abs=8)
+
+
+def test_reaction_times_stand_beside_the_codes_of_the_trigger(lab: meissner.Client, tmp_path: Path) -> None:
+    """An EEG amplifier gets the code of the condition at the onset; the weaker stimulus is answered 80 ms later."""
+    chance = random.Random(5)
+    medians_ms = {11: 300.0, 12: 380.0}
+    with lab.session("P07", experiment="reactions") as session:
+        for trial in constant_stimuli(list(medians_ms), repeats=40, seed=7):
+            code = int(trial["level"])
+            lab.play("edge-45", 0.03, scale=1.0 if code == 11 else 0.3, trigger=code, trial=trial.number).wait()
+            session.answer(trial, "felt", rt_ms=medians_ms[code] * math.exp(chance.gauss(0, 0.15)))
+    lab.export_bids(session.id, tmp_path, displacement_hz=None)
+    rows = events(tmp_path)
+    assert len(rows) == 80
+    for code, median_ms in medians_ms.items():
+        times_s = [float(row["response_time"]) for row in rows if row["trigger_code"] == str(code)]
+        assert len(times_s) == 40
+        assert 1000 * statistics.median(times_s) == pytest.approx(median_ms, rel=0.1)
