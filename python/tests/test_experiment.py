@@ -12,6 +12,7 @@ import statistics
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -231,10 +232,10 @@ LOG = (
 ROWS = list(csv.reader(LOG.splitlines(keepends=True)))
 
 
-def saved(delimiter: str = ",", end: str = "\r\n", quoting: int = csv.QUOTE_MINIMAL) -> str:
+def saved(delimiter: str = ",", end: str = "\r\n", quoting: Any = csv.QUOTE_MINIMAL) -> str:
     """The log as a spreadsheet saves it."""
     buffer = io.StringIO(newline="")
-    csv.writer(buffer, delimiter=delimiter, lineterminator=end, quoting=quoting).writerows(ROWS)  # type: ignore[call-overload]
+    csv.writer(buffer, delimiter=delimiter, lineterminator=end, quoting=quoting).writerows(ROWS)
     return buffer.getvalue()
 
 
@@ -322,8 +323,9 @@ def test_a_log_refuses_trials_that_it_cannot_take_before_they_are_played(tmp_pat
     ],
 )
 def test_a_factor_with_the_name_of_a_column_of_the_log_is_refused_in_the_list(name: str) -> None:
+    factors: dict[str, Any] = {name: [1, 2]}
     with pytest.raises(ValueError, match=f"the factor `{name}` has the name of a column that the log writes"):
-        trials(seed=1, **{name: [1, 2]})
+        trials(seed=1, **factors)
 
 
 def test_the_names_that_factors_may_not_have_are_those_of_the_log(m: meissner.Client) -> None:
