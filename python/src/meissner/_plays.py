@@ -7,7 +7,7 @@ from __future__ import annotations
 import contextlib
 import warnings
 from collections.abc import Generator
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from ._bodies import Labels
 from ._operations import Accepted
@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
     from .experiment.trials import Trial
+
+P = TypeVar("P")
 
 
 class KnownPlay:
@@ -87,6 +89,16 @@ def trial_answer(trial: Trial | int, level: float | None, factors: Labels) -> tu
     if level is None and isinstance(own.get("level"), (int, float)):
         level = own.pop("level")
     return trial.number, level, own
+
+
+def played_in(trials: Mapping[Any, P], number: int) -> P:
+    """The newest play of a trial. `MeissnerError`: this program has played nothing in it."""
+    try:
+        return trials[number]
+    except KeyError:
+        raise MeissnerError(
+            f"this program has played nothing in trial {number}: play with `trial={number}` first"
+        ) from None
 
 
 def answered(plays: Iterable[Mapping[str, Any]], factors: Mapping[str, Any]) -> list[tuple[float, bool]]:

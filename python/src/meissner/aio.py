@@ -19,7 +19,7 @@ from ._alive import Alive
 from ._bodies import Labels
 from ._http import Answer, Op, Pause, Step
 from ._operations import Accepted, Core
-from ._plays import KnownPlay, answered, quietly, trial_answer, unanswered
+from ._plays import KnownPlay, answered, played_in, quietly, trial_answer, unanswered
 from ._presses import Press
 from ._sse import Event, EventParser
 from ._transport import AsyncTransport
@@ -167,9 +167,7 @@ class AsyncSession:
     ) -> None:
         """Record the answer in a trial. As `Session.answer`."""
         number, level, own = trial_answer(trial, level, factors)
-        play = self._client.trials.get(number)
-        if play is None:
-            raise MeissnerError(f"this program has played nothing in trial {number}: play with `trial={number}` first")
+        play = played_in(self._client.trials, number)
         await play.answer(response, correct=correct, rt_ms=rt_ms, level=level, factors=own)
 
     @property

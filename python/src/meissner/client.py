@@ -15,7 +15,7 @@ from ._alive import Alive
 from ._bodies import Labels
 from ._http import Op
 from ._operations import Accepted, Core
-from ._plays import KnownPlay, answered, quietly, trial_answer, unanswered
+from ._plays import KnownPlay, answered, played_in, quietly, trial_answer, unanswered
 from ._presses import Press
 from ._sse import Event, EventParser
 from ._transport import BlockingTransport
@@ -170,9 +170,7 @@ class Session:
     ) -> None:
         """Record the answer in a trial, to its newest play. As `Play.answer`; the factors of a `Trial` are those of the answer, too."""
         number, level, own = trial_answer(trial, level, factors)
-        play = self._client.trials.get(number)
-        if play is None:
-            raise MeissnerError(f"this program has played nothing in trial {number}: play with `trial={number}` first")
+        play = played_in(self._client.trials, number)
         play.answer(response, correct=correct, rt_ms=rt_ms, level=level, factors=own)
 
     @property

@@ -311,7 +311,7 @@ mod tests {
         let second = armed.hold(process(11), "b".to_owned(), for_s(10));
         wait(&mut armed, 11);
         assert_eq!(armed.until_silent(second), Some(Duration::ZERO));
-        assert!(!armed.passes_on(second), "nobody was heard in these 10 s");
+        assert!(!armed.passes_on(second), "the first one was not heard in the last 10 s");
         armed.hear(&process(10));
         assert!(armed.passes_on(second), "the first one is there");
         assert!(armed.until_silent(second).is_none() && armed.until_silent(first).is_some());
