@@ -1,6 +1,6 @@
 //! Passes to the firmware the numbers of its array and a hash of its sources, and to the linker the memory layout.
 //!
-//! `MEISSNER_ARRAY` names the description of the array; without it, it is the paper's. The handshake reports the hash of the sources
+//! `MEISSNER_TRIGGER=input` makes the trigger output an input. `MEISSNER_ARRAY` names the description of the array; without it, it is the paper's. The handshake reports the hash of the sources
 //! as the build. A description that the chip cannot follow exactly is refused in one line.
 
 mod clock;
@@ -21,7 +21,8 @@ fn main() {
 
     println!("cargo:rerun-if-env-changed=MEISSNER_ARRAY");
     let description = env::var_os("MEISSNER_ARRAY").map_or_else(|| PathBuf::from(PAPER), PathBuf::from);
-    match read(&description).and_then(|array| numbers(&array)) {
+    println!("cargo:rerun-if-env-changed=MEISSNER_TRIGGER");
+    match trigger_is_input().and_then(|input| numbers(&read(&description)?, input)) {
         Ok(text) => fs::write(out.join("array.rs"), text).expect("the numbers can be written"),
         // Cargo prints the line and ends.
         Err(line) => {
@@ -55,8 +56,19 @@ fn read(path: &Path) -> Result<ArraySpec, String> {
     ArraySpec::parse(&text, &file).map_err(|error| error.to_string())
 }
 
+/// Whether GPIO 27 is the trigger input instead of the trigger output.
+fn trigger_is_input() -> Result<bool, String> {
+    match env::var("MEISSNER_TRIGGER").as_deref() {
+        Err(_) | Ok("" | "output") => Ok(false),
+        Ok("input") => Ok(true),
+        Ok(other) => {
+            Err(format!("MEISSNER_TRIGGER is `{other}`: set it to `input` or `output`, or leave it out"))
+        }
+    }
+}
+
 /// The numbers as Rust constants.
-fn numbers(array: &ArraySpec) -> Result<String, String> {
+fn numbers(array: &ArraySpec, trigger_is_input: bool) -> Result<String, String> {
     let layout = array.layout();
     let id = layout.id();
     let motors = layout.motors();
@@ -72,6 +84,7 @@ fn numbers(array: &ArraySpec) -> Result<String, String> {
     let mut number = |name: &str, kind: &str, value: String| {
         let _ = writeln!(text, "pub(crate) const {name}: {kind} = {value};");
     };
+    number("TRIGGER_IS_INPUT", "bool", trigger_is_input.to_string());
     number("NAME", "&str", format!("{:?}", id.name.as_str()));
     number("TICK_HZ", "u32", id.tick_hz.to_string());
     number("DUTY_UP", "u16", id.duty_up.to_string());

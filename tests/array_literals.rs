@@ -57,6 +57,8 @@ const OTHERS: &[(&str, &str, &str)] = &[
     ("python/src/meissner/_live.py", "24", "messages without an answer"),
     ("python/src/meissner/arrays.py", "85000", "records and daemons from before arrays had names"),
     ("python/src/meissner/arrays.py", "2.9", "as above"),
+    ("python/src/meissner/arrays.py", "11.5", "as above"),
+    ("python/src/meissner/arrays.py", "4.3", "as above"),
     ("python/matlab/Meissner.m", "85000", "receipts from before arrays had names"),
 ];
 

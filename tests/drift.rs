@@ -48,12 +48,12 @@ fn a_drifting_array_ends_plays_refuses_them_and_asks_for_a_check() {
     let _: Value = client.post("/v1/play", &play).unwrap();
     assert_eq!(ended(&mut events).state.name(), "done");
     assert!(daemon.log().contains("arm, assuming rest, pins checked by \"Ada\""), "{}", daemon.log());
-    drop(daemon);
-    let recorded: String = fs::read_dir(&logbook)
-        .unwrap()
-        .filter_map(|file| fs::read_to_string(file.unwrap().path()).ok())
-        .collect();
-    assert!(recorded.contains("\"checked\":\"Ada\""), "{recorded}");
+    let recorded = || -> String {
+        let files = fs::read_dir(&logbook).unwrap();
+        files.filter_map(|file| fs::read_to_string(file.unwrap().path()).ok()).collect()
+    };
+    // The disk may be slow.
+    wait_until(|| recorded().contains("\"checked\":\"Ada\""));
 }
 
 #[test]

@@ -512,7 +512,7 @@ fn the_page_loads_without_a_token_and_says_what_the_browser_has() {
     assert!(again.starts_with("HTTP/1.1 304 ") && bytes == 0, "{again}");
     let page = String::from_utf8(page).unwrap();
     let named: Vec<&str> = page.split('"').filter(|part| part.starts_with("page/")).collect();
-    assert!(named.contains(&"page/estop.js") && named.len() >= 4, "{named:?}");
+    assert!(named.iter().any(|name| name.ends_with("/estop.js")) && named.len() >= 4, "{named:?}");
     for name in named.into_iter().chain(["favicon.ico"]) {
         let (head, ..) = unpacked(&address, &format!("GET /{name}"), "");
         assert!(head.starts_with("HTTP/1.1 200 "), "{name}: {head}");

@@ -11,12 +11,12 @@ use crate::harness::{Daemon, TIMEOUT, assert_up_to_date, next, problem};
 use meissner_api::ArrayDetails;
 use meissner_api::route::{Answer, Body};
 use meissner_api::{
-    AnswerTaken, ArmRequest, CalibrateRequest, CalibrationReport, Code, DisarmRequest, DoctorReport, Event,
-    ImportedPattern, LiveAccepted, LiveAnswer, LiveRequest, Method, PatternDetails, PatternList,
-    PatternPreview, PlanCheck, PlayAccepted, PlayAnswer, PlayRequest, Problem, REFERENCE, Receipt,
-    RemovedPattern, RemovedTarget, ResetRequest, Route, Search, SearchRequest, SearchState, SequenceRequest,
-    Session, SessionList, SessionPlays, SessionRequest, SessionStarted, Status, StoredTarget, TargetDetails,
-    TargetList, TokenCreated, TokenInfo, TokenList, TokenRequest, openapi,
+    AnswerTaken, ArmRequest, CalibrateRequest, CalibrationReport, Code, DisarmRequest, DoctorReport,
+    EdgeRequest, Event, ImportedPattern, LiveAccepted, LiveAnswer, LiveRequest, Method, PatternDetails,
+    PatternList, PatternPreview, PlanCheck, PlayAccepted, PlayAnswer, PlayRequest, Problem, REFERENCE,
+    Receipt, RemovedPattern, RemovedTarget, ResetRequest, Route, Search, SearchRequest, SearchState,
+    SequenceRequest, Session, SessionList, SessionPlays, SessionRequest, SessionStarted, Status,
+    StoredTarget, TargetDetails, TargetList, TokenCreated, TokenInfo, TokenList, TokenRequest, openapi,
 };
 use meissner_array::spec::{Array, ArraySpec, MAX_MOTORS};
 use schema::check;
@@ -154,6 +154,7 @@ fn every_route_has_examples_that_parse() {
     let parse = |schema: &str, example: &Value| match schema {
         "ResetRequest" => drop(ResetRequest::parse(example.to_string().as_bytes()).unwrap()),
         "DisarmRequest" => drop(DisarmRequest::parse(example.to_string().as_bytes()).unwrap()),
+        "EdgeRequest" => drop(EdgeRequest::parse(example.to_string().as_bytes()).unwrap()),
         "ArmRequest" => drop(ArmRequest::parse(example.to_string().as_bytes()).unwrap()),
         "SequenceRequest" => drop(SequenceRequest::parse(example.to_string().as_bytes()).unwrap()),
         "PlayRequest" => drop(PlayRequest::parse(example.to_string().as_bytes()).unwrap()),
@@ -232,7 +233,7 @@ fn every_route_has_examples_that_parse() {
         assert_eq!(event.name(), name);
         names.insert(name);
     }
-    assert_eq!(names.len(), 23);
+    assert_eq!(names.len(), 24);
 }
 
 #[test]
@@ -421,7 +422,7 @@ fn a_daemon_s_answers_fit_the_document() {
     });
     assert_eq!(problem, None);
     fits(Route::Calibration, &client.get("/v1/calibration").unwrap());
-    for route in [Route::Stop, Route::Disarm, Route::EStop, Route::Reset] {
+    for route in [Route::Edge, Route::Stop, Route::Disarm, Route::EStop, Route::Reset] {
         fits(route, &client.post(route.path(), &json!({})).unwrap());
     }
 }

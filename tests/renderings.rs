@@ -12,7 +12,7 @@ use meissner_client::{Client, Events};
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::{Value, json};
 use sha2::Digest;
-use std::io::Write;
+use std::io::{Read, Write};
 use std::os::unix::net::UnixStream;
 
 /// The next event of a search: how it stands, and whether its pattern can be played.
@@ -339,6 +339,59 @@ fn a_preview_ends_when_its_client_hangs_up() {
     drop(stream);
     wait_until(|| children(&daemon).is_empty());
     // Its place is free again.
+    let _: PatternPreview =
+        daemon.client().get_within(TIMEOUT, "/v1/patterns/edge-45/preview?seconds=0.01").unwrap();
+}
+
+#[test]
+fn the_ninth_preview_that_would_wait_is_refused() {
+    const ASKED: usize = 20;
+    const REQUEST: &[u8] =
+        b"GET /v1/patterns/edge-45/preview?from_s=60&seconds=2 HTTP/1.1\r\nhost: x\r\n\r\n";
+    let daemon = Daemon::start();
+    let ask = || {
+        let mut stream = UnixStream::connect(daemon.socket()).unwrap();
+        stream.write_all(REQUEST).unwrap();
+        stream
+    };
+    let first = ask();
+    wait_until(|| !children(&daemon).is_empty());
+    let process = Pid::from_raw(children(&daemon)[0]).unwrap();
+    // It stands still, so eight may wait for it and no more.
+    kill_process(process, Signal::STOP).unwrap();
+    let mut others: Vec<UnixStream> = (1..ASKED).map(|_| ask()).collect();
+    for stream in &others {
+        stream.set_nonblocking(true).unwrap();
+    }
+    let mut answers = vec![Vec::new(); others.len()];
+    let mut answered = || {
+        for (stream, answer) in others.iter_mut().zip(&mut answers) {
+            let mut bytes = [0; 4096];
+            if let Ok(len) = stream.read(&mut bytes) {
+                answer.extend_from_slice(&bytes[..len]);
+            }
+        }
+        answers
+            .iter()
+            .filter(|answer| !answer.is_empty())
+            .map(|answer| String::from_utf8_lossy(answer).into_owned())
+            .collect()
+    };
+    let mut refused: Vec<String> = Vec::new();
+    wait_until(|| {
+        refused = answered();
+        refused.len() >= ASKED - 9 && refused.iter().all(|answer| answer.ends_with('}'))
+    });
+    assert_eq!(refused.len(), ASKED - 9, "{refused:?}");
+    for answer in &refused {
+        assert!(
+            answer.starts_with("HTTP/1.1 503") && answer.contains("too many clients ask for previews"),
+            "{answer}"
+        );
+    }
+    assert_eq!(children(&daemon).len(), 1, "one is computed at a time");
+    drop((first, others));
+    wait_until(|| children(&daemon).is_empty());
     let _: PatternPreview =
         daemon.client().get_within(TIMEOUT, "/v1/patterns/edge-45/preview?seconds=0.01").unwrap();
 }

@@ -116,6 +116,7 @@ fn row(route: Route) -> Row {
         | Route::Reset
         | Route::Arm
         | Route::Home
+        | Route::Edge
         | Route::Import
         | Route::Remove
         | Route::StoreTarget
@@ -598,6 +599,7 @@ fn nothing_plays_for_a_session_that_is_over() {
         ("/v1/live", json!({"drives": [drive]})),
         ("/v1/calibrate", json!({})),
         ("/v1/home", json!({})),
+        ("/v1/edge", json!({})),
         ("/v1/arm", json!({})),
         ("/v1/sessions/running/end", json!({})),
     ];
@@ -620,8 +622,9 @@ fn nothing_plays_for_a_session_that_is_over() {
     refused(&mut client, &format!("session {} with participant `P08` runs", second.id));
     // A client that names the session without a token is refused, too.
     client.set_token(None);
-    for (path, body) in
-        orders.iter().filter(|(path, _)| !["/v1/home", "/v1/arm", "/v1/sessions/running/end"].contains(path))
+    for (path, body) in orders
+        .iter()
+        .filter(|(path, _)| !["/v1/home", "/v1/edge", "/v1/arm", "/v1/sessions/running/end"].contains(path))
     {
         let mut body = body.clone();
         body["session"] = json!(first.id);

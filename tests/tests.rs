@@ -33,6 +33,8 @@ mod displacement;
 mod doctor;
 /// Drift: plays at the limit, and the level check of `assume_rest`.
 mod drift;
+/// Edges of the trigger input: marks, starts, stops, the record, refusals, restarts.
+mod edges;
 /// `session export`: a row for each play and each item of a sequence; a damaged record.
 mod export;
 /// Scripted faults, in real time.

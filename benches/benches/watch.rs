@@ -31,7 +31,8 @@ type Done<T = ()> = Result<T, Box<dyn Error>>;
 fn main() -> Done {
     // The daemon takes the port that this finds free.
     let tcp = TcpListener::bind("127.0.0.1:0")?.local_addr()?;
-    let daemon = Daemon::start(&format!("listen = \"{tcp}\"\n"))?;
+    // Emergency stops leave pins where they are, a thousand of them farther from rest than a person would let them.
+    let daemon = Daemon::start(&format!("listen = \"{tcp}\"\ndrift_limit_um = 500.0\n"))?;
     let mut client = daemon.client()?;
     client.post::<Status>("/v1/arm", &json!({"assume_rest": true}))?;
     let seconds = std::env::var("WATCHED").ok().map_or(Ok(30.0), |seconds| seconds.parse())?;

@@ -591,6 +591,12 @@ impl Layout {
         10 * self.tick_hz()
     }
 
+    /// Ticks after an edge of the trigger input in which another does not count: 1 ms.
+    #[must_use]
+    pub const fn edge_dead_time(&self) -> u32 {
+        self.tick_hz() / 1_000
+    }
+
     /// Ticks after which unseen reports are repeated, once the host is heard again: 10 ms.
     pub(crate) const fn report_repeat(&self) -> u32 {
         self.tick_hz() / 100

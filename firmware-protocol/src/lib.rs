@@ -120,6 +120,11 @@
 //! `width`, in baud. A
 //! later mark with a trigger ends the one before.
 //!
+//! # Trigger input
+//! A device with that feature reports each rising edge of its trigger input (`Edge`), in any state: the tick, and a number that counts edges
+//! since boot. Edges within [`array::Layout::edge_dead_time`] after one that counts do not count; a board may miss edges for some ticks more. An edge moves no pin and ends no play: what follows
+//! from it, the host orders. Edges while no session is open, and edges for whose report there is no room, are numbered and not reported.
+//!
 //! # Replacing moves
 //! A frame with a `withdraw` replaces queued moves, each motor's as a whole or not at all. For each motor named there, the device returns
 //! to the pool all moves that begin at `base` or later. It does so in the moment in which it queues the first move of that motor in the
@@ -138,7 +143,7 @@
 //! when it queued the move.
 //!
 //! # Reports
-//! `Verdict`, `OnsetRefused`, `Onset`, `Cut`, `Refused` and `Lowered` must reach the host. The device numbers them and repeats them
+//! `Verdict`, `OnsetRefused`, `Onset`, `Cut`, `Refused`, `Lowered` and `Edge` must reach the host. The device numbers them and repeats them
 //! every 10 ms while it hears the host, until the host's `seen` includes their number. At most 32 are sent and not seen.
 //! `Status` gives the number of reports made, so the host knows whether one is missing. A host that has read all of them
 //! knows what became of every move that began before the tick of that status.
@@ -146,7 +151,7 @@
 //! `Refused` is never lost: the device has a place for each move that can be queued, and a refused move takes a credit
 //! until the host has seen its report. The device stores 32 of the other reports. It keeps the last 12 of these places for
 //! `Onset` and `Cut`: when only they are free, it takes no `Moves`. `Lowered` waits while no more than 14 are free, and names all that was lowered
-//! meanwhile, from the first tick on. When no place is free, it loses the newest report and
+//! meanwhile, from the first tick on. An `Edge` is left out then. When no place is free, it loses the newest report and
 //! counts it.
 //!
 //! # Outside the stream
@@ -200,6 +205,7 @@
 //! | `Cut`: `flushed`, `outstanding`, `return_ticks` | at most `pool`; as in `Status`; as long as a return may take | contradiction `report` |
 //! | `Refused`: `motor`, `reason` | one of the array; a limit on on-time, on motors at once or on density | contradiction `report` |
 //! | `Lowered`: `late`, `held` | of the array; not both empty | contradiction `report` |
+//! | `Edge` | only with that feature; a number and a tick after those of the last one, by no more edges than dead times have passed | contradiction `report` |
 //! | `Board`: `window` | the newest request | ignored: an answer to one before |
 //! | `Board`: `slack`, `slack_since_boot` | at most `horizon`; the second does not grow, and is not above the first | contradiction `board` |
 //! | `Board`: counters; `reset`, `high_at_boot` | do not shrink in a session; do not change in it; outputs there are | contradiction `board` |

@@ -338,7 +338,7 @@ pub struct DeviceHello {
     pub max_up_pulses: u16,
     /// The device's own limits.
     pub limits: PowerLimits,
-    /// [`Self::SIMULATED`] and [`Self::TELEMETRY`]; other bits are 0.
+    /// The feature bits of this type; other bits are 0.
     pub features: u32,
     /// The device's clock, in 64 bits.
     pub tick: u64,
@@ -355,6 +355,10 @@ impl DeviceHello {
     pub const SIMULATED: u32 = 1;
     /// Feature bit: sends telemetry while armed.
     pub const TELEMETRY: u32 = 2;
+    /// Feature bit: has a trigger input, whose edges it reports.
+    pub const TRIGGER_INPUT: u32 = 4;
+    /// Feature bit: has no trigger output. Its trigger pin may be the input.
+    pub const NO_TRIGGER_OUTPUT: u32 = 8;
 }
 
 /// The device's status: acknowledgement, clock, credits and counters.
@@ -485,6 +489,13 @@ pub enum Report {
         late: MotorSet,
         /// Motors whose pins were held for too long.
         held: MotorSet,
+    },
+    /// A rising edge of the trigger input.
+    Edge {
+        /// When it came.
+        tick: WireTick,
+        /// Its number since boot, from 1, wrapping. A gap: edges that were not reported.
+        number: u32,
     },
 }
 

@@ -87,7 +87,7 @@ done=opt(lines)+opt(u(100000)+u(8500)+u(34000))+opt(u(65536)+opt(u(0x20030000)))
 dev=[hello(cut()),hello(None),b'\1',status(1,1,None),status(0,0,b'\x08'),status(2,7,b'\x09'),status(2,8,b'\x0a'),status(3,5,None),status(3,9,None),status(3,12,None),status(3,10,b'\x0b'),
  report(b'\0'+u(300)+u(1)+u(1<<63)+u(1<<63|0x00800001)+opt(b'\0')+rendered),
  report(b'\1'+u(1)+rendered),report(b'\2'+rendered+COUNT),report(b'\3'+cut()),report(b'\3'+cut(2,None))]
-dev+=[report(b'\5'+rendered+u(1<<63|0x00800001))]
+dev+=[report(b'\5'+rendered+u(1<<63|0x00800001)+u(6)),report(b'\6'+rendered+u(300))]
 dev+=[refused(n) for n in (1,2,3,4,5,6,7,12,13,14,15)]
 dev+=[telemetry(0,y),telemetry(32,[-5]*32),board(),board(6,None,None,None,None,None),test(b'\0'),test(b'\1'),test(b'\2'),test(b'\3'+done),test(b'\3'+b'\0'*4)]
 print("DEVICE")

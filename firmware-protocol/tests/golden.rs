@@ -324,6 +324,7 @@ fn from_the_device() {
             }),
             "190703c801054df0edfe8180808480808080800106a27d759200",
         ),
+        (report(Report::Edge { tick: rendered, number: 300 }), "100703c801064df0edfeac028197ef8900"),
         (refused(Refusal::Motor), "100703c80104110df0edfe01cf260f7800"),
         (refused(Refusal::Level), "100703c80104110df0edfe02757706e100"),
         (refused(Refusal::Surplus), "100703c80104110df0edfe03e347019600"),
@@ -463,6 +464,7 @@ fn messages_fit() {
         report(Report::Cut(cut)),
         report(Report::Refused { motor: u8::MAX, tick, reason }),
         report(Report::Lowered { tick, late: MotorSet::from_bits(ALL), held: MotorSet::from_bits(ALL) }),
+        report(Report::Edge { tick, number: u32::MAX }),
         DeviceMessage::Telemetry { tick, first: u8::MAX, y: Samples::of(&[i32::MIN; MAX_SAMPLES]) },
         DeviceMessage::Board(Board {
             window: u16::MAX,

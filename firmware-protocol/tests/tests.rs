@@ -8,6 +8,8 @@ mod at_once;
 mod bench;
 /// The board report and the self-test.
 mod board;
+/// Edges of the trigger input.
+mod edges;
 /// The bytes of every message.
 mod golden;
 /// Stops, faults and silent hosts at every phase of a stroke.

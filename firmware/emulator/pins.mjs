@@ -1,8 +1,9 @@
 // The levels of the pads GP0..29: drivers, the overrides of IO_BANK0, pulls, and the record of every change.
 // rp2040js asks each pin in turn and records no times; here the levels are one word computed with masks.
-// From outside only faults of the wiring act on the pins: see Wiring. Else an input has the level of its pull.
+// From outside only what is connected acts on the pins: see Wiring. Else an input has the level of its pull.
 
 const PINS = 30;
+const EDGE_HIGH = 8;
 const FUNCTION = { PWM: 4, SIO: 5, PIO0: 6, PIO1: 7 };
 
 /** Levels and the cycles at which they changed, since the last `clear`. Grows; never drops. */
@@ -81,9 +82,16 @@ export class Pins {
     for (const [i, pin] of this.mcu.gpio.entries()) {
       pin.ctrl = 0x1f;
       pin.padValue = 0x56;
+      pin.irqStatus = pin.irqEnableMask = pin.irqForceMask = 0;
       this.configure(i);
     }
     this.update();
+  }
+  /** Rising edges of inputs: latched in INTR of IO_BANK0, whether they are enabled or not. */
+  rise(pins) {
+    if (!pins) return;
+    for (let i = 0; i < PINS; i++) if ((pins >> i) & 1) this.mcu.gpio[i].irqStatus |= EDGE_HIGH;
+    this.mcu.updateIOInterrupt();
   }
   configured(i) {
     this.configure(i);
@@ -130,6 +138,8 @@ export class Pins {
     }
     value = ((value ^ this.invert) & ~this.low) | this.high;
     drive = ((drive ^ this.enableInvert) & ~this.disable) | this.enable;
-    this.recorder.add(this.clock.cycle, this.wiring.levels(value, drive, this.pullUp) >>> 0);
+    const levels = this.wiring.levels(value, drive, this.pullUp) >>> 0;
+    this.rise(levels & ~this.recorder.last & ~drive & this.input);
+    this.recorder.add(this.clock.cycle, levels);
   }
 }

@@ -3,7 +3,7 @@
 //! One word holds all outputs: bit n is GPIO n. A word of zero is all outputs low. GPIO 23 and 24 belong to the Pico's
 //! supply; 25 is its LED.
 
-use crate::array::LAYOUT;
+use crate::array::{LAYOUT, TRIGGER_IS_INPUT};
 use firmware_protocol::board::{Output, Outputs};
 
 /// Lines of the board that are in use.
@@ -13,8 +13,11 @@ pub(crate) const MOTORS: usize = LAYOUT.motors();
 const LINES: [u8; 24] =
     [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16, 17, 18, 19, 20, 21, 22, 26];
 const _: () = assert!(MOTORS <= LINES.len(), "the array has more motors than the board has lines");
-/// Rises with the first tick of a play, for example for an EEG amplifier.
+/// Rises with the first tick of a play, for example for an EEG amplifier. With [`TRIGGER_IS_INPUT`] it is the trigger input.
 pub(crate) const TRIGGER: u8 = 27;
+/// The trigger input: the first line that no motor has, or GPIO 27 instead of the trigger output.
+pub(crate) const TRIGGER_INPUT: Option<u8> =
+    if TRIGGER_IS_INPUT { Some(TRIGGER) } else { LINES.split_at(MOTORS).1.first().copied() };
 /// Enables the bridges of all LT3572 drivers: high only around bursts.
 pub(crate) const ENABLE: u8 = 28;
 /// The Pico's LED: lit while armed or returning.
@@ -23,19 +26,21 @@ const LED: u8 = 25;
 pub(crate) const ENABLED: u32 = 1 << ENABLE;
 /// The bit of the LED.
 pub(crate) const ARMED: u32 = 1 << LED;
-/// The bit of the trigger.
-pub(crate) const TRIGGERED: u32 = 1 << TRIGGER;
+/// The bit of the trigger output, if there is one.
+pub(crate) const TRIGGERED: u32 = if TRIGGER_IS_INPUT { 0 } else { 1 << TRIGGER };
 /// All outputs, in the order in which they are forced low: the drivers' supply first.
-pub(crate) const OUTPUTS: [u8; MOTORS + 3] = {
-    let mut all = [0; MOTORS + 3];
-    (all[0], all[1], all[2]) = (ENABLE, TRIGGER, LED);
-    let mut line = 0;
-    while line < MOTORS {
-        all[3 + line] = LINES[line];
-        line += 1;
+pub(crate) const OUTPUTS: [u8; DRIVEN + 2] = {
+    let mut all = [0; DRIVEN + 2];
+    (all[0], all[1]) = (ENABLE, LED);
+    let mut output = 0;
+    while output < DRIVEN {
+        all[2 + output] = driven(output);
+        output += 1;
     }
     all
 };
+/// The outputs that the self-test drives: the lines, and the trigger output if there is one.
+pub(crate) const DRIVEN: usize = MOTORS + if TRIGGER_IS_INPUT { 0 } else { 1 };
 
 /// USB vendor: pid.codes.
 pub(crate) const VENDOR: u16 = 0x1209;
@@ -71,14 +76,14 @@ static GPIOS: [[u32; 256]; 3] = {
 };
 
 /// The output of the self-test with this number: a line, or the trigger after them.
-pub(crate) fn driven(number: usize) -> u8 {
-    LINES.get(number).copied().filter(|_| number < MOTORS).unwrap_or(TRIGGER)
+pub(crate) const fn driven(number: usize) -> u8 {
+    if number < MOTORS { LINES[number] } else { TRIGGER }
 }
 
 /// The outputs of a word of GPIOs.
 pub(crate) fn outputs(gpios: u32) -> Outputs {
     let mut outputs =
-        Outputs { trigger: gpios >> TRIGGER & 1 == 1, enable: gpios >> ENABLE & 1 == 1, ..Outputs::NONE };
+        Outputs { trigger: gpios & TRIGGERED != 0, enable: gpios >> ENABLE & 1 == 1, ..Outputs::NONE };
     for (line, gpio) in LINES.iter().take(MOTORS).enumerate() {
         if gpios >> gpio & 1 == 1 {
             outputs.lines.insert(line as u8);

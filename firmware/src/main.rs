@@ -5,12 +5,13 @@
 //!  USB tasks (usb) ─ packets ▶ shell (an interrupt): the controller ─ blocks ▶ ring (wave) ─ DMA ▶ PIO ▶ pins
 //!                  ◀─ frames ─                                                  │ cleared behind it
 //!  SysTick (wave): the tick count, wakes the shell at each block ◀──────────────┘
+//!  edge of the trigger input (edge): its tick, for the shell
 //!  watchdog (fault): fed while shell and tasks live
 //!  hangs: the shell finds one of the tasks (beat), a task finds one of the USB controller (revive)
 //! ```
-//! Priorities: clock and USB interrupts above the shell, the shell above the tasks. Modules use only those below them:
+//! Priorities: clock and USB interrupts above that of edges, that above the shell, the shell above the tasks. Modules use only those below them:
 //! `fault`, `shell`, `self_test`, `usb`, `setup` (takes each request), `control` (ends given-up control transfers), `cable` (whether 5 V
-//! are there), `estop`, `revive`, `wave`, `wake`, `beat`, `counters`, `board` and `array`. The documentation of `firmware_protocol` is the
+//! are there), `estop`, `revive`, `edge`, `wave`, `wake`, `beat`, `counters`, `board` and `array`. The documentation of `firmware_protocol` is the
 //! specification; nothing here decides what a line does.
 
 #![no_std]
@@ -22,6 +23,7 @@ mod board;
 mod cable;
 mod control;
 mod counters;
+mod edge;
 mod estop;
 mod fault;
 mod revive;
@@ -44,6 +46,7 @@ use embassy_rp::interrupt::{InterruptExt, Priority};
 use embassy_rp::pac;
 use embassy_time::Timer;
 use firmware_protocol::controller::Identity;
+use firmware_protocol::message::DeviceHello;
 use static_cell::StaticCell;
 
 // The second boot stage takes this for the vector table. It copies the code to RAM (see `memory.x`) and then continues at the
@@ -97,6 +100,8 @@ async fn main(_spawner: Spawner) {
 
     let serial_number = serial_number(chip.FLASH);
     let (usb, ports) = usb::new(chip.USB, serial_number);
+    // Before the shell, which listens to it.
+    edge::start();
     shell::start(identity(serial_number), cause, ports);
     wave::start(&mut core.SYST);
     join(usb.run(), fault::feed(watchdog)).await;
@@ -110,6 +115,7 @@ fn vectors_to_ram(scb: &mut SCB) {
     // SAFETY: the table in use has 16 exceptions and 32 interrupts.
     let table = unsafe { (scb.vtor.read() as *const [u32; 48]).read() };
     let copy = VECTORS.init(Vectors(table));
+    copy.0[edge::VECTOR] = edge::came as *const () as u32;
     // SAFETY: the copy has all entries and the alignment that VTOR needs, and is static.
     unsafe { scb.vtor.write(copy.0.as_ptr() as u32) };
 }
@@ -130,7 +136,8 @@ fn identity(serial_number: &str) -> Identity {
         firmware: version.map(|part| part.parse().unwrap_or(0)),
         build: build.to_be_bytes(),
         boot: boot_id(serial_number),
-        features: 0,
+        features: if board::TRIGGER_INPUT.is_some() { DeviceHello::TRIGGER_INPUT } else { 0 }
+            | if board::TRIGGERED == 0 { DeviceHello::NO_TRIGGER_OUTPUT } else { 0 },
     }
 }
 

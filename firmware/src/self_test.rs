@@ -7,7 +7,7 @@
 //! changes nothing after it ([`wave::override_pads`]).
 
 use crate::array::LAYOUT;
-use crate::board::{self, ENABLE, MOTORS};
+use crate::board::{self, DRIVEN, ENABLE};
 use crate::wave;
 use core::ptr;
 use embassy_rp::pac;
@@ -17,8 +17,6 @@ use firmware_protocol::frame::{self, Decoder, MAX_FRAME};
 use firmware_protocol::message::HostMessage;
 use firmware_protocol::tick::Tick;
 
-/// The lines and the trigger.
-const DRIVEN: usize = MOTORS + 1;
 /// How long a pad may take to come to its level, cycles: 5 µs, which 10 kΩ and the capacitance of a cable need.
 const SETTLE: u32 = 640;
 /// How long the waveform is watched, µs.
@@ -130,7 +128,7 @@ impl Run {
         }
         if with != 0 {
             self.lines.shorted |= with | one;
-            let other = (0..=MOTORS).map(board::driven).find(|&at| with >> at & 1 == 1).unwrap_or(ENABLE);
+            let other = (0..DRIVEN).map(board::driven).find(|&at| with >> at & 1 == 1).unwrap_or(ENABLE);
             self.lines.pair.get_or_insert((gpio, other));
         }
         true

@@ -8,7 +8,7 @@
 
 use crate::array::LAYOUT;
 use crate::self_test::Run as SelfTestRun;
-use crate::{beat, counters, estop, usb, wake, wave};
+use crate::{beat, counters, edge, estop, usb, wake, wave};
 use core::cell::UnsafeCell;
 use core::mem::MaybeUninit;
 use core::sync::atomic::{AtomicU32, Ordering::SeqCst};
@@ -90,6 +90,7 @@ impl Shell {
             self.take_failure();
             let now = wave::now();
             self.take_stall(now);
+            self.take_edge(now);
             self.hold(now);
             self.render();
             let advanced = self.controller.advance(wave::now());
@@ -155,6 +156,13 @@ impl Shell {
             counters::stalled();
             self.controller.link_lost(now);
         }
+    }
+
+    fn take_edge(&mut self, now: Tick) {
+        if let Some(tick) = edge::take() {
+            self.controller.edge(tick);
+        }
+        edge::listen(now);
     }
 
     /// Renders each block that fits the horizon.

@@ -263,8 +263,8 @@ pub(crate) fn now() -> Tick {
     if FROZEN.load(SeqCst) { Tick(join(&FROZEN_AT)) } else { running }
 }
 
-/// The tick on the pins. From any context.
-fn running() -> Tick {
+/// The tick on the pins, also while the controller's clock is frozen. From any context.
+pub(crate) fn running() -> Tick {
     loop {
         let blocks = join(&BLOCKS);
         let pending = SCB::is_pendst_pending();

@@ -179,7 +179,8 @@ impl World {
             }
             _ => {
                 let now = Tick(self.shell.now);
-                match byte(input) % 2 {
+                match byte(input) % 3 {
+                    1 => self.shell.device.edge(now),
                     0 => self.shell.device.open_session(now, (byte(input) % 3).into()),
                     _ => self.shell.device.telemetry(now, &[i32::MIN; MAX_MOTORS]),
                 }

@@ -227,7 +227,7 @@ impl World {
             horizon: layout.horizon(),
             max_up_pulses: layout.max_up_pulses(),
             limits: layout.no_limits(),
-            features: 3,
+            features: 7,
             tick: self.tick().0,
             epoch: self.device.status.epoch,
             reports: self.device.reports,
@@ -305,7 +305,7 @@ impl World {
         let rendered = Tick(self.tick().0 + 64).wire();
         let seq = self.device.status.next_seq.wrapping_sub((how >> 4).into());
         let tick = Tick(self.last.0.saturating_sub(word(input).into())).wire();
-        let report = match how % 6 {
+        let report = match how % 7 {
             0 => Report::Verdict {
                 seq,
                 late: u64::from(long(input)),
@@ -324,6 +324,7 @@ impl World {
                 outstanding: word(input).into(),
             }),
             4 => Report::Lowered { tick, late: motors(input), held: motors(input) },
+            5 => Report::Edge { tick, number: byte(input).into() },
             _ => Report::Refused {
                 motor: motor(input, self.array),
                 tick,

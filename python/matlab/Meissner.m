@@ -8,7 +8,7 @@ classdef Meissner < handle
   %   receipt.onset.time                              % on your clock, within +-receipt.onset.uncertainty s
   %   m.close();                                      % disarms, if this client has armed
   %
-  % Methods as in the Python package: status, synchronise, now, arm, disarm, stop, estop, reset, home, play, sequence, check, later,
+  % Methods as in the Python package: status, synchronise, now, arm, disarm, stop, estop, reset, home, edge, play, sequence, check, later,
   % wait, wait_until_idle, withdraw, answer, receipt, doctor, patterns, pattern, store_pattern, remove_pattern, session, session_end,
   % sessions, session_plays, close. What are methods of a play or a session there take it first here, as in m.wait(play). Times are in
   % seconds of the clock that 'clock' reads: GetSecs of Psychtoolbox, or by default the time since this object was made.
@@ -159,13 +159,19 @@ classdef Meissner < handle
       state = self.post('/v1/home', struct(), 600);
     end
 
+    function state = edge(self, after)
+      % Make an edge at the trigger input of a simulated array, in 'after' s or at once.
+      if nargin < 2, after = 0; end
+      state = self.post('/v1/edge', struct('at_ms', 1000 * after), 10);
+    end
+
     function play = play(self, pattern, varargin)
       % Queue a play. Options: seconds, at, scale, trigger (a code, or false), trial, labels (a struct), late, fit, map, replace,
-      % endless, open_loop, strict, hold (s). 'pattern' is a name, or a struct with the keys of a pattern file; tables of it are cells of
+      % endless, open_loop, strict, hold (s), on_edge (s after an edge of the trigger input), stop_on_edge. 'pattern' is a name, or a struct with the keys of a pattern file; tables of it are cells of
       % structs: struct('wave', {{struct('motor', 9, 'rate_hz', 1000, 'um', samples)}}). 'map', 'nearest' plays a pattern for another
       % array by the pins' positions. 'at' is a time of
       % now(), or an instant such as m.later(receipt.onset, 1.5), which is exact to the tick.
-      names = {'seconds', 'at', 'scale', 'trigger', 'trial', 'labels', 'late', 'fit', 'map', 'replace', 'endless', 'open_loop', 'strict', 'hold'};
+      names = {'seconds', 'at', 'scale', 'trigger', 'trial', 'labels', 'late', 'fit', 'map', 'replace', 'endless', 'open_loop', 'strict', 'hold', 'on_edge', 'stop_on_edge'};
       body = Meissner.options(names, varargin);
       body.pattern = pattern;
       name = pattern;
@@ -177,8 +183,8 @@ classdef Meissner < handle
     function play = sequence(self, items, varargin)
       % Queue patterns as one play with exact times. An item is a name, or a struct with pattern and any of seconds, scale, trigger,
       % gap and start (s). Options: isi (pause from an item's end) or soa (distance of onsets), seconds and scale of items that give
-      % none, at, name, trial, labels, late, map, replace, open_loop, strict, hold (s).
-      names = {'isi', 'soa', 'seconds', 'scale', 'at', 'name', 'trial', 'labels', 'late', 'map', 'replace', 'open_loop', 'strict', 'hold'};
+      % none, at, name, trial, labels, late, map, replace, open_loop, strict, hold (s), on_edge (s), stop_on_edge.
+      names = {'isi', 'soa', 'seconds', 'scale', 'at', 'name', 'trial', 'labels', 'late', 'map', 'replace', 'open_loop', 'strict', 'hold', 'on_edge', 'stop_on_edge'};
       body = Meissner.options(names, varargin);
       [made, body] = Meissner.items(items, body);
       body.items = made;
@@ -299,9 +305,11 @@ classdef Meissner < handle
       found = answer.sessions;
     end
 
-    function found = session_plays(self, id)
-      % The recorded plays of a session: the first page of them.
-      found = self.get(['/v1/sessions/' id '/plays'], 60);
+    function found = session_plays(self, id, from)
+      % The recorded plays of a session, up to 1000 from the play with the index 'from' (0: the first). If 'more' is true, ask for the
+      % next page, from 'from' plus the number of these.
+      if nargin < 3, from = 0; end
+      found = self.get(sprintf('/v1/sessions/%s/plays?from=%d', id, from), 60);
     end
 
     function session_end(self)
@@ -371,6 +379,10 @@ classdef Meissner < handle
       if isfield(body, 'hold')
         body.hold_ms = 1000 * body.hold;
         body = rmfield(body, 'hold');
+      end
+      if isfield(body, 'on_edge')
+        body.on_edge_ms = 1000 * body.on_edge;
+        body = rmfield(body, 'on_edge');
       end
       text = jsonencode(body);
       if ~isempty(numbers), text = [text(1:end - 1) ',' numbers '}']; end

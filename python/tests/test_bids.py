@@ -225,6 +225,9 @@ def test_displacement_of_stimuli_that_were_cut_lost_or_late() -> None:
         "play 2: its end is missing from the record, so its displacement is n/a",
         "play 3: its pattern as played is not kept, so its displacement is n/a",
     ]
+    # In a blank item no pin moves, and that is known.
+    blank = row(4, 4.0, pattern_sha256="", offset_monotonic_ns=None, offset_tick=None)
+    assert moves([blank]) == ({4000: 0.0}, [])
     with pytest.raises(errors.ProgramError, match=r"displacement` failed: .*has no end"):
         meissner.displacement(
             'format = 1\nname = "x"\n[[drive]]\nmotor = 1\nfrequency_hz = 60.0\namplitude_um = 40.0\n'

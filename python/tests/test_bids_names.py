@@ -164,6 +164,34 @@ def test_what_is_in_the_dataset_already_counts(tmp_path: Path) -> None:
         export(tmp_path, recorded("P07", "1"))
 
 
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16"])
+@pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
+def test_a_list_of_participants_of_any_encoding_is_kept(tmp_path: Path, encoding: str, end: str) -> None:
+    text = "participant_id\tname\nsub-P01\tJosé\nsub-P02\n".replace("\n", end)
+    (tmp_path / "participants.tsv").write_bytes(text.encode(encoding))
+    export(tmp_path, recorded("P02", "1"))
+    assert (tmp_path / "participants.tsv").read_bytes().decode() == (
+        "participant_id\tname\tmeissner_participant\nsub-P01\tJosé\tn/a\nsub-P02\tn/a\tP02\n"
+    )
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        (
+            b"participant_id\tage\nsub-P01\t30\t\nsub-P02\t31\tleft\n",
+            "the row of sub-P01 has 3 cells, the header has 2",
+        ),
+        (b"participant_id\nsub-\xff\n", "is no text in UTF-8"),
+    ],
+)
+def test_a_list_of_participants_that_cannot_be_read_stays_as_it_is(tmp_path: Path, text: bytes, says: str) -> None:
+    (tmp_path / "participants.tsv").write_bytes(text)
+    with pytest.raises(errors.BidsConflict, match=says):
+        export(tmp_path, recorded("P02", "1"))
+    assert contents(tmp_path) == {"participants.tsv": text}
+
+
 def test_every_label_has_a_column(tmp_path: Path) -> None:
     trials: list[dict[str, str]] = [
         {"a": "1;b=2"},

@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import os
 import signal
+import ssl
 import subprocess
 import sys
 import time
@@ -21,6 +22,7 @@ import meissner
 from meissner import _http, errors
 from meissner import _operations as ops
 from meissner._endpoint import Endpoint
+from meissner._transport import BlockingTransport, tls
 from meissner.clocks import ClientClock
 from meissner.results import Status
 
@@ -300,6 +302,28 @@ if __name__ == "__main__":
     with script(code, daemon.socket) as child:
         _, errors = child.communicate(timeout=PATIENT)
     assert (child.returncode, errors) == (0, "")
+
+
+def test_only_the_first_client_with_tls_reads_certificates(
+    daemon: meissner.Daemon, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The end of a forked child sets back the file that another thread reads, as the one of the signs of life did."""
+    read: list[ssl.SSLContext] = []
+    load = ssl.SSLContext.load_verify_locations
+
+    def counted(context: ssl.SSLContext, *arguments: str, **options: str) -> None:
+        read.append(context)
+        load(context, *arguments, **options)
+
+    monkeypatch.setattr(ssl.SSLContext, "load_verify_locations", counted)
+    tls.cache_clear()
+    with meissner.connect(daemon.socket) as m, meissner.connect(daemon.socket) as other:
+        m.arm(assume_rest=True, checked="a test", silence=600.0)
+        assert other.status().state == "armed"
+    assert read == []
+    for _ in range(3):
+        BlockingTransport(Endpoint("https://lab-pc"), dict, time.monotonic_ns).close()
+    assert read == [tls()]
 
 
 @pytest.mark.parametrize("phase", ["idle", "mid play", "in a session", "in a live play", "asyncio, in wait"])

@@ -37,6 +37,7 @@ def run(name: str, folder: Path, **environment: str) -> str:
 
 def test_every_example_is_run_here() -> None:
     text = Path(__file__).read_text(encoding="utf-8")
+    text += (Path(__file__).parent / "test_osc.py").read_text(encoding="utf-8")
     assert [file.name for file in EXAMPLES.glob("*.py") if f'"{file.name}"' not in text] == []
 
 
@@ -153,7 +154,7 @@ def test_the_readme_begins_with_a_play_in_five_lines(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(not BOOK.exists(), reason="the book is in the repository only")
-@pytest.mark.parametrize("page", ["python.md", "publish.md", "lsl.md"])
+@pytest.mark.parametrize("page", ["python.md", "publish.md", "lsl.md", "exchange.md", "trigger-input.md"])
 def test_a_page_of_the_book_runs(page: str, tmp_path: Path) -> None:
     if page in NEEDS:
         pytest.importorskip(NEEDS[page], reason=f"{NEEDS[page]} is not installed")

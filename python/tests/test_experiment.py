@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import collections
 import csv
 import io
@@ -14,9 +15,11 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 import meissner
+from meissner import errors
 from meissner.experiment import (
     Log,
     LogError,
@@ -308,9 +311,100 @@ def test_a_log_refuses_trials_that_it_cannot_take_before_they_are_played(tmp_pat
         log.remaining(made)
 
 
+def answers_of(session: meissner.Session) -> list[Any]:
+    return [row["answer"] and (row["answer"]["response"], row["answer"]["factors"]) for row in session.plays]
+
+
+def test_a_refused_answer_leaves_no_row(m: meissner.Client, tmp_path: Path) -> None:
+    file = tmp_path / "log.csv"
+    with m.session("P07") as session, Log(file, answers=True) as log:
+        play = m.play("pin-60", 0.05, trial=1)
+        play.wait()
+        refused: list[tuple[dict[str, Any], type[Exception]]] = [
+            ({"response": "left", "note": "x" * 101}, errors.BadRequest),
+            ({"response": ""}, errors.BadRequest),
+            ({"response": "left", "rt_ms": -1.0}, errors.BadRequest),
+            ({"response": "left", "correct": "False"}, TypeError),
+            ({"said": "left"}, LogError),
+        ]
+        for columns, error in refused:
+            with pytest.raises(error):
+                log.add(1, play, **columns)
+        assert file.read_bytes() == b""
+        assert log.rows == []
+        # NumPy's kinds of numbers.
+        log.add(np.int64(1), play, response="left", correct=np.bool_(False), level=np.float32(0.5))
+        assert [row["trial"] for row in log.rows] == ["1"]
+        silent = m.play("pin-60", 0.05, trial=2)
+        silent.wait()
+        log.add(2, silent, response=None, correct=None, level=0.25)
+        assert answers_of(session) == [("left", {}), None]
+        assert session.answers() == [(0.5, False)]
+
+
+def test_factors_that_no_answer_can_have_are_refused_before_the_first_trial(m: meissner.Client, tmp_path: Path) -> None:
+    most = {f"{number:x<100}": "y" * 100 for number in range(16)}
+    with m.session("P07") as session, Log(tmp_path / "log.csv", answers=True) as log:
+        refused: list[tuple[dict[str, Any], str]] = [
+            ({**most, "more": 1}, "has 17 factors beside `level`"),
+            ({"side": ""}, "has the factor ''"),
+            ({"side": "x" * 101}, "1 to 100 printable"),
+            ({"x" * 101: 1}, "1 to 100 printable"),
+            ({"side": "a\nb"}, "1 to 100 printable"),
+        ]
+        for factors, why in refused:
+            with pytest.raises(LogError, match=why):
+                log.remaining([Trial(1, factors)])
+        (trial,) = log.remaining([Trial(1, {**most, "level": 0.5})])
+        play = m.play("pin-60", 0.05, trial=1)
+        play.wait()
+        log.add(trial, play, correct=True)
+        assert answers_of(session) == [("true", most)]
+
+
+def test_a_log_with_answers_refuses_an_asynchronous_play(m: meissner.Client, tmp_path: Path) -> None:
+    async def work() -> None:
+        async with await meissner.connect_async(m.core.endpoint.name) as client:
+            async with client.session("P07"):
+                play = await client.play("pin-60", 0.05, trial=1)
+                await play.wait()
+                with Log(tmp_path / "answers.csv", answers=True) as log:
+                    with pytest.raises(LogError, match=r"`await session.answer\(...\)`"):
+                        log.add(1, play, response="left")
+                    assert log.rows == []
+                with Log(tmp_path / "log.csv") as log:
+                    log.add(1, play, response="left")
+
+    asyncio.run(work())
+
+
+def test_one_program_at_a_time_writes_a_log(tmp_path: Path) -> None:
+    file = tmp_path / "log.csv"
+    with Log(file) as log:
+        log.add(1, text="a")
+        with pytest.raises(LogError, match="written by another program, or by another `Log`"):
+            Log(file, resume=True)
+        log.add(2, text="b")
+    with Log(file, resume=True) as log:
+        assert [row["text"] for row in log.rows] == ["a", "b"]
+
+
+def test_levels_of_numpy_are_levels(m: meissner.Client) -> None:
+    with m.session("P07") as session:
+        for trial in constant_stimuli(np.array([20, 50]), repeats=1, seed=1, side=np.array(["left"])):
+            m.play("pin-60", 0.05, trial=trial.number).wait()
+            session.answer(trial, "felt", correct=np.True_)
+        answers = [row["answer"] for row in session.plays]
+        assert sorted(answer["level"] for answer in answers) == [20.0, 50.0]
+        assert all(answer["factors"] == {"side": "left"} for answer in answers)
+
+
 @pytest.mark.parametrize(
     "name",
     [
+        "correct",
+        "response",
+        "rt_ms",
         "trial",
         "play",
         "pattern",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import itertools
 import json
 import os
@@ -11,6 +12,7 @@ import subprocess
 import threading
 import time
 import traceback
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +20,7 @@ import numpy
 import pytest
 
 import meissner
-from meissner import errors
+from meissner import _transport, errors
 from meissner._endpoint import endpoints
 from meissner.program import find_program
 from network import Network
@@ -43,7 +45,7 @@ def test_a_play_has_its_times_on_every_clock(m: meissner.Client) -> None:
     assert play.refresh().state in ("queued", "running")
     with pytest.raises(errors.NotKnownYet, match="call `wait"):
         _ = play.offset
-    receipt = play.wait(timeout=20)
+    receipt = play.wait(timeout=200)
     onset, offset = play.onset, play.offset
     # Half a tick, what the daemon states about its device's clock, and what it took the clock for when the play was ordered.
     assert abs(onset.monotonic - at) <= onset.monotonic_uncertainty + 0.5 / HZ + 200e-6
@@ -146,7 +148,11 @@ def test_patterns_are_stored_and_removed(m: meissner.Client, tmp_path: Path) -> 
     assert m.store_pattern("two-pins", file)["replaced_sha256"] is None
     with pytest.raises(errors.Exists):
         m.store_pattern("two-pins", PATTERN)
-    assert m.store_pattern("two-pins", PATTERN, replace=True)["replaced_sha256"]
+    first = m.store_pattern("two-pins", PATTERN, replace=True)["replaced_sha256"]
+    # As Windows writes it, it is the same file.
+    file.write_bytes(PATTERN.replace("\n", "\r\n").encode("utf-16"))
+    assert m.store_pattern("two-pins", file, replace=True)["replaced_sha256"] == first
+    assert m.store_pattern("two-pins", PATTERN, replace=True)["replaced_sha256"] == first
     assert m.pattern("two-pins")["pattern"]["drive"][0]["motor"] == 9
     assert m.play("two-pins").wait().state == "done"
     m.remove_pattern("two-pins")
@@ -242,6 +248,71 @@ def test_events_tell_what_happens(m: meissner.Client) -> None:
             break
     assert seen == ["queued", "began", "ended"]
     events.close()
+
+
+def test_events_whose_connection_is_silent_are_asked_for_again(
+    daemon: meissner.Daemon, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A cable that is pulled says nothing. The daemon sends a comment every 15 s."""
+    monkeypatch.setattr(_transport, "SILENCE", 0.2)
+    with meissner.connect(daemon.socket) as m:
+        events = m.events()
+        # On a busy machine a connection may be silent before its first event.
+        list(itertools.takewhile(lambda event: event.name != "reconnected", events))
+        list(itertools.takewhile(lambda event: event.name != "state", events))
+        events.close()
+
+    async def work() -> None:
+        async with await meissner.connect_async(daemon.socket) as m:
+            events = m.events()
+            for name in ("reconnected", "state"):
+                while (await anext(events)).name != name:
+                    pass
+            await events.aclose()
+
+    asyncio.run(work())
+
+
+def test_a_forked_child_has_connections_of_its_own(network: Network) -> None:
+    """Each would read the other's answers."""
+    with meissner.connect(network.url) as m:
+        m.status()
+        before = network.connections
+        child = os.fork()
+        if child == 0:
+            # A child that fails must not go on with the tests.
+            try:
+                os._exit(0 if m.status().state == "disarmed" and len(m.patterns()) > 0 else 1)
+            finally:
+                os._exit(2)
+        assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
+        assert network.connections == before + 1
+        m.status()
+        assert network.connections == before + 1
+
+
+def test_times_are_numbers(m: meissner.Client) -> None:
+    """What Python would multiply by 1000 without an error, or with another one."""
+    orders: list[Callable[[Any], object]] = [
+        lambda wrong: m.play("pin-60", 0.05, hold=wrong),
+        lambda wrong: m.play("pin-60", 0.05, on_edge=wrong),
+        lambda wrong: m.sequence(["pin-60", "pin-60"], seconds=0.05, isi=wrong),
+        lambda wrong: m.sequence(["pin-60", "pin-60"], seconds=0.05, soa=wrong),
+        lambda wrong: m.sequence(["pin-60", {"pattern": "pin-60", "gap": wrong}], seconds=0.05),
+        lambda wrong: m.sequence(["pin-60", {"pattern": "pin-60", "start": wrong}], seconds=0.05),
+        lambda wrong: m.live(drives=[], timeout=wrong),
+        lambda wrong: m.live(drives=[], budget=wrong),
+    ]
+    for order, wrong in itertools.product(orders, (True, "0.1", [0.1], numpy.array([0.1, 0.2]), numpy.True_)):
+        with pytest.raises(TypeError, match="must be a number of seconds, such as"):
+            order(wrong)
+    with pytest.raises(ValueError, match="`isi` is nan s: must be a finite number of seconds"):
+        m.sequence(["pin-60", "pin-60"], seconds=0.05, isi=numpy.nan)
+    items: list[Any] = ["pin-60", {"pattern": "pin-60", "gap": None}, {"pattern": "pin-60", "gap": numpy.array(0.2)}]
+    receipt = m.sequence(items, seconds=numpy.array(0.05), isi=numpy.float32(0.1)).wait()
+    first, second, third = [item.onset.tick for item in receipt.items if item.onset is not None]
+    lasts = m.array.ticks(0.05)
+    assert (second - first, third - second) == (lasts + m.array.ticks(0.1), lasts + m.array.ticks(0.2))
 
 
 def test_a_connection_that_has_died_in_a_break_is_made_again(network: Network) -> None:

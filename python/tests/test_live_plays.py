@@ -25,6 +25,7 @@ from meissner import _aio_live, _live, errors, live
 from meissner._endpoint import Endpoint
 from meissner._live import WINDOW, KnownUpdate, Started, Updates
 from meissner._operations import Accepted
+from meissner._transport import tls
 from meissner.aio import AsyncClient
 from meissner.program import find_program
 from network import Network
@@ -314,8 +315,8 @@ def test_over_tcp_with_a_token(networked: tuple[str, str]) -> None:
         m.core.token = token
 
 
-def certificate(folder: Path) -> tuple[ssl.SSLContext, ssl.SSLContext]:
-    """What a server shows, and what its client trusts."""
+def certificate(folder: Path) -> tuple[ssl.SSLContext, Path]:
+    """What a server shows, and the file of what its client has to trust."""
     if shutil.which("openssl") is None:
         pytest.skip("openssl is not installed")
     key, made = folder / "key.pem", folder / "certificate.pem"
@@ -324,31 +325,37 @@ def certificate(folder: Path) -> tuple[ssl.SSLContext, ssl.SSLContext]:
     subprocess.run(command, check=True, capture_output=True)
     server = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
     server.load_cert_chain(made, key)
-    return server, ssl.create_default_context(cafile=str(made))
+    return server, made
 
 
-def test_over_tls(m: meissner.Client, daemon: meissner.Daemon, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The daemon's PC may have a proxy with TLS. The request goes by the socket here, the live play's connection by TLS."""
+@pytest.fixture
+def fresh_trust() -> Iterator[None]:
+    """What the clients of the other tests trust has been read, and is not used here."""
+    tls.cache_clear()
+    yield
+    tls.cache_clear()
+
+
+def test_over_tls(daemon: meissner.Daemon, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fresh_trust: None) -> None:
+    """The daemon's PC may have a proxy with TLS, and an authority that only the lab trusts."""
     server, trusted = certificate(tmp_path)
     with Network(daemon.socket, tls=server) as network:
-        m.core.endpoint = Endpoint(network.url)
         with pytest.raises(errors.Unreachable, match="certificate"):
-            m.live(drives=DRIVES, timeout=PATIENT)
-        m.stop()
-        m.wait_until_idle()
-        monkeypatch.setattr(live, "tls", lambda: trusted)
-        with m.live(drives=DRIVES, timeout=PATIENT) as play:
-            updates = [play.set(9, frequency_hz=60, amplitude_um=number % 80) for number in range(200)]
-            assert {update.wait(PATIENT).state for update in updates} <= {"applied", "merged"}
-        assert play.receipt.cause == "stop"
-        monkeypatch.setattr(_aio_live, "tls", lambda: trusted)
+            meissner.connect(network.url)
+        tls.cache_clear()
+        monkeypatch.setenv("SSL_CERT_FILE", str(trusted))
+        with meissner.connect(network.url) as m:
+            m.arm(assume_rest=True, checked="a test")
+            with m.live(drives=DRIVES, timeout=PATIENT) as play:
+                updates = [play.set(9, frequency_hz=60, amplitude_um=number % 80) for number in range(200)]
+                assert {update.wait(PATIENT).state for update in updates} <= {"applied", "merged"}
+            assert play.receipt.cause == "stop"
 
-        async def work(m: AsyncClient) -> None:
-            m.core.endpoint = Endpoint(network.url)
-            async with m.live(drives=DRIVES, timeout=PATIENT) as play:
-                assert (await play.keep().wait(PATIENT)).state == "applied"
+            async def work(m: AsyncClient) -> None:
+                async with m.live(drives=DRIVES, timeout=PATIENT) as play:
+                    assert (await play.keep().wait(PATIENT)).state == "applied"
 
-        run(daemon.socket, work)
+            run(network.url, work)
 
 
 def is_lost(error: BaseException) -> bool:

@@ -6,6 +6,7 @@ import functools
 import signal
 import subprocess
 import sys
+import threading
 import time
 import uuid
 from collections.abc import Mapping
@@ -26,16 +27,16 @@ NAME = f"meissner-{uuid.uuid4()}"
 
 def open_inlet(name: str) -> Any:
     """Takes the stream's times as they were sent."""
-    found = pylsl.resolve_byprop("name", name, timeout=20)
+    found = pylsl.resolve_byprop("name", name, timeout=200)
     assert found, f"no stream {name}"
     inlet = pylsl.StreamInlet(found[0])
-    inlet.open_stream(timeout=20)
+    inlet.open_stream(timeout=200)
     return inlet
 
 
 def pull(inlet: Any, count: int) -> list[tuple[str, float]]:
     """The next markers."""
-    found = [inlet.pull_sample(timeout=20) for _ in range(count)]
+    found = [inlet.pull_sample(timeout=200) for _ in range(count)]
     assert all(sample for sample, _ in found), found
     return [(sample[0], at) for sample, at in found]
 
@@ -139,7 +140,7 @@ def test_telemetry_has_the_offset_of_each_pin(m: meissner.Client) -> None:
         inlet = open_inlet(f"{NAME}-rest-telemetry")
         play = m.play("pin-60", 0.1)
         play.wait()
-        samples = [inlet.pull_sample(timeout=20) for _ in range(5)]
+        samples = [inlet.pull_sample(timeout=200) for _ in range(5)]
         times = [at for _, at in samples]
         assert all(len(sample) == m.array.motors for sample, _ in samples)
         assert times == sorted(times)
@@ -165,6 +166,30 @@ def test_a_marker_orders_a_play(m: meissner.Client) -> None:
         assert m.receipt().raw["id"] == bridge.markers[0].play
     assert len(lines) == 1
     assert lines[0].startswith("no play on the marker bad: ")
+
+
+def test_a_bridge_that_ends_too_soon_says_so_at_once_and_at_the_end(m: meissner.Client) -> None:
+    lines: list[str] = []
+    told = threading.Event()
+
+    def report(line: str) -> None:
+        lines.append(line)
+        told.set()
+
+    def broken(what: str, pattern: str, raw: Mapping[str, Any]) -> str:
+        raise KeyError("block")
+
+    def study(options: dict[str, Any]) -> None:
+        with lsl.Bridge(m, name=f"{NAME}-broken", telemetry_hz=0, text=broken, **options) as bridge:
+            m.play("pin-60", 0.05).wait()
+            bridge._ended.wait(120.0)
+
+    with pytest.raises(KeyError, match="block"):
+        study({"report": report})
+    assert told.wait(120.0)
+    assert lines == ["markers and telemetry have ended: 'block'"]
+    with pytest.warns(UserWarning, match="have ended: 'block'"), pytest.raises(KeyError):
+        study({})
 
 
 def test_a_bridge_says_why_it_cannot_begin(daemon: meissner.Daemon) -> None:
@@ -195,7 +220,7 @@ def test_the_command_bridges_until_ctrl_c(daemon: meissner.Daemon) -> None:
             assert text == "onset/pin-60"
             assert abs(at - play.onset.host_ns / 1e9) < 1e-3
         bridge.send_signal(signal.SIGINT)
-        _, complaint = bridge.communicate(timeout=60)
+        _, complaint = bridge.communicate(timeout=300)
         assert bridge.returncode == 0, complaint
     finally:
         bridge.kill()

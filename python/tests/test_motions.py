@@ -1,12 +1,9 @@
-"""Motions: samples, files, and what is told before and after a play."""
+"""Motions: samples, and what is told before and after a play."""
 
 from __future__ import annotations
 
 import asyncio
 import math
-import struct
-import wave
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -111,43 +108,3 @@ def test_the_client_for_asyncio_takes_samples(daemon: meissner.Daemon) -> None:
             return (await play.wait()).state
 
     assert asyncio.run(plays()) == "done"
-
-
-@pytest.mark.parametrize("width", [1, 2, 3, 4])
-def test_wav_files_are_read(tmp_path: Path, width: int) -> None:
-    path = tmp_path / "trace.wav"
-    full = 1 << (8 * width - 1)
-    levels = [(0, 0), (full // 2, 1), (-full, 2), (full - 1, 3)]
-    with wave.open(str(path), "wb") as file:
-        file.setparams((2, width, 1000, 0, "NONE", ""))
-        for left, right in levels:
-            for value in (left, right):
-                raw = bytes([value + 128]) if width == 1 else value.to_bytes(width, "little", signed=True)
-                file.writeframes(raw)
-    trace = meissner.import_wav(path, scale_um=100, offset_um=100, channel=0)
-    assert trace.rate == 1000
-    assert list(trace.um) == pytest.approx([100, 150, 0, 100 + 100 * (full - 1) / full])
-    with pytest.raises(ValueError, match="2 channels: choose one"):
-        meissner.import_wav(path, scale_um=1)
-    with pytest.raises(ValueError, match="`channel` is 2"):
-        meissner.import_wav(path, scale_um=1, channel=2)
-    path.write_bytes(struct.pack("<I", 7) * 9)
-    with pytest.raises(ValueError, match="not a WAV file"):
-        meissner.import_wav(path, scale_um=1)
-
-
-def test_csv_files_are_read(tmp_path: Path) -> None:
-    path = tmp_path / "trace.csv"
-    path.write_text("# made by hand\ntime; um\n\n0.0;1.5\n0.1;2\n", encoding="utf-8")
-    trace = meissner.import_csv(path, rate=10, column="um", scale_um=2.0)
-    assert (list(trace.um), trace.rate) == ([3.0, 4.0], 10.0)
-    assert list(meissner.import_csv(path, rate=10, column=1).um) == [1.5, 2.0]
-    for column, says in [(None, "2 columns"), ("mm", "no column 'mm'"), (5, "must be a number")]:
-        with pytest.raises(ValueError, match=says):
-            meissner.import_csv(path, rate=10, column=column)
-    path.write_text("1\nnan\n", encoding="utf-8")
-    with pytest.raises(ValueError, match="sample 1 of column 0 is 'nan'"):
-        meissner.import_csv(path, rate=10)
-    path.write_text("", encoding="utf-8")
-    with pytest.raises(ValueError, match="has no rows"):
-        meissner.import_csv(path, rate=10)

@@ -129,6 +129,55 @@ def test_one_stimulus_is_sampled_evenly_and_what_is_missing_is_told(
         m.export_nwb(session.id, tmp_path / "empty.nwb")
 
 
+def test_a_session_of_which_little_is_known_becomes_a_file_without_errors(m: meissner.Client, tmp_path: Path) -> None:
+    """Blank items alone, in which no pin moves; and fewer samples than pins."""
+    about = {"age": "P30Y", "sex": "F"}
+    with m.session("P07", experiment="blanks") as session:
+        m.sequence([None, None], seconds=0.05).wait()
+    export = m.export_nwb(session.id, tmp_path / "blanks.nwb", subject=about, spikes=True)
+    assert problems(export.file) == []
+    assert export.left_out == ("no units: no spike is predicted",)
+    with pynwb.NWBHDF5IO(str(export.file), "r") as io:
+        assert not io.read().stimulus["pin_displacement"].data[:].any()
+    assert m.export_bids(session.id, tmp_path).left_out == ()
+    with m.session("P07", experiment="short") as session:
+        m.play("pin-60", 0.05).wait()
+    export = m.export_nwb(session.id, tmp_path / "short.nwb", subject=about, displacement_hz=100)
+    assert problems(export.file) == []
+    with pynwb.NWBHDF5IO(str(export.file), "r") as io:
+        trace = io.read().stimulus["pin_displacement"]
+        assert trace.rate == 100
+        assert trace.data.shape == (25, 24)
+        assert trace.data[-1].max() == 0 < trace.data[:].max()
+
+
+def test_motions_are_exported_as_they_were_played(m: meissner.Client, tmp_path: Path) -> None:
+    """Samples, a tone with edges, and noise, without a drive."""
+    tone = {
+        "motor": 10,
+        "duration_s": 0.2,
+        "frequency_hz": 30.0,
+        "amplitude_um": 40.0,
+        "envelope": {"attack_s": 0.02, "release_s": 0.02},
+    }
+    noise = {"motor": 11, "duration_s": 0.2, "low_hz": 5.0, "high_hz": 40.0, "peak_um": 10.0, "seed": 1}
+    with m.session("P07", experiment="motions") as session:
+        m.play(samples={9: [0.0, 50.0, 50.0, 0.0]}, rate=15).wait()
+        m.play({"name": "two", "tone": [tone], "noise": [noise]}).wait()
+    export = m.export_nwb(session.id, tmp_path / "motions.nwb", subject={"age": "P30Y", "sex": "F"}, spikes=True)
+    assert problems(export.file) == []
+    assert [line.partition(": ")[2] for line in export.left_out[:2]] == [
+        "its pattern has motions, which have no predicted spikes"
+    ] * 2
+    with pynwb.NWBHDF5IO(str(export.file), "r") as io:
+        highest = io.read().stimulus["pin_displacement"].data[:].max(axis=0)
+    assert highest[9:12] == pytest.approx([50, 38, 19], abs=3)
+    bids = m.export_bids(session.id, tmp_path / "data")
+    assert bids.left_out == ()
+    again = [meissner.displacement(file).um.max() for file in sorted((tmp_path / "data" / "stimuli").iterdir())]
+    assert sorted(again) == pytest.approx([highest[10], 50], abs=1)
+
+
 def test_without_pynwb_the_remedy_is_told() -> None:
     code = "import sys; sys.modules['pynwb'] = None; from meissner import nwb; nwb.needs_pynwb()"
     ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)

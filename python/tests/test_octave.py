@@ -100,6 +100,7 @@ m.session_end();
 complete = false;
 while ~complete
   rows = m.session_plays(id);
+  assert(isempty(m.session_plays(id, numel(rows.plays)).plays));
   complete = rows.complete;
 end
 plays = num2cell_or_cell(rows.plays);

@@ -291,6 +291,47 @@ def test_a_session_that_resumes_goes_on_after_an_error(
         assert lost.plays == []
 
 
+def test_a_forked_child_does_not_take_over_a_session(
+    daemon: meissner.Daemon, m: meissner.Client, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    with m.session("P07", resume=True) as session:
+        child = os.fork()
+        if child == 0:
+            # A child that fails must not go on with the tests.
+            try:
+                with meissner.connect(daemon.socket) as other:
+                    other.session("P07", resume=True)
+            except errors.SessionRunning as error:
+                os._exit(0 if "the program that has started it runs, too" in str(error) else 1)
+            finally:
+                os._exit(2)
+        assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
+        m.play("pin-60", 0.05).wait()
+        assert len(session.plays) == 1
+
+
+def test_live_plays_take_answers(daemon: meissner.Daemon, m: meissner.Client) -> None:
+    """The method of adjustment: the participant sets what the play ends with."""
+    with m.session("P07") as session:
+        with m.live(drives=DRIVES, timeout=60.0, trial=1) as live:
+            live.scale(0.5).wait(PATIENT)
+        session.answer(1, "as strong", level=0.5)
+        with m.live(drives=DRIVES, timeout=60.0, trial=2) as live:
+            live.keep().wait(PATIENT)
+        live.answer("weaker")
+        assert [(row["trial"], row["answer"]["response"]) for row in session.plays] == [(1, "as strong"), (2, "weaker")]
+
+    async def work() -> None:
+        async with await meissner.connect_async(daemon.socket) as client, client.session("P08") as session:
+            async with client.live(drives=DRIVES, timeout=60.0, trial=3) as live:
+                await live.keep().wait(PATIENT)
+            await session.answer(3, "as strong")
+            assert [row["answer"]["response"] for row in await session.plays()] == ["as strong"]
+
+    asyncio.run(work())
+
+
 def test_asynchronous_sessions_answer_and_resume(
     daemon: meissner.Daemon, m: meissner.Client, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -6,10 +6,12 @@ number of trials can tell: some standard errors of the estimate.
 
 from __future__ import annotations
 
+import ast
 import csv
 import itertools
 import math
 import random
+import re
 import statistics
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -19,6 +21,8 @@ import pytest
 
 import meissner
 from meissner.experiment import Log, SimulatedObserver, Staircase, constant_stimuli, two_afc
+
+PAGE = Path(__file__).parents[2] / "docs" / "how-to" / "publish.md"
 
 
 @pytest.fixture
@@ -34,6 +38,31 @@ def events(dataset: Path) -> list[dict[str, str]]:
     (file,) = dataset.glob("sub-*/ses-*/beh/*_events.tsv")
     with file.open(newline="", encoding="utf-8") as opened:
         return list(csv.DictReader(opened, delimiter="\t", quoting=csv.QUOTE_NONE))
+
+
+def lines_of_code(study: ast.FunctionDef, text: list[str]) -> int:
+    """The lines of a study to its export: without comments, and without those of the participant."""
+    code = [each for each in study.body if not (isinstance(each, ast.Expr) and isinstance(each.value, ast.Constant))]
+    export = next(each for each in code if "export_bids" in ast.unparse(each) and not isinstance(each, ast.With))
+    lines = (line.strip() for line in text[code[0].lineno - 1 : export.end_lineno])
+    persons = ("chance", "person")
+    return sum(
+        bool(line) and not line.startswith("#") and ("answer(" in line or not any(word in line for word in persons))
+        for line in lines
+    )
+
+
+@pytest.mark.skipif(not PAGE.exists(), reason="the book is in the repository only")
+def test_the_book_has_each_study_and_its_lines() -> None:
+    text = Path(__file__).read_text(encoding="utf-8")
+    studies = [
+        each
+        for each in ast.parse(text).body
+        if isinstance(each, ast.FunctionDef) and [argument.arg for argument in each.args.args] == ["lab", "tmp_path"]
+    ]
+    told = re.findall(r"\| `(test_\w+)` \|.*\| (\d+) \|", PAGE.read_text(encoding="utf-8"))
+    assert told == [(each.name, str(lines_of_code(each, text.splitlines()))) for each in studies]
+    assert len(told) == 7
 
 
 def grid(low: float, high: float, steps: int) -> list[float]:
@@ -201,6 +230,38 @@ def test_noise_that_masks_raises_the_threshold(lab: meissner.Client, tmp_path: P
         pairs = list(itertools.product(grid(5, 60, 111), [6.0]))
         found, _ = likeliest(pairs, of, lambda level, at, width: logistic((level - at) / width))
         assert found == pytest.approx(threshold, abs=8)
+
+
+def test_noise_is_discriminated_by_its_strength(lab: meissner.Client, tmp_path: Path) -> None:
+    """Two bursts of noise on one pin, a standard of 20 µm peak and a comparison, in either order: PSE and Weber fraction.
+
+    The participant takes the second of two equal bursts for 2 µm stronger, and judges with a standard deviation of 3 µm.
+    """
+    chance = random.Random(12)
+    band = {"motor": 9, "duration_s": 0.08, "low_hz": 10.0, "high_hz": 40.0}
+    with lab.session("P07", experiment="noise") as session:
+        for trial in two_afc([12, 16, 18, 22, 24, 28], repeats=24, seed=4):
+            peaks_um = enumerate(trial.intervals(float(trial["level"]), 20.0), 2 * trial.number)
+            bursts = [{"name": "noise", "noise": [{**band, "seed": seed, "peak_um": um}]} for seed, um in peaks_um]
+            lab.sequence([{"pattern": burst} for burst in bursts], isi=0.1, trial=trial.number).wait()
+            stronger_by = chance.gauss(2, 3 * 2**0.5) + (trial["level"] - 20) * (1 if trial["interval"] == 2 else -1)
+            session.answer(trial, 2 if stronger_by > 0 else 1)
+    lab.export_bids(session.id, tmp_path, displacement_hz=None)
+    answers = []
+    rows = events(tmp_path)
+    assert len(rows) == 288
+    assert len({row["stim_file"] for row in rows}) == 288, "each noise is a new one"
+    for one, two in zip(rows[::2], rows[1::2], strict=True):
+        assert one["trial"] == two["trial"]
+        # The comparison's place and level: how much stronger the second burst is.
+        sign = 1 if one["factor_interval"] == "2" else -1
+        answers.append((sign * (float(one["level"]) - 20), one["response"] == "2"))
+    pairs = list(itertools.product(grid(-6, 10, 65), grid(1, 12, 45)))
+    normal = statistics.NormalDist()
+    shift, width = likeliest(pairs, answers, lambda um, shift, width: normal.cdf((um + shift) / width))
+    # Three standard errors: 0.8 um, and 14 % of the width.
+    assert shift == pytest.approx(2, abs=2.4)
+    assert width / 2**0.5 / 20 == pytest.approx(3 / 20, rel=0.42)
 
 
 def test_reaction_times_stand_beside_the_codes_of_the_trigger(lab: meissner.Client, tmp_path: Path) -> None:

@@ -254,6 +254,17 @@ impl FromStr for Onset {
     }
 }
 
+/// How edges of the trigger input start and stop a play.
+#[derive(Clone, Copy, Debug, Args)]
+pub(super) struct EdgeOptions {
+    /// Begin MS milliseconds after an edge of the device's trigger input, exact to the tick: the first edge after the plays before are over
+    #[arg(long, value_name = "MS", conflicts_with = "at", allow_negative_numbers = true, value_parser = positive)]
+    pub(super) on_edge: Option<f64>,
+    /// Stop at the first edge of the trigger input after the onset, and clear the queue
+    #[arg(long)]
+    pub(super) stop_on_edge: bool,
+}
+
 /// Parses one of `values`, each with its help, as the type `T` that serde reads from the value's name.
 pub(super) fn choice<T: DeserializeOwned + Clone + Send + Sync + 'static>(
     values: &'static [(&'static str, &'static str)],

@@ -5,14 +5,16 @@
 //!
 //! Invariant: no request is sent twice, except an e-stop.
 
-use super::arguments::{ClientOptions, Onset, PlayOptions, choice, positive};
+use super::arguments::{ClientOptions, EdgeOptions, Onset, PlayOptions, choice, positive};
 use super::ending::Ending;
 use super::output::{give, say, shown};
 use super::progress::Progress;
 use super::text;
 use anyhow::{Result, bail};
 use clap::Args;
-use meissner_api::{ArmRequest, Code, Event, Fit, Mapping, PlayRequest, Receipt, ResetRequest, Status};
+use meissner_api::{
+    ArmRequest, Code, EdgeRequest, Event, Fit, Mapping, PlayRequest, Receipt, ResetRequest, Status,
+};
 use meissner_client::{Client, ClientError, Endpoint, Events, HOME_TIMEOUT};
 use serde_json::json;
 use std::io::{self, BufRead, IsTerminal, Read, Write};
@@ -40,6 +42,8 @@ pub(super) struct Play {
     /// Begin at TICK of the device's clock, MS milliseconds after the request, or at NS nanoseconds of CLOCK_MONOTONIC
     #[arg(long, value_name = "TICK|+MS|@NS")]
     at: Option<Onset>,
+    #[command(flatten)]
+    edge: EdgeOptions,
     /// Choose which strokes are played at the end
     #[arg(long, default_value = "whole", value_parser = choice::<Fit>(&[("whole", "Those that have ended by then: a little shorter than asked for"), ("cover", "Those that begin before: a little longer")]))]
     fit: Fit,
@@ -63,6 +67,14 @@ pub(super) struct Play {
 
 pub(super) fn command(options: &ClientOptions, name: &str) -> Result<ExitCode> {
     let status: Status = options.client()?.post(&format!("/v1/{name}"), &json!({}))?;
+    print_state(options, &status)
+}
+
+pub(super) fn edge(options: &ClientOptions, at: Option<Onset>) -> Result<ExitCode> {
+    let (at_tick, at_ms, None) = Onset::keys(at) else {
+        bail!("--at: an edge comes at a tick or after milliseconds: TICK or +MS");
+    };
+    let status: Status = options.client()?.post("/v1/edge", &EdgeRequest { at_tick, at_ms })?;
     print_state(options, &status)
 }
 
@@ -222,6 +234,8 @@ pub(super) fn play(play: &Play) -> Result<ExitCode> {
         at_tick,
         at_ms,
         at_monotonic_ns,
+        on_edge_ms: play.edge.on_edge,
+        stop_on_edge: play.edge.stop_on_edge,
         boot: None,
         endless: play.endless,
         fit: play.fit,

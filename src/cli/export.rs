@@ -28,7 +28,7 @@ pub(super) const TIMEOUT: Duration = Duration::from_secs(60);
 type Column = (&'static str, fn(&Session, &RecordedPlay) -> String);
 
 /// The columns.
-const COLUMNS: [Column; 55] = [
+const COLUMNS: [Column; 59] = [
     ("session", |session, _| session.id.clone()),
     ("participant", |session, _| session.participant.clone()),
     ("experiment", |session, _| field(session.experiment.as_ref())),
@@ -90,6 +90,10 @@ const COLUMNS: [Column; 55] = [
     ("correct", |_, play| answered(play, |answer| answer.correct)),
     ("response_time", |_, play| answered(play, |answer| answer.rt_ms.map(|ms| ms / 1e3))),
     ("level", |_, play| answered(play, |answer| answer.level)),
+    ("start_edge", |_, play| field(play.start_edge.map(|edge| edge.number))),
+    ("start_edge_tick", |_, play| field(play.start_edge.map(|edge| edge.tick))),
+    ("stop_edge", |_, play| field(play.stop_edge.map(|edge| edge.number))),
+    ("stop_edge_tick", |_, play| field(play.stop_edge.map(|edge| edge.tick))),
 ];
 
 /// The field of a part of the participant's answer.

@@ -172,6 +172,14 @@ enum Command {
     Disarm(ClientOptions),
     /// Move the pins to their rest position, between plays
     Home(ClientOptions),
+    /// Make an edge at the trigger input of a simulated array, as a pulse would at a board's
+    Edge {
+        /// Make it at TICK of the device's clock, or MS milliseconds after the request [default: at once]
+        #[arg(long, value_name = "TICK|+MS")]
+        at: Option<arguments::Onset>,
+        #[command(flatten)]
+        options: ClientOptions,
+    },
     /// Measure the gains of the motors and store them: by telemetry, in a minute of bursts, or with a laser (--plan, then --from)
     Calibrate(calibrate::Calibrate),
     /// List all patterns
@@ -346,6 +354,7 @@ fn run(command: Command) -> Result<ExitCode> {
         }
         Command::Disarm(options) => control::command(&options, "disarm"),
         Command::Home(options) => control::home(&options),
+        Command::Edge { at, options } => control::edge(&options, at),
         Command::Calibrate(asked) => calibrate::run(&asked),
         Command::List(options) => library::list(&options),
         Command::Show { name, options } => library::show(&options, &name),

@@ -2,7 +2,7 @@
 //!
 //! Invariant: the request is sent once.
 
-use super::arguments::{ClientOptions, Onset, positive};
+use super::arguments::{ClientOptions, EdgeOptions, Onset, positive};
 use super::control::follow;
 use super::ending::Ending;
 use super::output::give;
@@ -22,6 +22,8 @@ pub(super) struct Sequence {
     /// Begin at TICK of the device's clock, MS milliseconds after the request, or at NS nanoseconds of CLOCK_MONOTONIC
     #[arg(long, value_name = "TICK|+MS|@NS")]
     at: Option<Onset>,
+    #[command(flatten)]
+    edge: EdgeOptions,
     /// Stop the running play and clear the queue first
     #[arg(long)]
     replace: bool,
@@ -41,9 +43,11 @@ pub(super) struct Sequence {
 
 pub(super) fn run(asked: &Sequence) -> Result<ExitCode> {
     let mut request = read(&asked.file)?;
-    if asked.at.is_some() {
+    if asked.at.is_some() || asked.edge.on_edge.is_some() {
         (request.at_tick, request.at_ms, request.at_monotonic_ns) = Onset::keys(asked.at);
+        request.on_edge_ms = asked.edge.on_edge;
     }
+    request.stop_on_edge |= asked.edge.stop_on_edge;
     request.replace |= asked.replace;
     request.strict |= asked.strict;
     request.hold_ms = asked.hold_ms.or(request.hold_ms);

@@ -16,8 +16,8 @@ use crate::receipts::end_text;
 use comfy_table::presets::{NOTHING, UTF8_FULL};
 use comfy_table::{CellAlignment, Table};
 use meissner_api::{
-    ArmedStatus, ArrayDetails, ArrayGrid, BoardRecord, BoardStatus, EndCause, ErrorSource, Event, ItemState,
-    NO_DEVICE, ParticipantStatus, Receipt, SearchState, Session, Status,
+    ArmedStatus, ArrayDetails, ArrayGrid, BoardRecord, BoardStatus, EdgeEffect, EndCause, ErrorSource, Event,
+    ItemState, NO_DEVICE, ParticipantStatus, Receipt, SearchState, Session, Status,
 };
 use meissner_array::pattern::Drive;
 use meissner_array::units::TickRate;
@@ -74,6 +74,15 @@ pub(super) fn drift(status: &Status) -> Option<String> {
     Some(format!("up to {um:.0} um from rest (estimated), {count} of {all} pins; limit {limit_um} um{full}"))
 }
 
+/// The motors whose telemetry is not trusted, each with its reason.
+fn sensor_faults(status: &Status) -> Option<String> {
+    let faults: Vec<_> = (0..)
+        .zip(&status.motors)
+        .filter_map(|(motor, of): (u8, _)| Some(format!("pin {motor}: {}", of.sensor_fault?.text())))
+        .collect();
+    (!faults.is_empty()).then(|| faults.join("; "))
+}
+
 pub(super) fn status(status: &Status) -> String {
     let none = || match &status.no_device_reason {
         Some(missing) => format!("none: {missing}"),
@@ -100,7 +109,10 @@ pub(super) fn status(status: &Status) -> String {
         lines.push(("armed by", format!("{by}; {until}")));
     }
     if !status.queued.is_empty() {
-        let waiting = status.queued.iter().map(|play| format!("{} of {}", play.id, play.pattern));
+        let waiting = status.queued.iter().map(|play| {
+            let waits = if play.waits_for_edge { ", which waits for an edge" } else { "" };
+            format!("{} of {}{waits}", play.id, play.pattern)
+        });
         lines.push(("queued", waiting.collect::<Vec<_>>().join(", ")));
     }
     match &status.device {
@@ -110,7 +122,11 @@ pub(super) fn status(status: &Status) -> String {
         Some(device) if device.simulated => lines.push(("telemetry", ON_NO_BOARD.to_owned())),
         _ => {}
     }
+    if status.device.as_ref().is_some_and(|device| device.trigger_input) {
+        lines.push(("input", "edges of the trigger input can start and stop plays".to_owned()));
+    }
     lines.extend(drift(status).map(|drift| ("drift", drift)));
+    lines.extend(sensor_faults(status).map(|faults| ("sensor faults", faults)));
     if status.realtime.is_some_and(|has| !has.fifo) {
         lines.push(("emergency stop", format!("{SLOW_ESTOP}; see `meissner doctor`")));
     }
@@ -255,6 +271,14 @@ pub(super) fn event(event: &Event) -> String {
             format!("late: {id}, motor {}, by {:.1} ms, {:?}", stroke.motor, stroke.late_ms, stroke.cause)
         }
         Event::Refused { id, stroke } => format!("refused: {id}, motor {}, {}", stroke.motor, stroke.reason),
+        Event::Edge { edge, play, effect } => {
+            let play = play.map_or_else(String::new, |id| match effect {
+                EdgeEffect::Start => format!(", starts play {id}"),
+                EdgeEffect::Stop => format!(", stops play {id}"),
+                EdgeEffect::Mark => format!(", during play {id}"),
+            });
+            format!("edge: {} at tick {}{play}", edge.number, edge.tick)
+        }
         Event::Items { id, first, items, .. } => {
             let played = items.iter().filter(|item| item.state == ItemState::Played).count();
             format!("items: {id}, {first} to {}: {played} played", first + items.len().saturating_sub(1))

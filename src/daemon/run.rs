@@ -40,7 +40,7 @@ use tokio::sync::{oneshot, watch};
 use tracing::{info, warn};
 
 /// How long closing the session record may take; a service manager waits longer.
-const CLOSE_TIMEOUT: Duration = Duration::from_secs(2);
+const CLOSE_TIMEOUT: Duration = Duration::from_secs(6);
 /// How long the streamer may take to end after its answer to the shutdown.
 const STREAMER_TIMEOUT: Duration = Duration::from_millis(500);
 

@@ -32,6 +32,7 @@ pub(crate) fn findings(status: &Status) -> Vec<Finding> {
     let mut findings = held(status, device);
     findings.extend(status.line_bytes_per_s.map(line));
     findings.extend(telemetry(device.telemetry));
+    findings.push(trigger_input(device.trigger_input));
     findings
 }
 
@@ -66,6 +67,11 @@ pub(crate) fn simulated(simulated: bool, found: String, instead: &str) -> Findin
 /// A finding if the device sends no telemetry.
 pub(crate) fn telemetry(there: bool) -> Option<Finding> {
     (!there).then(|| Finding::warn("telemetry", NO_TELEMETRY, SHORT_PLAYS))
+}
+
+/// Whether the device has a trigger input. Few experiments need one.
+pub(crate) fn trigger_input(there: bool) -> Finding {
+    Finding::new("trigger input", Level::Ok, if there { "yes" } else { "none" }.to_owned(), "")
 }
 
 /// Whether the line carries enough.

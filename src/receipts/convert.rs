@@ -33,6 +33,7 @@ pub fn device_info(kind: &str, hello: &DeviceHello) -> DeviceInfo {
         boot: hello.boot,
         simulated: hello.features & DeviceHello::SIMULATED != 0,
         telemetry: hello.features & DeviceHello::TELEMETRY != 0,
+        trigger_input: hello.features & DeviceHello::TRIGGER_INPUT != 0,
     }
 }
 
@@ -122,11 +123,13 @@ pub fn refusal(refused: CommandError) -> Problem {
         CommandError::Playing | CommandError::Begun => Code::Playing,
         CommandError::NotHome => Code::NotHome,
         CommandError::NoPositionEstimate => Code::NoPositionEstimate,
-        CommandError::QueueFull => Code::QueueFull,
+        CommandError::QueueFull | CommandError::TooManyEdges => Code::QueueFull,
         CommandError::BehindEndless => Code::BehindEndless,
-        CommandError::TooSoon => Code::TooSoon,
+        CommandError::TooSoon | CommandError::EdgeTooSoon { .. } => Code::TooSoon,
+        CommandError::NoTriggerInput => Code::NoTriggerInput,
+        CommandError::NotSimulated | CommandError::NoTriggerOutput => Code::DeviceRefused,
         CommandError::TooFar { .. } => Code::BadRequest,
-        CommandError::Overlaps => Code::Overlaps,
+        CommandError::Overlaps | CommandError::BehindEdge => Code::Overlaps,
         CommandError::LineTooSlow { .. } => Code::LineTooSlow,
         CommandError::Device(Refusal::PositionUnknown) => Code::PositionUnknown,
         CommandError::Device(_) => Code::DeviceRefused,

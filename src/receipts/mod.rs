@@ -28,8 +28,8 @@ use firmware_protocol::message::{DeviceHello, State};
 use firmware_protocol::tick::Tick;
 use live::LiveAccount;
 use meissner_api::{
-    BurstCounts, DeviceInfo, Event, LateCounts, LateStroke, LinkTraffic, LiveContrast, LoweredPin,
-    LoweredReason, MAX_LISTED, MotorRestError, MovedPin, NO_DEVICE, OrderedCounts, PlayState,
+    BurstCounts, DeviceInfo, EdgeEffect, Event, LateCounts, LateStroke, LinkTraffic, LiveContrast,
+    LoweredPin, LoweredReason, MAX_LISTED, MotorRestError, MovedPin, NO_DEVICE, OrderedCounts, PlayState,
     PredictedResponse, Prediction, PulseCounts, Receipt, RefusedStroke, RunningPlay,
 };
 use meissner_array::spec::Array;
@@ -210,6 +210,14 @@ impl Receipts {
                     }
                 }
                 None
+            }
+            StreamEvent::Edge { edge, play, effect } => {
+                if *effect == EdgeEffect::Start
+                    && let Some(receipt) = play.and_then(|id| self.live_mut(id))
+                {
+                    receipt.start_edge = Some((*edge).into());
+                }
+                Some(Event::Edge { edge: (*edge).into(), play: *play, effect: *effect })
             }
             StreamEvent::LiveUpdated(update) => {
                 if let Some(account) = self.updates.get_mut(&update.id) {
@@ -398,6 +406,8 @@ fn complete(receipt: &mut Receipt, outcome: &Outcome, rate: TickRate) {
     receipt.lateness.counts = outcome.lateness;
     receipt.wire = Some(LinkTraffic::new(outcome.wire_bytes, outcome.bursts.planned));
     receipt.board = outcome.board.map(convert::board_record);
+    receipt.start_edge = outcome.started_by.map(Into::into);
+    receipt.stop_edge = outcome.stopped_by.map(Into::into);
     receipt.offset = outcome.offset.map(Into::into);
     receipt.cut_after_ms = outcome.cut_after.map(|ticks| rate.ticks_to_ms(ticks));
     receipt.duration_ms.played =

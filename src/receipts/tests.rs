@@ -53,6 +53,7 @@ fn snapshot(connected: bool, state: State, play: Option<(u64, f64)>) -> Snapshot
         settings: Settings::of(meissner_array::spec::Array::paper()),
         rest_error_um: PerMotor::all(Array::paper(), 0.0),
         source: PerMotor::all(Array::paper(), ErrorSource::None),
+        sensor_faults: PerMotor::all(Array::paper(), None),
         movements: PerMotor::all(Array::paper(), Movement::default()),
         pins_seen: true,
         line_bytes_per_s: None,
@@ -78,6 +79,8 @@ fn ended(id: u64, end: End) -> StreamEvent {
     let strokes = Strokes::new(&pattern, &StrokeOptions::default()).unwrap();
     let play = Play::new(id, strokes);
     let outcome = Outcome {
+        started_by: None,
+        stopped_by: None,
         end,
         cause: (end != End::Done).then_some(EndCause::Stop),
         onset: Some(onset()),

@@ -31,13 +31,22 @@ impl Compare {
     pub(super) fn carry_out(
         &self,
         target: &Target,
+        tell: impl FnMut(LiveContrast) -> bool,
+    ) -> Result<LiveContrast, String> {
+        self.within(|| Limit::Until(Instant::now() + POSE), target, tell)
+    }
+
+    /// The same with a limit for each pose.
+    fn within(
+        &self,
+        limit: impl Fn() -> Limit,
+        target: &Target,
         mut tell: impl FnMut(LiveContrast) -> bool,
     ) -> Result<LiveContrast, String> {
         let brief = live_brief(self.objective, self.model, self.setting);
         let mut compared = Vec::new();
         for sample in &self.samples {
-            let limit = Limit::Until(Instant::now() + POSE);
-            let found = compare_live(target, brief, std::slice::from_ref(sample), limit);
+            let found = compare_live(target, brief, std::slice::from_ref(sample), limit());
             compared.extend(found.map_err(|error| error.to_string())?);
             if !tell(contrast(&compared)) {
                 break;
@@ -102,7 +111,7 @@ mod tests {
             true
         };
         let LiveContrast { poses, converged, membrane, afferents } =
-            compare.carry_out(&target, tell).unwrap();
+            compare.within(|| Limit::Evaluations(u64::MAX), &target, tell).unwrap();
         // Beyond the finger there is nothing to compare.
         assert_eq!((poses, converged, afferents, told), (1, 1, None, vec![1, 1]));
         let ReachedContrast { reached, searched, rule, least_share } = membrane.unwrap();

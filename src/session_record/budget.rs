@@ -1,7 +1,7 @@
 //! Bounds the bytes of the session record, and counts the entries that it leaves out.
 //!
-//! Each kind of entry has a reserve of bytes that refills with time ([`Rate`]): plays, e-stops, the daemon's own entries, and the
-//! other commands. For the other commands each user also has a separate reserve. If the reserve has no room for an entry, the entry
+//! Each kind of entry has a reserve of bytes that refills with time ([`Rate`]): plays, e-stops, edges of the trigger input, the daemon's
+//! own entries, and the other commands. For the other commands each user also has a separate reserve. If the reserve has no room for an entry, the entry
 //! is left out and counted by client and command. Entries about plays are never left out: while their reserve is empty, the daemon
 //! refuses new plays.
 //!
@@ -37,6 +37,8 @@ impl Rate {
 const PLAYS: Rate = Rate { burst: 128 << 20, per_s: 4 << 10 };
 /// E-stops: 4 000 at once, and one a second.
 const ESTOPS: Rate = Rate { burst: 1 << 20, per_s: 256 };
+/// Edges of the trigger input: 20 000 at once, and one a second.
+const EDGES: Rate = Rate { burst: 4 << 20, per_s: 256 };
 /// Entries that no client causes: starts, reloads, devices.
 const DAEMON: Rate = Rate { burst: 1 << 20, per_s: 256 };
 /// The other commands of a user: 28 000 at once, and three a second.
@@ -58,6 +60,7 @@ const IN_FLIGHT: u64 = 6 << 20;
 pub const BYTES_PER_DAY: u64 = PLAYS.per_day()
     + IN_FLIGHT
     + ESTOPS.per_day()
+    + EDGES.per_day()
     + DAEMON.per_day()
     + ALL_USERS.per_day()
     + MAX_ENTRY * (DAY_S / REPORT_AFTER.as_secs() + 1);
@@ -95,6 +98,7 @@ impl Reserve {
 pub(super) struct Budget {
     plays: Reserve,
     estops: Reserve,
+    edges: Reserve,
     daemon: Reserve,
     all_users: Reserve,
     /// By user; the highest number stands for the users that share a reserve.
@@ -107,6 +111,7 @@ impl Budget {
         Self {
             plays: Reserve::new(&PLAYS, now),
             estops: Reserve::new(&ESTOPS, now),
+            edges: Reserve::new(&EDGES, now),
             daemon: Reserve::new(&DAEMON, now),
             all_users: Reserve::new(&ALL_USERS, now),
             users: HashMap::new(),
@@ -125,6 +130,7 @@ impl Budget {
             }
             _ if bytes > MAX_ENTRY => false,
             Kind::EStop => take(&mut [&mut self.estops], bytes, now),
+            Kind::Edge => take(&mut [&mut self.edges], bytes, now),
             Kind::Daemon => take(&mut [&mut self.daemon], bytes, now),
             Kind::Command => {
                 let user = uid.unwrap_or(u32::MAX);
@@ -318,7 +324,7 @@ mod tests {
 
     #[test]
     fn a_day_of_refused_plays_and_a_day_of_stops_are_bounded_and_lose_no_play() {
-        const { assert!(BYTES_PER_DAY < 750_000_000) };
+        const { assert!(BYTES_PER_DAY < 800_000_000) };
         let long = "x".repeat(15_000);
         let plays = 4 * DAY_S;
         let stops = day(|uid| Note::Command(command("stop", uid, Value::Null)).into());

@@ -236,6 +236,8 @@ pub(super) enum Kind {
     Play,
     /// An emergency stop.
     EStop,
+    /// An edge of the trigger input.
+    Edge,
     /// Another command.
     Command,
     /// Events of the daemon and its device.
@@ -325,6 +327,7 @@ impl Entry {
                 | Event::SessionReleased { .. }
                 | Event::SessionEnded { .. }
                 | Event::Calibrated { .. } => (Kind::Play, None, event.name()),
+                Event::Edge { .. } => (Kind::Edge, None, event.name()),
                 _ => daemon(event.name()),
             },
         }

@@ -83,7 +83,15 @@ mod tests {
         command.set_arguments(json!({"pattern": ODD, ODD: [ODD]}));
         command.answer = odd();
         let (simulated, telemetry) = (true, true);
-        let device = DeviceInfo { kind: odd(), firmware: odd(), build: odd(), boot: 1, simulated, telemetry };
+        let device = DeviceInfo {
+            kind: odd(),
+            firmware: odd(),
+            build: odd(),
+            boot: 1,
+            simulated,
+            telemetry,
+            trigger_input: false,
+        };
         let mut receipt = Receipt::new(3, ODD, ODD, None);
         receipt.cause = Some(odd().into());
         let prediction = Prediction { response: None, unknown: Some(odd()) };

@@ -548,6 +548,8 @@ fn played(entry: &Value, receipt: Receipt) -> RecordedPlay {
         boot: None,
         pattern_kept: false,
         first_pulse_tick: receipt.pins.iter().flatten().map(|pin| pin.first_pulse_tick).min(),
+        start_edge: receipt.start_edge,
+        stop_edge: receipt.stop_edge,
         answer: None,
     }
 }

@@ -95,6 +95,7 @@ fn a_line_says_when_who_and_what() {
         boot: 1,
         simulated: true,
         telemetry: true,
+        trigger_input: false,
     };
     for event in [
         Event::Connected { device: hello },

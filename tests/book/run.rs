@@ -18,7 +18,7 @@ use std::thread;
 
 /// A page must work on a busy machine:
 /// - `demo` and `play --wait` may exit with 1: a stall of the machine made strokes late, which is no fault of a page.
-/// - `session export` is asked again, as it says, while the disk has not taken the newest entries.
+/// - `session export` and `replay --dry-run` are asked again, as they say, while the disk has not taken the newest entries.
 /// - `live` may be silent for 20 s. With that lead the line carries 40 updates a second.
 /// - Each daemon has the settings of [`PATIENT`].
 /// - `status` fails until the device has answered and the line is measured: then it takes commands at once.
@@ -30,7 +30,7 @@ meissner() {
     case "$*" in
         demo) command meissner demo --seconds 1 || [ $? = 1 ] ;;
         *--wait*) command meissner "$@" || [ $? = 1 ] ;;
-        session\ export*)
+        session\ export*|session\ replay*--dry-run*)
             for _ in {1..20}; do if command meissner "$@"; then return; fi; done
             return 1 ;;
         live*) command meissner "$@" --timeout-ms 20000 --updates-hz 40 ;;
@@ -60,7 +60,7 @@ python() {
 
 /// A long lead and a long host watchdog timeout outlast stalls. With little scatter a short calibration is always accurate enough
 /// to be stored.
-const PATIENT: &str = "lead_ms = 1000\nlease_ms = 5000\nmock.gain_sd = 0.02\n";
+const PATIENT: &str = "lead_ms = 1000\nlease_ms = 10000\nmock.gain_sd = 0.02\n";
 
 /// The page's commands as one script; none if it has no commands.
 fn script(page: &Page) -> Option<String> {

@@ -7,12 +7,12 @@ import { createServer, request as httpRequest } from "node:http";
 import { connect, createServer as createNetwork } from "node:net";
 import { tmpdir } from "node:os";
 import { join } from "node:path";
+import { after, afterEach, before } from "node:test";
 import puppeteer from "puppeteer-core";
 
 const PROGRAM = process.env.MEISSNER_PROGRAM;
-export const WAIT = { timeout: 60000, polling: 50 };
-// A search has a low priority, so beside a build it may take a minute.
-export const SEARCHED = { ...WAIT, timeout: 200000 };
+// It only ends a test that hangs: beside a build a search may take minutes.
+export const WAIT = { timeout: 200000, polling: 50 };
 
 // A calibration of another array: 23 motors, each with its points.
 export const UM = 0.95 / 7;
@@ -30,10 +30,29 @@ export const launch = () => puppeteer.launch({ executablePath: process.env.CHROM
 
 // Ends all daemons that were started, and removes their files.
 export async function endAll() {
-  for (const daemon of daemons) {
+  for (const daemon of daemons.splice(0)) {
     await daemon.end();
     rmSync(daemon.dir, { recursive: true, force: true });
   }
+}
+
+// A browser for the tests of a file. `open(daemon, width, height, view)` opens a window of the page, `blank()` an empty one. After each test
+// its windows are closed and its daemons ended: a window that stays open draws on, and slows all tests after it.
+export function browsing(view = "play") {
+  let browser;
+  before(async () => {
+    browser = await launch();
+  });
+  afterEach(async () => {
+    const own = browser.browserContexts().filter((context) => context !== browser.defaultBrowserContext());
+    await Promise.all(own.map((context) => context.close()));
+    await endAll();
+  });
+  after(() => browser?.close());
+  return {
+    open: (daemon, width, height, shown = view) => open(browser, daemon, width, height, shown),
+    blank: async () => (await browser.createBrowserContext()).newPage(),
+  };
 }
 
 export class Daemon {
@@ -92,7 +111,7 @@ export async function open(browser, daemon, width = 1400, height = 1000, view = 
   const context = await browser.createBrowserContext();
   const page = await context.newPage();
   // What a selector waits for may follow a search, as the first pose of a live play does.
-  page.setDefaultTimeout(SEARCHED.timeout);
+  page.setDefaultTimeout(WAIT.timeout);
   page.complaints = [];
   // A device that nobody has calibrated has no calibration.
   const isExpected = (url) => url?.endsWith("/v1/calibration");

@@ -4,23 +4,14 @@
 // No test asserts on real time; the time limits only end a test that hangs.
 
 import assert from "node:assert/strict";
-import { after, before, test } from "node:test";
+import { test } from "node:test";
 import { crc32, deflateSync } from "node:zlib";
-import { answers, arm, Daemon, endAll, launch, open as openIn, press, SEARCHED, shows, text, view, WAIT } from "./daemon.js";
+import { answers, arm, browsing, Daemon, press, shows, text, view, WAIT } from "./daemon.js";
 
-let browser;
-const open = (daemon) => openIn(browser, daemon, 1400, 1000, "design");
+const { open } = browsing("design");
 const get = async (daemon, path) => (await fetch(`${daemon.url}${path}`)).json();
 const ask = async (daemon, method, path, body) => (await fetch(`${daemon.url}${path}`, { method, headers: { "content-type": "application/json" }, body: JSON.stringify(body) })).json();
 const faults = (page) => page.complaints.filter((line) => !line.includes("409"));
-
-before(async () => {
-  browser = await launch();
-});
-after(async () => {
-  await browser?.close();
-  await endAll();
-});
 
 // Places on the pad, mm, as places in the window.
 async function places(page, mm) {
@@ -53,7 +44,7 @@ async function rendered(page, daemon, condition = () => true) {
     const search = await get(daemon, "/v1/searches/last").catch(() => ({}));
     assert.notEqual(search.state, "failed", search.problem);
     if (search.state === "done" && condition(search)) {
-      await page.waitForSelector("#thing-result:not([hidden], .older)", SEARCHED);
+      await page.waitForSelector("#thing-result:not([hidden], .older)", WAIT);
       return search;
     }
     await new Promise((done) => setTimeout(done, 50));
@@ -82,8 +73,21 @@ test("a bar that is drawn is rendered, compared with the real thing, felt and sa
   // The line has the numbers of the API.
   const [found, rule] = result.judged;
   const verdict = await text(page, "thing-verdict");
-  assert.ok(verdict.startsWith("Nearer to the thing than the plain press by "), verdict);
-  assert.ok(verdict.includes(`SA1 ${found.error_by_class[0].toFixed(2)} (${rule.error_by_class[0].toFixed(2)})`) && verdict.includes("than the vibration at 60 Hz"), verdict);
+  const [, nearer, all, most] = /^Nearer to the thing than the plain press in (\d) of (\d) measures, most by (.*?)\./.exec(`${verdict.split("\n")[0]}.`);
+  // Each measure, and how much nearer the found pattern is by it.
+  const [rs, errors] = [["r", "r_by_class", 1], ["error", "error_by_class", -1]].map(([word, key, sign]) => found[key].map((own, k) => {
+    const [a, b] = [own, rule[key][k]].map((value) => value.toFixed(2));
+    return [`${word} of ${["SA1", "RA", "PC"][k]} ${a} (${b})`, sign * (a - b)];
+  }));
+  const gains = [...rs, ...errors].sort(([, a], [, b]) => b - a);
+  assert.deepEqual([Number(nearer), Number(all), most], [gains.filter(([, by]) => by > 0).length, 6, gains[0][0].split(".")[0]], verdict);
+  for (const [words] of gains.filter(([, by]) => by < 0)) assert.ok(verdict.includes(words), verdict);
+  assert.ok(verdict.includes("than the vibration at 60 Hz"), verdict);
+  // The best of each column is bold.
+  const bold = await page.$$eval("#thing-figures tbody tr", (rows) => rows.map((row) => [...row.querySelectorAll("td")].map((cell) => cell.firstElementChild?.textContent ?? null)));
+  const best = Math.min(...result.judged.map((of) => of.error_by_class[1])).toFixed(2);
+  assert.deepEqual([...new Set(bold.map((row) => row[4]).filter(Boolean))], [best]);
+  assert.ok(bold[0].every((_, column) => bold.some((row) => row[column] !== null)), "a column without its best");
   assert.equal(await page.$$eval("#thing-figures tbody tr", (all) => all.length), result.judged.length);
   await shows(page, "speak", "Found a pattern for drawn. Nearer to the thing");
   await press(page, "#thing-feel");
@@ -97,10 +101,27 @@ test("a bar that is drawn is rendered, compared with the real thing, felt and sa
   assert.equal((await get(daemon, "/v1/patterns/my-bar")).pattern.name, "my-bar");
   // The page asks before it replaces a pattern.
   await press(page, "#thing-save");
+  await page.waitForSelector("#thing-save-ask:not([hidden])");
   await shows(page, "thing-save-ask", "A pattern my-bar is stored already.");
+  // The question is about that name and that drawing: a change of either takes it away.
+  await page.type("#thing-name", "2");
+  assert.equal(await page.$eval("#thing-save-ask", (line) => line.hidden), true);
+  await enter(page, "thing-name", "my-bar");
+  await press(page, "#thing-save");
+  await page.waitForSelector("#thing-save-ask:not([hidden])");
+  await shows(page, "thing-save-ask", "A pattern my-bar is stored already.");
+  await enter(page, "width", "2");
+  assert.equal(await page.$eval("#thing-save-ask", (line) => line.hidden), true);
+  await press(page, "#undo");
+  await rendered(page, daemon, ({ id, rendered }) => id > 2 && rendered.object.width_mm === 0.8);
+  await press(page, "#thing-save");
+  await page.waitForSelector("#thing-save-ask:not([hidden])");
+  await shows(page, "thing-save-ask", "A pattern my-bar is stored already.");
+  await page.$eval("#thing-name", (field) => (field.value = "another"));
   await press(page, "#thing-replace");
   await answers(page, "#thing-save", "Saved the pattern my-bar.");
   assert.equal(await page.$eval("#thing-save-ask", (line) => line.hidden), true);
+  assert.equal((await fetch(`${daemon.url}/v1/patterns/another`)).status, 404);
   await view(page, "play");
   await page.waitForSelector('li[data-name="my-bar"]');
   assert.deepEqual(faults(page), []);
@@ -200,7 +221,7 @@ test("a picture that is dropped is a height map", async () => {
   await shows(page, "picture-note", "Its brightness counts");
   // What is no picture says so, and the one before stays.
   await drop(page, "letter.txt", Buffer.from("no picture"));
-  await answers(page, "#shape", "Letter.txt is no image that this browser can read");
+  await answers(page, "#shape", "letter.txt is no image that this browser can read");
   await shows(page, "picture-note", "colours.npy");
   assert.deepEqual(faults(page), []);
 });
@@ -348,7 +369,7 @@ test("the keyboard alone draws a thing and feels it", async () => {
   await pressed("ArrowLeft", "ArrowLeft", "Enter", "ArrowRight", "ArrowRight", "ArrowRight", "ArrowRight", "ArrowUp", "Enter", "Backspace", "Enter");
   assert.equal(await page.$eval("#points", (input) => input.value), "-1 0; 1 0.5");
   await shows(page, "speak", "2 points, the last at 1, 0.5 mm.");
-  await page.waitForSelector("#thing-feel:not([disabled])", SEARCHED);
+  await page.waitForSelector("#thing-feel:not([disabled])", WAIT);
   await page.focus("#thing-feel");
   await pressed("Enter");
   await view(page, "play");
@@ -375,9 +396,11 @@ test("the paper's search finds a vibration for what is drawn, plays it and saves
   await draw(page, [-3, -3], [3, 3]);
   await enter(page, "budget", "0,3");
   await press(page, "#find");
-  await shows(page, "search-note", "Found a pattern for drawn", SEARCHED);
+  await shows(page, "search-note", "Found a pattern for drawn", WAIT);
   await page.waitForSelector("#maps figure");
   const { result, target, id } = await get(daemon, "/v1/searches/last");
+  const rule = Math.max(result.value_naive_reach, result.value_naive_pitch);
+  await shows(page, "search-note", `by the objective “off-rms-twice”: ${result.value.toPrecision(3)} against ${rule.toPrecision(3)} of the better rule of thumb.`);
   // Nothing was rendered meanwhile.
   assert.deepEqual([target, id], ["drawn", 1]);
   const [[x, y], [u, v]] = result.definition.points;
@@ -419,7 +442,7 @@ test("a vibration plays as soon as the pen lifts, if a person wants that", async
   await press(page, "#at-once");
   await draw(page, [0, -4], [0, 4]);
   // A key or a click before the play is ordered would withdraw the person's wish.
-  await shows(page, "search-note", "Found a pattern for drawn", SEARCHED);
+  await shows(page, "search-note", "Found a pattern for drawn", WAIT);
   await view(page, "play");
   await shows(page, "receipt-summary", "drawn: done");
   assert.equal((await get(daemon, "/v1/searches/last")).id, 1);
@@ -435,7 +458,7 @@ test("an emergency stop works while a play and a search run, and the search can 
   await page.waitForSelector("#find:not([disabled])");
   await enter(page, "budget", "600");
   await press(page, "#find");
-  await shows(page, "search-progress", "evaluations", SEARCHED);
+  await shows(page, "search-progress", "evaluations", WAIT);
   await view(page, "play");
   await page.$eval("#seconds", (input) => (input.value = "600"));
   await page.type("#search", "edge-45");
@@ -518,7 +541,7 @@ test("what is found for a target is for the daemon's array", async () => {
   await enter(page, "budget", "0.2");
   await page.waitForSelector("#find:not([disabled])");
   await press(page, "#find");
-  await shows(page, "search-note", "Found a pattern for edge-45", SEARCHED);
+  await shows(page, "search-note", "Found a pattern for edge-45", WAIT);
   await press(page, "#feel");
   // The pins of the array are known here.
   await page.waitForFunction(() => document.querySelector('.finger .hand[visibility="visible"]'), WAIT);

@@ -1,19 +1,10 @@
 // The view Device, and what a window may not do. The tests use a real browser and a real daemon with the simulated array.
 
 import assert from "node:assert/strict";
-import { after, before, test } from "node:test";
-import { arm, Daemon, endAll, launch, open as openIn, press, shows, text, view, WAIT } from "./daemon.js";
+import { test } from "node:test";
+import { answers, arm, browsing, Daemon, press, proxied, shows, text, view, WAIT } from "./daemon.js";
 
-let browser;
-const open = (daemon, shown = "device") => openIn(browser, daemon, 1400, 1000, shown);
-
-before(async () => {
-  browser = await launch();
-});
-after(async () => {
-  await browser?.close();
-  await endAll();
-});
+const { open } = browsing("device");
 
 const fact = (page, list, name) => page.$eval(`#${list}`, (list, name) => [...list.children].find((term) => term.textContent === name)?.nextElementSibling.textContent, name);
 // Waits until a fact includes a text.
@@ -31,19 +22,79 @@ test("the array, the link, the daemon and its network are shown as the daemon te
   assert.equal(await text(page, "array-toml"), array.toml);
   for (const [list, name, part] of [
     ["facts", "Device", "mock, simulated, firmware"], ["facts", "Line", "kB/s"], ["facts", "Clock", "synchronised to ±"], ["facts", "Frames sent again, damaged", "0 sent again, 0 damaged"],
-    ["facts", "Messages that cannot be true", "0"], ["facts", "Device runs", "started by program"], ["facts", "Position", "unknown"],
+    ["facts", "Messages that cannot be true", "0"], ["facts", "Device runs", "started by program"], ["facts", "Position", "unknown"], ["facts", "Largest offset from rest", "not known"],
     ["daemon-facts", "Armed by", "nobody"], ["daemon-facts", "Version", `pid ${daemon.child.pid}`], ["daemon-facts", "Session", "none"],
     ["network-facts", "This window may", "everything but tokens"], ["network-facts", "Listens on", `127.0.0.1:${daemon.port}`], ["network-facts", "Tokens", "0 may operate, 0 may read"], ["network-facts", "Without a token", "clients on the daemon's machine may do everything"],
   ]) await becomes(page, list, name, part);
   await arm(page);
   await becomes(page, "daemon-facts", "Armed by", "10 s without a sign of it disarm");
   await becomes(page, "facts", "Position", "known");
+  await becomes(page, "facts", "Largest offset from rest", " µm, pin ");
+  // The counters are renewed while the view is shown, also in a long play.
+  await daemon.run("play", "pin-60", "--seconds", "600");
+  const sent = () => fact(page, "facts", "Frames sent again, damaged");
+  for (let renewed = 0; renewed < 2; renewed += 1) {
+    const before = await sent();
+    await page.waitForFunction((before) => {
+      const shown = [...document.getElementById("facts").children].find((term) => term.textContent === "Frames sent again, damaged").nextElementSibling.textContent;
+      return shown !== before && shown.includes("MB sent");
+    }, WAIT, before);
+  }
   await daemon.end("SIGKILL");
   await becomes(page, "daemon-facts", "Armed by", "not known");
   assert.equal(await fact(page, "facts", "Clock"), "not known");
   await daemon.start();
   await becomes(page, "daemon-facts", "Armed by", "nobody");
   await becomes(page, "facts", "Frames sent again, damaged", "0 sent again");
+});
+
+// What the simulated sensors show is right, so the page is told otherwise.
+test("a sensor fault is marked also after a reload, until motors are armed again", async () => {
+  const daemon = await new Daemon().start();
+  const page = await open(daemon);
+  await page.evaluateOnNewDocument(() => {
+    const fetch = window.fetch;
+    window.fetch = async (url, options) => {
+      const answer = await fetch(url, options);
+      if (url !== "/v1/status" || !answer.ok) return answer;
+      const status = await answer.json();
+      if (status.state === "disarmed") status.motors[3].sensor_fault = "gain";
+      return new Response(JSON.stringify(status), { status: 200 });
+    };
+  });
+  const marked = (wanted) => page.waitForFunction((wanted) => {
+    const rings = [...document.querySelectorAll(".finger .sensor-fault")].flatMap((ring, i) => (ring.getAttribute("visibility") === "visible" ? [i] : []));
+    return rings.join() === wanted;
+  }, WAIT, wanted);
+  for (let times = 0; times < 2; times += 1) {
+    await page.reload();
+    await marked("3");
+    await page.waitForFunction(() => [...document.querySelectorAll(".finger title")].some(({ textContent }) => /^Pin 3: .*, sensor fault: it shows far less or more travel than bursts make$/.test(textContent)), WAIT);
+  }
+  await arm(page);
+  await marked("");
+});
+
+test("news of a device and of a sensor fault are no news of an owner's silence", async () => {
+  const daemon = await new Daemon().start();
+  const { components } = await (await fetch(`${daemon.url}/v1/openapi.json`)).json();
+  const examples = components.schemas.Event.oneOf.flatMap((of) => [of, ...(of.allOf ?? [])].flatMap(({ examples }) => examples ?? []));
+  let stream = null;
+  const tell = (name) => stream.write(`data: ${JSON.stringify(examples.find(({ event }) => event === name))}\n\n`);
+  const through = (request, response, forward) => {
+    if (request.url !== "/v1/events") return forward();
+    response.writeHead(200, { "content-type": "text/event-stream" });
+    stream = response;
+    for (const name of ["doubted", "connected"]) tell(name);
+  };
+  await proxied(daemon, through, async (url) => {
+    const page = await open({ url });
+    await shows(page, "events-list", "Sensor fault of pin 3");
+    await shows(page, "events-list", "A device has connected");
+    assert.deepEqual(await page.$$eval("header .say", (lines) => lines.map((line) => line.textContent)), []);
+    tell("owner-silent");
+    await answers(page, "#arm", "The daemon disarmed: it had no sign of");
+  });
 });
 
 test("wiring that is not in the motors' order is shown motor by motor", async () => {
@@ -65,7 +116,7 @@ test("a token that may only read is offered nothing that it may not do, and told
   const tokens = { observe: await create("observe"), operate: await create("operate") };
   const headers = { authorization: `Bearer ${tokens.operate}` };
   await fetch(`${daemon.url}/v1/sessions`, { method: "POST", headers, body: JSON.stringify({ participant: "P07" }) });
-  const page = await open(daemon, "play");
+  const page = await open(daemon, undefined, undefined, "play");
   const enter = async (role) => {
     await page.waitForSelector("#sign-in:not([hidden])");
     await page.$eval("#token", (field) => (field.value = ""));
@@ -94,6 +145,7 @@ test("a token that may only read is offered nothing that it may not do, and told
   // E-STOP asks for another token, and is sent with it. Then everything is offered.
   await page.click("#estop");
   await shows(page, "estop-note", "NOT CONFIRMED: the token may only read");
+  assert.ok(!(await text(page, "estop-note")).includes("`"));
   await enter("operate");
   await shows(page, "estop-note", "All lines are off.");
   await becomes(page, "network-facts", "Tokens", "1 may operate, 1 may read");

@@ -5,20 +5,11 @@
 import assert from "node:assert/strict";
 import { writeFileSync } from "node:fs";
 import { join } from "node:path";
-import { after, before, test } from "node:test";
-import { answers, arm, CALIBRATION, Daemon, endAll, launch, open as openIn, press, proxied, SEARCHED, shows, text, UM, view, WAIT } from "./daemon.js";
+import { test } from "node:test";
+import { answers, arm, browsing, CALIBRATION, Daemon, press, proxied, shows, text, UM, view, WAIT } from "./daemon.js";
 
-let browser;
-const open = (daemon, width, height, shown) => openIn(browser, daemon, width, height, shown);
+const { open } = browsing();
 const openView = (daemon, shown) => open(daemon, 1400, 1000, shown);
-
-before(async () => {
-  browser = await launch();
-});
-after(async () => {
-  await browser?.close();
-  await endAll();
-});
 
 test("a person arms, plays, stops in an emergency, and resets (smoke)", async () => {
   const daemon = await new Daemon().start();
@@ -32,9 +23,8 @@ test("a person arms, plays, stops in an emergency, and resets (smoke)", async ()
   await page.click('li[data-name="edge-45"] button');
   await shows(page, "state-text", "Playing edge-45");
   const moving = (await (await fetch(`${daemon.url}/v1/patterns/edge-45`)).json()).drives.map((drive) => drive.motor);
-  const drawn = () => page.$$eval(".finger .hand", (hands) => hands.flatMap((hand, i) => (hand.getAttribute("visibility") === "visible" ? [i] : [])));
-  await page.waitForFunction(() => document.querySelector('.finger .hand[visibility="visible"]'), WAIT);
-  assert.deepEqual(await drawn(), [...new Set(moving)].sort((a, b) => a - b));
+  // On a busy machine the state grows old at times; then nothing is drawn.
+  await page.waitForFunction((moving) => [...document.querySelectorAll(".finger .hand")].every((hand, i) => (hand.getAttribute("visibility") === "visible") === moving.includes(i)), WAIT, moving);
   await page.click("#estop");
   await shows(page, "estop-note", "All lines are off.");
   assert.deepEqual([(await daemon.status()).state, (await daemon.status()).estops], ["faulted", 1]);
@@ -178,7 +168,7 @@ test("an array of two pins that nearly touch and of pins far away is drawn as sm
   // The drawing's size in its own units, and the discs' places and radii.
   const drawn = (selector) => page.$eval(selector, (svg) => {
     const { width, height } = svg.viewBox.baseVal;
-    const discs = [...svg.querySelectorAll("circle:not(.doubt)")].map((disc) => {
+    const discs = [...svg.querySelectorAll("circle:not(.sensor-fault)")].map((disc) => {
       const [, x, y] = disc.parentNode.getAttribute("transform")?.match(/(-?[\d.e-]+) (-?[\d.e-]+)/) ?? [];
       return [Number(x ?? disc.getAttribute("cx")), Number(y ?? disc.getAttribute("cy")), Number(disc.getAttribute("r"))];
     });
@@ -208,13 +198,18 @@ test("the doctor's findings come with verdicts and remedies", async () => {
   const shown = await listed();
   assert.equal(shown.length, findings.length);
   const words = { ok: "OK", warn: "Warning", fail: "Failure" };
+  // The page's words for what it has buttons for.
+  const said = (text) => page.evaluate(async (text) => (await import(document.querySelector("script[src$='app.js']").src.replace("app.js", "words.js"))).advice(text).replaceAll("`", ""), text);
+  assert.match(shown.find(([, , text]) => text.startsWith("state"))[2], /check that all pins are at rest, then press Arm$/);
   // The clock's estimate changes meanwhile.
   for (const { what, level, found, advice } of findings.filter(({ what }) => what !== "clock")) {
     const item = shown.find(([, , text]) => text.startsWith(`${what} ${words[level]}`));
     assert.deepEqual(item.slice(0, 2), [level, words[level]]);
-    assert.ok(item[2].includes(found.replaceAll("`", "")), `${item[2]}: ${found}`);
-    assert.ok(item[2].endsWith(advice.replaceAll("`", "")) && item[2].includes("Remedy: ") === (level !== "ok"), item[2]);
+    assert.ok(item[2].includes(await said(found)), `${item[2]}: ${found}`);
+    assert.ok(item[2].endsWith(await said(advice)) && item[2].includes("Remedy: ") === (level !== "ok"), item[2]);
   }
+  const outside = await page.$$eval("#findings li", (items) => items.map((item) => [...item.querySelectorAll("p")].flatMap((line) => [...line.childNodes].filter((part) => part.nodeName !== "CODE").map((part) => part.textContent)).join(" ")));
+  for (const text of outside) assert.ok(!/`|(^|\s)--\w/.test(text), text);
   assert.deepEqual(shown.map(([level]) => level), shown.map(([level]) => level).sort((a, b) => "fwo".indexOf(a[0]) - "fwo".indexOf(b[0])));
   // After a stop a new check reports it; the worst finding comes first.
   await page.click("#estop");
@@ -224,7 +219,7 @@ test("the doctor's findings come with verdicts and remedies", async () => {
   await shows(page, "doctor-note", `${failures} failure${failures === 1 ? "" : "s"}, `);
   const [level, verdict, state] = (await listed())[0];
   assert.deepEqual([level, verdict], ["fail", "Failure"]);
-  assert.ok(state.startsWith("state ") && state.includes("meissner reset"), state);
+  assert.ok(state.startsWith("state ") && state.includes("press Reset"), state);
 });
 
 test("calibration plots show what the API says, and a person can calibrate", async () => {
@@ -236,7 +231,7 @@ test("calibration plots show what the API says, and a person can calibrate", asy
   const plan = { pulses: [14, 70, 140], repetitions: 1 };
   await fetch(`${daemon.url}/v1/calibrate`, { method: "POST", headers: { "content-type": "application/json" }, body: JSON.stringify(plan) });
   await shows(page, "calibrate-note", "Calibrating for ");
-  await shows(page, "calibrate-result", "Stored: 24 motors.", SEARCHED);
+  await shows(page, "calibrate-result", "Stored: 24 motors.", WAIT);
   await shows(page, "calibration-note", "The daemon uses these gains.");
   await shows(page, "calibration-facts", "just now");
   const { motors } = await get(daemon, "/v1/calibration");
@@ -345,13 +340,13 @@ test("late strokes are counted while a play runs", async () => {
     const page = await open({ url });
     await arm(page);
     await daemon.run("play", "pin-60", "--seconds", "600");
-    await shows(page, "play-facts", "Late strokes of this playnone");
+    await shows(page, "play-facts", "Late strokes that this window has heard ofnone");
     const { id } = (await daemon.status()).play;
     for (const play of [id, id + 1, id]) {
       const data = { event: "late", id: play, motor: 9, tick: 1, late_ms: 1.8, cause: "host" };
       streams.at(-1).write(`event: late\ndata: ${JSON.stringify(data)}\n\n`);
     }
-    await shows(page, "play-facts", "Late strokes of this play2");
+    await shows(page, "play-facts", "Late strokes that this window has heard of2");
     await page.click("#stop");
     await page.waitForFunction(() => !document.getElementById("play-facts").textContent, WAIT);
     assert.deepEqual(page.complaints, []);

@@ -2,20 +2,11 @@
 // the simulated array.
 
 import assert from "node:assert/strict";
-import { after, before, test } from "node:test";
+import { test } from "node:test";
 import { order, wilson } from "../../src/daemon/page/assets/choice.js";
-import { answers, arm, Daemon, endAll, launch, open as openIn, press, proxied, shows, text, view, WAIT } from "./daemon.js";
+import { answers, arm, browsing, Daemon, press, proxied, shows, text, view, WAIT } from "./daemon.js";
 
-let browser;
-const open = (daemon, width, height) => openIn(browser, daemon, width, height, "record");
-
-before(async () => {
-  browser = await launch();
-});
-after(async () => {
-  await browser?.close();
-  await endAll();
-});
+const { open } = browsing("record");
 
 // What another client asks for, or orders.
 async function other(daemon, method, path, body, headers = {}) {
@@ -23,6 +14,7 @@ async function other(daemon, method, path, body, headers = {}) {
   return { status: answer.status, ...(await answer.json()) };
 }
 
+const get = async (daemon, path) => (await fetch(`${daemon.url}${path}`)).json();
 const gone = (page, selector) => page.waitForFunction((selector) => !document.querySelector(selector).checkVisibility(), WAIT, selector);
 const there = (page, selector) => page.waitForFunction((selector) => document.querySelector(selector).checkVisibility(), WAIT, selector);
 const rows = (page, table) => page.$$eval(`#${table} tbody tr`, (rows) => rows.map((row) => [...row.cells].map((cell) => cell.textContent)));
@@ -80,9 +72,10 @@ test("a window starts a session, owns it, also after a reload, and ends it (smok
   await page.waitForSelector("#session-form .wrong");
   assert.equal((await daemon.status()).session, null);
   await type(page, "session-seed", 42);
+  await type(page, "remark", "left-handed");
   await start(page, "P07", { exclusive: true });
   await shows(page, "owner", "Session of P07, by this window, exclusive");
-  for (const part of ["P07", "edges", "this window", "only this window may change things", "42"]) await shows(page, "session-facts", part);
+  for (const part of ["P07", "edges", "this window", "only this window may change things", "42", "left-handed", "3600 s in this session; 600 s before a pause of 10 s"]) await shows(page, "session-facts", part);
   assert.equal((await other(daemon, "POST", "/v1/arm", { assume_rest: true })).code, "session-exclusive");
   await page.reload();
   await shows(page, "owner", "by this window");
@@ -99,7 +92,7 @@ test("a window starts a session, owns it, also after a reload, and ends it (smok
   await page.waitForSelector("#session-end:not([disabled])");
   await press(page, "#session-end");
   await there(page, "#session-form");
-  await shows(page, "owner", "No session");
+  await shows(page, "owner", "No session: plays belong to no participant");
   assert.equal((await rows(page, "sessions")).length, 1);
   // Its token is forgotten: the daemon would refuse every change with it.
   await page.click("#disarm");
@@ -281,12 +274,12 @@ test("of 5000 plays one page is built, and a file has all", async () => {
 });
 
 // Sets the experiment up, with short stimuli.
-async function setUp(page, settings = {}) {
+async function setUp(page, settings = {}, [asked, other] = ["pin-60", "edge-45"]) {
   const values = { trials: 4, "choice-seed": 7, "stimulus-s": 0.1, "between-ms": 20, "pause-s": 0, ...settings };
   await page.waitForFunction(() => document.querySelectorAll("#asked option").length > 1, WAIT);
   for (const [id, value] of Object.entries(values)) await page.$eval(`#${id}`, (field, value) => (field.value = value), String(value));
-  await page.select("#asked", "pin-60");
-  await page.select("#other", "edge-45");
+  await page.select("#asked", asked);
+  await page.select("#other", other);
   await page.waitForSelector("#choice-start:not([disabled])");
   await press(page, "#choice-start");
 }
@@ -316,11 +309,19 @@ test("an experiment plays its trials, takes answers after the stimulus, and expo
     assert.equal(await page.$eval("#key-first", (field) => field.value), "ArrowRight");
     await setUp(page);
     await answers(page, "#choice-start", "Choose two keys that differ.");
+    // A field has no letters of its own: the key that is pressed in it is its name.
+    await page.focus("#key-second");
+    await page.keyboard.press("m");
+    assert.equal(await page.$eval("#key-second", (field) => field.value), "m");
+    await page.keyboard.press("ArrowRight");
     await page.focus("#key-first");
     await page.keyboard.press("ArrowLeft");
     await page.select("#other", "pin-60");
     await press(page, "#choice-start");
     await answers(page, "#choice-start", "Choose two patterns that differ.");
+    // Without seconds each pattern runs once, so one without end needs them.
+    await setUp(page, { "stimulus-s": "" });
+    await answers(page, "#choice-start", "pin-60 has no end: enter the seconds of each pattern.");
     await setUp(page);
     const firsts = order(4, 7);
     // What would tell the answer is out of sight, and a key before the end of the stimulus is no answer.
@@ -364,6 +365,104 @@ test("an experiment plays its trials, takes answers after the stimulus, and expo
     assert.ok(column("response_time").every((time) => Number(time) >= 0 && time !== ""));
     assert.deepEqual(page.complaints, []);
   });
+});
+
+test("the files of a session are those of the table, and a late answer shows nothing", async () => {
+  const daemon = await new Daemon().start();
+  await other(daemon, "POST", "/v1/arm", { assume_rest: true });
+  const ids = [];
+  for (const participant of ["P21", "P22"]) {
+    ids.push((await other(daemon, "POST", "/v1/sessions", { participant })).id);
+    const play = await other(daemon, "POST", "/v1/play", { pattern: "pin-60", seconds: 0.1 });
+    assert.equal((await other(daemon, "GET", `/v1/plays/${play.id}?wait=60`)).state, "done");
+    await other(daemon, "POST", `/v1/sessions/${ids.at(-1)}/end`, {});
+  }
+  // What the proxy does with a request for a session's plays.
+  let holds = () => false;
+  const held = [];
+  const through = (request, response, forward) => (holds(request.url) ? held.push({ forward, fail: () => response.writeHead(500).end('{"code":"store","detail":"the disk does not answer"}') }) : forward());
+  const asked = async (count) => {
+    for (const until = Date.now() + WAIT.timeout; held.length < count; await new Promise((done) => setTimeout(done, 20))) assert.ok(Date.now() < until);
+  };
+  await proxied(daemon, through, async (url) => {
+    const page = await open({ url });
+    await collect(page);
+    const show = (participant) => page.$eval(`#sessions button[aria-label*="${participant}"]`, (button) => button.click());
+    await page.waitForFunction(() => document.querySelectorAll("#sessions tbody tr").length === 2, WAIT);
+    await show("P21");
+    await shows(page, "plays-title", "Session of P21");
+    const isOfFirst = async (count) => {
+      assert.equal(await text(page, "plays-title"), "Session of P21");
+      assert.deepEqual(await page.$$eval("#sessions [aria-selected]", (rows) => rows.map((row) => row.cells[1].textContent)), ["P21"]);
+      await page.$eval("#save-csv", (button) => button.click());
+      assert.equal((await saved(page, count)).at(-1)[0], `session-${ids[0]}.csv`);
+    };
+    holds = (url) => url.includes(`/${ids[1]}/plays`);
+    await show("P22");
+    await asked(1);
+    await isOfFirst(1);
+    // The answer fails: the table and its files stay.
+    held.splice(0).forEach(({ fail }) => fail());
+    await answers(page, '#sessions button[aria-label*="P22"]', "The disk does not answer.");
+    await isOfFirst(2);
+    // Two are asked for: the later one is shown, whichever answer comes first.
+    await show("P22");
+    await asked(1);
+    holds = () => false;
+    await show("P21");
+    await page.waitForFunction(() => document.activeElement.id === "plays-title", WAIT);
+    held.splice(0).forEach(({ forward }) => forward());
+    await show("P21");
+    await isOfFirst(3);
+    // A page is turned while news are fetched: the news do not turn it back. An empty field asks for no row NaN.
+    const urls = [];
+    holds = (url) => url.includes("/plays?from=") && urls.push(url) === 1;
+    await page.$eval("#plays-from", (field) => (field.value = ""));
+    await page.evaluate(() => document.dispatchEvent(new Event("answered")));
+    await asked(1);
+    assert.ok(urls[0].endsWith("?from=0"), urls[0]);
+    await page.$eval("#plays-from", (field) => ((field.value = "101"), field.dispatchEvent(new Event("change"))));
+    await shows(page, "plays-none", "There is no row 101.");
+    const answered = page.waitForResponse((response) => response.url().endsWith("?from=0"));
+    held.splice(0).forEach(({ forward }) => forward());
+    await (await answered).text();
+    await page.evaluate(() => new Promise((done) => setTimeout(done)));
+    assert.equal(await text(page, "plays-none"), "There is no row 101.");
+  });
+});
+
+test("the forced choice offers the patterns that are stored now, and puts none in the place of one that was removed", async () => {
+  const daemon = await new Daemon().start();
+  const store = (name) => fetch(`${daemon.url}/v1/patterns/${name}`, { method: "PUT", headers: { "content-type": "application/toml" }, body: `format = 1\nname = "${name}"\nduration_s = 1.0\n[[drive]]\nmotor = 3\nfrequency_hz = 60.0\namplitude_um = 50.0\n` });
+  assert.equal((await store("first-one")).status, 201);
+  const page = await open(daemon);
+  await page.waitForSelector("#asked option");
+  const offered = (name, is) => page.waitForFunction((name, is) => [...document.querySelectorAll("#asked option")].some((option) => option.value === name) === is, WAIT, name, is);
+  await offered("first-one", true);
+  await page.select("#asked", "first-one");
+  await page.select("#other", "pin-60");
+  await store("second-one");
+  await view(page, "design");
+  await view(page, "record");
+  await offered("second-one", true);
+  assert.equal(await page.$eval("#asked", (field) => field.value), "first-one");
+  await fetch(`${daemon.url}/v1/patterns/first-one`, { method: "DELETE" });
+  // The window beside another one gets the focus.
+  await page.evaluate(() => dispatchEvent(new Event("focus")));
+  await offered("first-one", false);
+  assert.deepEqual(await page.$$eval("#asked, #other", (fields) => fields.map((field) => field.value)), ["", "pin-60"]);
+});
+
+test("a forced choice without seconds plays each pattern once", async () => {
+  const daemon = await new Daemon().start();
+  const page = await open(daemon);
+  await start(page, "P11");
+  await arm(page);
+  await setUp(page, { trials: 1, "stimulus-s": "" }, ["press-hold", "edge-45-rendered"]);
+  await shows(page, "choice-prompt", "Which interval had press-hold?");
+  const { items } = await get(daemon, "/v1/plays/last");
+  for (const { pattern, ordered_ms: ms } of items) assert.equal(ms, 1000 * (await get(daemon, `/v1/patterns/${pattern}`)).pattern.duration_s, pattern);
+  assert.equal(items.length, 2);
 });
 
 test("an experiment pauses by Escape, a reload, another view and E-STOP, and repeats the trial without an answer", async () => {
@@ -446,7 +545,9 @@ test("E-STOP by another client in a stimulus pauses, and a lost reply is no seco
     await page.keyboard.press(KEYS[firsts[0]]);
     await shows(page, "choice-prompt", "Paused. The daemon does not answer.");
     await page.waitForSelector("#choice-go:not([disabled])");
-    await press(page, "#choice-go");
+    // Two clicks count one answer, and play one trial.
+    await page.$eval("#choice-go", (button) => (button.click(), button.click()));
+    await shows(page, "choice-count", "1 of 2 answers");
     await answer(page, false, firsts[1], 2);
     await shows(page, "choice-result", "1 of 2 answers right");
     const { plays } = await other(daemon, "GET", `/v1/sessions/${(await daemon.status()).session.id}/plays`);

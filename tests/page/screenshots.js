@@ -4,7 +4,7 @@
 
 import { mkdirSync } from "node:fs";
 import { join } from "node:path";
-import { arm, Daemon, endAll, launch, open, SEARCHED, shows, view, WAIT } from "./daemon.js";
+import { arm, Daemon, endAll, launch, open, shows, view, WAIT } from "./daemon.js";
 
 const [folder] = process.argv.slice(2);
 mkdirSync(folder, { recursive: true });
@@ -29,7 +29,7 @@ for (const width of [390, 1400, 3000]) {
         await shows(page, "load", "edge-45");
         await page.select("#load", "edge-45");
       }
-      await page.waitForSelector(ready, SEARCHED);
+      await page.waitForSelector(ready, WAIT);
       await page.screenshot({ path: join(folder, `${name}-${width}-${scheme}.png`) });
       await page.screenshot({ path: join(folder, `${name}-whole-${width}-${scheme}.png`), fullPage: true });
     }

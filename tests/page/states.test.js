@@ -4,19 +4,10 @@
 // Time is counted in turns of the page's event loop, so a machine that stands still does not count.
 
 import assert from "node:assert/strict";
-import { after, before, test } from "node:test";
-import { answers, arm, Daemon, endAll, launch, networked, open as openIn, press, proxied, shows, text, view, WAIT } from "./daemon.js";
+import { test } from "node:test";
+import { answers, arm, browsing, Daemon, networked, press, proxied, shows, text, view, WAIT } from "./daemon.js";
 
-let browser;
-const open = (daemon) => openIn(browser, daemon);
-
-before(async () => {
-  browser = await launch();
-});
-after(async () => {
-  await browser?.close();
-  await endAll();
-});
+const { open, blank } = browsing();
 
 // Another client's request.
 async function other(daemon, path, body = {}) {
@@ -93,6 +84,42 @@ test("a state that is older than a second is not known, and an answer that was h
   });
 });
 
+test("no view claims a state that is older than it may be", async () => {
+  const daemon = await new Daemon().start();
+  await networked(daemon, async (network) => {
+    const page = await open(network);
+    await arm(page);
+    await other(daemon, "/v1/sessions", { participant: "P-mayfly", experiment: "age", exclusive: false });
+    await other(daemon, "/v1/sequence", { name: "ageing", items: [{ pattern: "pin-60", seconds: 300 }] });
+    await other(daemon, "/v1/play", { pattern: "edge-45", seconds: 7 });
+    await shows(page, "state-text", "; 1 wait");
+    await shows(page, "queue", "edge-45 (play 2)");
+    // What only a known state lets a view say, and the view that says it.
+    const claims = [["play", "Playing ageing"], ["play", "Pins vibrate."], ["play", "armed by"], ["play", "Stop, clear 1"], ["play", "ageing (play 1)"], ["play", "edge-45 (play 2)"], ["play", "Items of ageing"],
+      ["play", "Late strokes that this window has heard of"], ["play", "pins vibrate, up to"], ["record", "P-mayfly"], ["record", "A play runs or waits"], ["record", "s before a pause"], ["device", "Positionknown"]];
+    const claimed = async (name) => {
+      await view(page, name);
+      // What is recorded is no state.
+      return page.evaluate((claims) => {
+        const shown = [...document.querySelectorAll("header *, main *")].filter((one) => !one.closest("#sessions, #plays") && one.checkVisibility());
+        const texts = shown.flatMap((one) => [one.matches("dl, svg, p, li, span, button, h3") ? one.textContent : "", one.getAttribute("aria-label") ?? ""]);
+        return claims.filter(([, words]) => texts.some((text) => text.includes(words))).map(([, words]) => words);
+      }, claims);
+    };
+    for (const [name, words] of claims) {
+      const until = Date.now() + WAIT.timeout;
+      while (!(await claimed(name)).includes(words)) assert.ok(Date.now() < until, `${name} never says: ${words}`);
+    }
+    network.hold();
+    // No answer to an earlier request comes any more.
+    await page.evaluate(() => meissner.poll());
+    await shows(page, "touch", "The state is not known");
+    for (const name of ["play", "design", "record", "device"]) assert.deepEqual(await claimed(name), [], name);
+    network.letGo();
+    await shows(page, "state-text", "Playing ageing");
+  });
+});
+
 // The daemon is killed in what `begin` begins in a view, and started again. `says`: where the page tells of it, and what, before, without the
 // daemon and with the next one. Sessions have a test of their own.
 const killed = (name, begin, [before, dead, after]) => async () => {
@@ -105,8 +132,8 @@ const killed = (name, begin, [before, dead, after]) => async () => {
   await daemon.end("SIGKILL");
   await labelled(page, "not known");
   assert.deepEqual(await finger(page), { label: "What the pins do is not known.", moving: [], marks: 24 });
-  assert.equal(await page.$eval("#state", (state) => state.dataset.state), "unknown");
   await shows(page, "touch", "The state is not known");
+  assert.equal(await page.$eval("#state", (state) => state.dataset.state), "unknown");
   await shows(page, "finger-note", "What the pins do is not known.");
   await shows(page, ...dead);
   assert.equal(await page.$eval("#disarm", (button) => button.disabled), false, "what makes pins still may be tried");
@@ -137,6 +164,42 @@ test("a search is not known when the daemon dies, and the next daemon has none",
   ["search-progress", "evaluations"], ["search-progress", "Whether the search goes on is not known."], ["search-note", "the search and what it found are gone"],
 ]));
 
+test("a search whose answer fails once is not taken for one of a daemon that is gone", async () => {
+  const daemon = await new Daemon().start();
+  const streams = [];
+  let fails = false;
+  let failed = 0;
+  const through = (request, response, forward) => {
+    if (request.url === "/v1/events") streams.push(response);
+    if (!fails || request.url !== "/v1/searches/1") return forward();
+    failed += 1;
+    response.writeHead(500, { "content-type": "application/json" }).end(JSON.stringify({ code: "store", detail: "the disk is slow" }));
+  };
+  await proxied(daemon, through, async (url) => {
+    const page = await open({ url });
+    await arm(page);
+    await view(page, "design");
+    await searching(page);
+    await shows(page, "search-progress", "evaluations");
+    await page.evaluate(() => {
+      globalThis.gone = 0;
+      new MutationObserver(() => (gone += Number(document.getElementById("search-note").textContent.includes("gone")))).observe(document.getElementById("search-note"), { childList: true });
+    });
+    for (const now of [true, false]) {
+      fails = now;
+      const before = streams.length;
+      streams.at(-1).destroy();
+      const until = Date.now() + WAIT.timeout;
+      while (streams.length === before || (now && !failed)) {
+        assert.ok(Date.now() < until);
+        await page.evaluate(() => meissner.poll());
+      }
+    }
+    await shows(page, "search-progress", "evaluations");
+    assert.equal(await page.evaluate(() => gone), 0);
+  });
+});
+
 const dragging = async (page) => {
   await page.select("#shape", "dots");
   await page.$eval("#points", (field) => ((field.value = "0 0"), field.dispatchEvent(new Event("change"))));
@@ -146,6 +209,34 @@ const dragging = async (page) => {
 test("a live play has lost its connection when the daemon dies, and the next daemon is disarmed", killed("design", dragging, [
   ["thing-live-note", "pressed by 500 µm"], ["thing-live-note", "The connection is lost"], ["state-text", "Disarmed"],
 ]));
+
+// The network stands still in what `begin` begins in the view Design. `says`: where the page tells of it, and what, before and meanwhile;
+// `after`: what holds once the network goes on.
+const stalled = (begin, [before, meanwhile], after) => async () => {
+  const daemon = await new Daemon().start();
+  await networked(daemon, async (network) => {
+    const page = await open(network);
+    await arm(page);
+    await view(page, "design");
+    await begin(page);
+    await shows(page, ...before);
+    network.hold();
+    await page.evaluate(() => meissner.poll());
+    await shows(page, "touch", "The state is not known");
+    await shows(page, ...meanwhile);
+    assert.deepEqual((await finger(page)).moving, []);
+    network.letGo();
+    await after(page);
+  });
+};
+test("a search is not known while the network stands still, and goes on after it", stalled(searching, [["search-progress", "evaluations"], ["search-progress", "Whether the search goes on is not known."]],
+  // It may have ended by now.
+  (page) => page.waitForFunction(() => document.getElementById("search-progress").textContent.includes("evaluations") || document.getElementById("search-note").textContent.includes("Found a pattern"), WAIT)));
+test("a live play is not known while no answer comes, and goes on after it", stalled(dragging, [["thing-live-note", "pressed by 500 µm"], ["thing-live-note", "whether the play goes on is not known"]],
+  async (page) => {
+    await shows(page, "thing-live-note", "pressed by 500 µm");
+    await shows(page, "state-text", "Playing live");
+  }));
 
 test("all drives of a pattern have hands, also those that a receipt does not list", async () => {
   const daemon = await new Daemon().start();
@@ -162,7 +253,26 @@ test("all drives of a pattern have hands, also those that a receipt does not lis
   }, WAIT, [...moving]);
 });
 
-test("an empty field orders nothing, and says so beside itself", async () => {
+test("a refusal goes when the state that it was about has changed, and not before", async () => {
+  const daemon = await new Daemon().start();
+  const page = await open(daemon);
+  const play = (name) => `li[data-name="${name}"] button`;
+  await page.waitForSelector(play("edge-45"));
+  await shows(page, "state-text", "Disarmed");
+  // Not because of the state: it stays.
+  await press(page, play("pin-60"));
+  await answers(page, play("pin-60"), "has no end");
+  await press(page, play("edge-45"));
+  await answers(page, play("edge-45"), "press Arm");
+  // Two more states of the same kind.
+  for (let states = 0; states < 2; states += 1) await page.evaluate(() => meissner.poll());
+  await answers(page, play("edge-45"), "press Arm");
+  await arm(page);
+  await page.waitForFunction(() => document.querySelector('li[data-name="edge-45"] .say').hidden, WAIT);
+  await answers(page, play("pin-60"), "has no end");
+});
+
+test("a wrong field orders nothing, and says so beside itself", async () => {
   const daemon = await new Daemon().start();
   const page = await open(daemon);
   await arm(page);
@@ -170,13 +280,13 @@ test("an empty field orders nothing, and says so beside itself", async () => {
   const play = 'li[data-name="pin-60"]:not([hidden]) button';
   await page.waitForSelector(play);
   const line = (id) => page.$eval(`#${id}`, (field) => field.parentElement.querySelector(".wrong")?.textContent ?? "");
-  for (const [id, says] of [["scale", "Enter a number, 0.05 to 1."], ["seconds", "Enter a number, 0.05 to 3600."]]) {
-    const before = await page.$eval(`#${id}`, (field) => field.value);
-    await page.$eval(`#${id}`, (field) => (field.value = ""));
+  for (const [id, wrong, right, says] of [["scale", "", "1", "Enter a number, 0.05 to 1."], ["seconds", "0", "9", "Enter a number, 0.05 to 3600."]]) {
+    await page.$eval(`#${id}`, (field, wrong) => (field.value = wrong), wrong);
     await press(page, play);
     assert.equal(await line(id), says);
     assert.equal(await page.evaluate(() => document.activeElement.id), id);
-    await page.type(`#${id}`, before);
+    await page.$eval(`#${id}`, (field) => (field.value = ""));
+    await page.type(`#${id}`, right);
     assert.equal(await line(id), "");
   }
   // Nothing was ordered: this is the first play.
@@ -246,10 +356,10 @@ test("E-STOP needs no other script, and is off until it works", async () => {
     forward();
   };
   await proxied(daemon, through, async (url) => {
-    const isFirst = (script) => script === "/page/estop.js";
+    const isFirst = (script) => script.endsWith("/estop.js");
     for (const [others, count] of [["held", 1], ["gone", 2], ["wrong", 3]]) {
       fate = (script) => (isFirst(script) ? "" : others);
-      const page = await (await browser.createBrowserContext()).newPage();
+      const page = await blank();
       page.goto(url).catch(() => {});
       await page.waitForSelector("#estop:not([disabled])", WAIT);
       await page.click("#estop");
@@ -260,7 +370,7 @@ test("E-STOP needs no other script, and is off until it works", async () => {
     }
     for (const fault of ["held", "gone"]) {
       fate = (script) => (isFirst(script) ? fault : "");
-      const page = await (await browser.createBrowserContext()).newPage();
+      const page = await blank();
       page.goto(url).catch(() => {});
       await page.waitForSelector("#estop", WAIT);
       assert.deepEqual([await page.$eval("#estop", (button) => button.disabled), await text(page, "estop-note")], [true, "E-STOP does not work here yet: use the switch of the supply."]);
@@ -288,6 +398,7 @@ test("a play of the page belongs to the session that the page shows, or is refus
     await page.type("#search", "pin-60");
     const play = 'li[data-name="pin-60"]:not([hidden]) button';
     await page.waitForSelector(play);
+    await page.type("#seconds", "1");
     await press(page, play);
     await shows(page, "receipt-summary", "pin-60: done");
     assert.equal((await (await fetch(`${daemon.url}/v1/plays/last`)).json()).session, first);

@@ -59,6 +59,7 @@ impl Route {
             | Self::Reset
             | Self::Arm
             | Self::Home
+            | Self::Edge
             | Self::Import
             | Self::Remove
             | Self::StoreTarget

@@ -73,16 +73,22 @@ pub(crate) fn check_onset(
     tick: Option<u64>,
     ms: Option<f64>,
     monotonic_ns: Option<u64>,
+    on_edge_ms: Option<f64>,
 ) -> Result<(), Problem> {
-    let keys =
-        [("at_tick", tick.is_some()), ("at_ms", ms.is_some()), ("at_monotonic_ns", monotonic_ns.is_some())];
+    let keys = [
+        ("at_tick", tick.is_some()),
+        ("at_ms", ms.is_some()),
+        ("at_monotonic_ns", monotonic_ns.is_some()),
+        ("on_edge_ms", on_edge_ms.is_some()),
+    ];
     let mut given = keys.iter().filter(|(_, given)| *given).map(|(key, _)| key);
     if let (Some(first), Some(second)) = (given.next(), given.next()) {
         return Err(bad(format!("`{first}` and `{second}` exclude each other: leave one out")));
     }
-    if let Some(ms) = ms {
+    for (key, ms) in [("at_ms", ms), ("on_edge_ms", on_edge_ms)] {
+        let Some(ms) = ms else { continue };
         let good = (0.0..=MAX_AT_MS).contains(&ms);
-        document::in_range("at_ms", ms, good, "0 to 3600000 ms, an hour").map_err(problem)?;
+        document::in_range(key, ms, good, "0 to 3600000 ms, an hour").map_err(problem)?;
     }
     Ok(())
 }

@@ -74,6 +74,8 @@ causes! {
     Output = "output",
     /// A disarm.
     Disarm = "disarm",
+    /// An edge of the trigger input, as its order says.
+    Edge = "edge",
     /// A client has taken it out of the queue.
     Withdrawn = "withdrawn",
     /// Another play took its place.

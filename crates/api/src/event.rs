@@ -8,42 +8,13 @@
 use crate::end_cause::EndCause;
 use crate::live_record::LiveContrast;
 use crate::prediction::{Prediction, PredictionKeys};
-use crate::receipt::{LateStroke, OnsetRecord, Receipt, RefusedStroke};
+use crate::receipt::{EdgeRecord, LateStroke, OnsetRecord, Receipt, RefusedStroke};
 use crate::search::{SearchProgress, SearchState};
 use crate::sequence::ItemRecord;
 use crate::session::Session;
-use crate::status::{DeviceInfo, RunningPlay};
+use crate::status::{DeviceInfo, RunningPlay, SensorFault};
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
-
-/// Why the daemon does not trust the telemetry of a motor: `jumps` (the signal moves where the motor rests), `gain` (it shows far
-/// less or more travel than bursts make), `scatter` (equal bursts differ too much) or `limit` (corrections at their limit
-/// have not helped).
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
-#[serde(rename_all = "kebab-case")]
-pub enum SensorFault {
-    /// The signal jumps where nothing moved, or moves where the motor should rest.
-    Jumps,
-    /// The travel it shows per burst is far below or above any motor's.
-    Gain,
-    /// Equal bursts differ by more than any motor's scatter.
-    Scatter,
-    /// Corrections have stood at their limit for long, and the shaft has not come nearer to rest.
-    Limit,
-}
-
-impl SensorFault {
-    /// The fault, as a clause about the motor.
-    #[must_use]
-    pub const fn text(self) -> &'static str {
-        match self {
-            Self::Jumps => "its telemetry moves where its bursts do not",
-            Self::Gain => "its telemetry shows far less or more travel than its bursts make",
-            Self::Limit => "corrections at their limit have not brought it nearer to its rest",
-            Self::Scatter => "its telemetry has little to do with its bursts",
-        }
-    }
-}
 
 /// Something that happened.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
@@ -71,7 +42,7 @@ pub enum Event {
     #[schema(examples(json!({
         "event": "connected",
         "device": {
-            "kind": "mock", "firmware": "0.1.0", "build": "6d656973", "boot": 305419896, "simulated": true, "telemetry": true
+            "kind": "mock", "firmware": "0.1.0", "build": "6d656973", "boot": 305419896, "simulated": true, "telemetry": true, "trigger_input": true
         }
     })))]
     Connected {
@@ -131,6 +102,21 @@ pub enum Event {
         /// The stroke, and why the device refused it.
         #[serde(flatten)]
         stroke: RefusedStroke,
+    },
+    /// A rising edge of the trigger input.
+    #[schema(examples(json!({
+        "event": "edge", "number": 12, "tick": 6442455750_u64, "monotonic_ns": 75793597058823_u64, "uncertainty_ns": 9600,
+        "play": 7, "effect": "start"
+    })))]
+    Edge {
+        /// The edge.
+        #[serde(flatten)]
+        edge: EdgeRecord,
+        /// The play that it starts or stops, or that ran when it came; null without one.
+        #[schema(required)]
+        play: Option<u64>,
+        /// What it does.
+        effect: EdgeEffect,
     },
     /// What became of the items of a sequence: up to 32 of them in one event, those that have begun, right before its event `ended`.
     #[schema(examples(json!({
@@ -314,6 +300,18 @@ pub enum Event {
     },
 }
 
+/// What an edge of the trigger input does: nothing but to `mark` a moment, or it makes a play `start` after its delay, or `stop`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum EdgeEffect {
+    /// It is only recorded.
+    Mark,
+    /// A play that waited for it begins after its delay.
+    Start,
+    /// The play that runs is stopped.
+    Stop,
+}
+
 /// Items of a sequence in one event, at most.
 pub const MAX_ITEMS_LISTED: usize = 32;
 
@@ -332,6 +330,7 @@ impl Event {
             Self::SensorFault { .. } => "doubted",
             Self::Contradiction { .. } => "contradiction",
             Self::Drifted { .. } => "drifted",
+            Self::Edge { .. } => "edge",
             Self::Items { .. } => "items",
             Self::Ended { .. } => "ended",
             Self::PredictedResponse { .. } => "felt",

@@ -74,7 +74,7 @@ pub use body::{Labels, MAX_AT_MS, is_sha256};
 pub use calibration::{CalibratedMotor, CalibrationReport, FittedLine, MeasuredPoint, Provenance};
 pub use doctor::{DoctorReport, Finding, Level};
 pub use end_cause::EndCause;
-pub use event::{Event, MAX_ITEMS_LISTED, SensorFault};
+pub use event::{EdgeEffect, Event, MAX_ITEMS_LISTED};
 pub use live::{
     LIVE_GLIDE_MS, LIVE_TARGET_LEAST_HZ, LIVE_TIMEOUT_MS, LIVE_UPDATES_HZ, LIVE_UPGRADE, LiveAccepted,
     LiveAnswer, LiveApplied, LiveDrive, LiveMessage, LivePose, LiveRequest, MAX_LIVE_MESSAGE,
@@ -89,18 +89,18 @@ pub use plan_check::{PlanCheck, PlanStop};
 pub use prediction::{AfferentClass, ClassResponse, PredictedResponse, Prediction, Rates};
 pub use problem::{Code, MAX_DETAIL, Problem, REFERENCE};
 pub use receipt::{
-    BurstCounts, DurationRecord, ErrorSource, LateCause, LateCounts, LateStroke, LatenessRecord, LinkTraffic,
-    LoweredPin, LoweredReason, LoweredRecord, MAX_DRIVES_LISTED, MAX_LISTED, MAX_WARNINGS_LISTED,
-    MotorRestError, MovedPin, OffsetRecord, OnsetRecord, OrderedCounts, PlayState, PulseCounts, Receipt,
-    RefusedStroke,
+    BurstCounts, DurationRecord, EdgeRecord, ErrorSource, LateCause, LateCounts, LateStroke, LatenessRecord,
+    LinkTraffic, LoweredPin, LoweredReason, LoweredRecord, MAX_DRIVES_LISTED, MAX_LISTED,
+    MAX_WARNINGS_LISTED, MotorRestError, MovedPin, OffsetRecord, OnsetRecord, OrderedCounts, PlayState,
+    PulseCounts, Receipt, RefusedStroke,
 };
 pub use rendering::{
     JudgedPattern, MAX_OBJECT_FILES, MAX_PREVIEW_FROM_S, MAX_PREVIEW_S, ObjectResponse, PatternPreview,
     PreviewSpikes, RenderMethod, Rendered,
 };
 pub use request::{
-    ArmRequest, CalibrateRequest, DisarmRequest, Fit, LatePolicy, MAX_WAIT_S, Mapping, PlayRequest,
-    ResetRequest, parse_empty,
+    ArmRequest, CalibrateRequest, DisarmRequest, EdgeRequest, Fit, LatePolicy, MAX_WAIT_S, Mapping,
+    PlayRequest, ResetRequest, parse_empty,
 };
 pub use route::{Method, Route};
 pub use search::{
@@ -114,7 +114,7 @@ pub use session::{
 };
 pub use status::{
     ArmedStatus, ClockSample, DeviceInfo, MotorStatus, NO_DEVICE, ParticipantStatus, PinMovement,
-    PlayAccepted, QueuedPlay, Realtime, RunningPlay, Status,
+    PlayAccepted, QueuedPlay, Realtime, RunningPlay, SensorFault, Status,
 };
 pub use target::{
     RemovedTarget, StoredTarget, TargetDetails, TargetFile, TargetList, TargetMotion, TargetPopulation,

@@ -8,11 +8,12 @@ use crate::array::ArrayDetails;
 use crate::problem::{Code, Problem};
 use crate::route::{Answer, Body, Method, Operation, Query, Route};
 use crate::{
-    ArmRequest, CalibrateRequest, CalibrationReport, DisarmRequest, DoctorReport, Event, ImportedPattern,
-    LiveAccepted, LiveAnswer, LiveMessage, LiveRequest, PatternDetails, PatternList, PatternPreview,
-    PlanCheck, PlayAccepted, PlayRequest, Receipt, RemovedPattern, RemovedTarget, ResetRequest, Search,
-    SearchRequest, SequenceRequest, Session, SessionList, SessionPlays, SessionRequest, SessionStarted,
-    Status, StoredTarget, TargetDetails, TargetList, TokenCreated, TokenInfo, TokenList, TokenRequest,
+    ArmRequest, CalibrateRequest, CalibrationReport, DisarmRequest, DoctorReport, EdgeRequest, Event,
+    ImportedPattern, LiveAccepted, LiveAnswer, LiveMessage, LiveRequest, PatternDetails, PatternList,
+    PatternPreview, PlanCheck, PlayAccepted, PlayRequest, Receipt, RemovedPattern, RemovedTarget,
+    ResetRequest, Search, SearchRequest, SequenceRequest, Session, SessionList, SessionPlays, SessionRequest,
+    SessionStarted, Status, StoredTarget, TargetDetails, TargetList, TokenCreated, TokenInfo, TokenList,
+    TokenRequest,
 };
 use serde_json::{Map, Value, json};
 use std::collections::BTreeMap;
@@ -29,6 +30,7 @@ use utoipa::OpenApi;
     CalibrateRequest,
     CalibrationReport,
     DoctorReport,
+    EdgeRequest,
     Event,
     ImportedPattern,
     LiveAccepted,
@@ -278,6 +280,7 @@ mod tests {
             ("ArmRequest", "", &(json!({}), read!(ArmRequest))),
             ("ResetRequest", "", &(json!({}), read!(ResetRequest))),
             ("DisarmRequest", "", &(json!({}), read!(DisarmRequest))),
+            ("EdgeRequest", "", &(json!({}), read!(EdgeRequest))),
             ("CalibrateRequest", "", &(json!({}), read!(CalibrateRequest))),
             ("SearchRequest", "", &(json!({"target": "dot"}), read!(SearchRequest))),
             ("SessionRequest", "", &(json!({"participant": "P07"}), read!(SessionRequest))),

@@ -107,6 +107,8 @@ pub enum Code {
     PowerLimit,
     /// The device does not measure where its pins are.
     NoTelemetry,
+    /// The device has no trigger input, so no edge can start or stop a play.
+    NoTriggerInput,
     /// Without telemetry and lower stop, a pin that the play drives may be farther from rest than `drift_limit_um`: bring the
     /// pins home, or level them by hand.
     DriftLimit,
@@ -149,6 +151,7 @@ impl Code {
         Self::TooSlow,
         Self::PowerLimit,
         Self::NoTelemetry,
+        Self::NoTriggerInput,
         Self::DriftLimit,
         Self::LevelNotChecked,
         Self::TooLarge,
@@ -214,6 +217,7 @@ impl Code {
             Self::DriftLimit => ("drift-limit", 409, "Pins may be too far from rest"),
             Self::LevelNotChecked => ("level-not-checked", 409, "The level of the pins was not checked"),
             Self::NoTelemetry => ("no-telemetry", 409, "The device has no telemetry"),
+            Self::NoTriggerInput => ("no-trigger-input", 409, "The device has no trigger input"),
             Self::Store => ("store", 500, "The daemon cannot use its files"),
         }
     }

@@ -76,6 +76,19 @@ pub struct OnsetRecord {
     pub uncertainty_ns: u64,
 }
 
+/// A rising edge of the trigger input, on the device's clock and on the host's.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+pub struct EdgeRecord {
+    /// Its number since the device started, from 1. Numbers that are missing are of edges that the daemon did not hear of.
+    pub number: u32,
+    /// The tick in which it came, ticks.
+    pub tick: u64,
+    /// The same instant on the host's `CLOCK_MONOTONIC`, ns.
+    pub monotonic_ns: u64,
+    /// Uncertainty of `monotonic_ns`, ns.
+    pub uncertainty_ns: u64,
+}
+
 /// When the last pulse of a play was over, on the device's clock and on the host's. After a cut: with the return of the pins.
 /// Corrections count as sent: if the line lost the last one, the tick is off by its pulses.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
@@ -345,7 +358,7 @@ impl LinkTraffic {
         "requested_tick": 6442460000_u64, "actual_tick": 6442460000_u64, "monotonic_ns": 75793647058823_u64,
         "uncertainty_ns": 9600
     },
-    "onset_latency_ms": 106.3,
+    "onset_latency_ms": 106.3, "on_edge_ms": null, "start_edge": null, "stop_edge": null,
     "offset": {"tick": 6442629900_u64, "monotonic_ns": 75795645882352_u64, "uncertainty_ns": 9600},
     "cut_after_ms": null,
     "live": null,
@@ -467,6 +480,18 @@ pub struct Receipt {
     /// Time from the request to the onset, ms; null before the onset.
     #[schema(required, minimum = 0.0)]
     pub onset_latency_ms: Option<f64>,
+    /// The ordered delay from an edge of the trigger input to the onset, ms; null: the play waits for none.
+    #[serde(default)]
+    #[schema(required, minimum = 0.0, maximum = 3_600_000.0)]
+    pub on_edge_ms: Option<f64>,
+    /// The edge of the trigger input after which the play begins, of a play with `on_edge_ms`; null until it has come, or without one.
+    #[serde(default)]
+    #[schema(required)]
+    pub start_edge: Option<EdgeRecord>,
+    /// The edge that stopped the play, of a play with `stop_on_edge`; null if none did.
+    #[serde(default)]
+    #[schema(required)]
+    pub stop_edge: Option<EdgeRecord>,
     /// When the last pulse was over, with the return of a play that was cut; null until the play is over, if nothing was played,
     /// or if the link was lost before the device reported it.
     #[serde(default)]
@@ -596,6 +621,9 @@ impl Receipt {
             cause: None,
             onset: None,
             onset_latency_ms: None,
+            on_edge_ms: None,
+            start_edge: None,
+            stop_edge: None,
             offset: None,
             cut_after_ms: None,
             duration_ms: DurationRecord::default(),

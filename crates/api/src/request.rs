@@ -52,6 +52,14 @@ pub struct PlayRequest {
     /// accepts the play; the receipt shows that tick as the requested one. Excludes `at_tick` and `at_ms`.
     #[serde(default, deserialize_with = "given", skip_serializing_if = "Option::is_none")]
     pub at_monotonic_ns: Option<u64>,
+    /// Delay from an edge of the trigger input to the onset, ms, to the nearest tick: the first edge after the daemon has taken the play and
+    /// those before it are over. The daemon names the least delay, about 5 ms. Excludes `at_tick`, `at_ms` and `at_monotonic_ns`.
+    #[serde(default, deserialize_with = "given", skip_serializing_if = "Option::is_none")]
+    #[schema(minimum = 0.0, maximum = 3_600_000.0)]
+    pub on_edge_ms: Option<f64>,
+    /// Whether the first edge of the trigger input after the onset stops the play and clears the queue, as `POST /v1/stop` does.
+    #[serde(default, deserialize_with = "null_as_default", skip_serializing_if = "std::ops::Not::not")]
+    pub stop_on_edge: bool,
     /// The boot that `at_tick` belongs to, as `device.boot` in the status. The daemon refuses another one.
     #[serde(default, deserialize_with = "given", skip_serializing_if = "Option::is_none")]
     pub boot: Option<u32>,
@@ -156,7 +164,7 @@ impl PlayRequest {
     pub fn parse(body: &[u8]) -> Result<Self, Problem> {
         check_packed(body)?;
         let request: Self = read(body)?;
-        check_onset(request.at_tick, request.at_ms, request.at_monotonic_ns)?;
+        check_onset(request.at_tick, request.at_ms, request.at_monotonic_ns, request.on_edge_ms)?;
         check_labels(&request.labels)?;
         check_sha256(request.pattern_sha256.as_deref()).map_err(bad)?;
         check_text_of(&request.pattern, request.pattern_sha256.as_deref()).map_err(bad)?;
@@ -260,6 +268,32 @@ impl ResetRequest {
     /// A `bad-request` that names the key.
     pub fn parse(body: &[u8]) -> Result<Self, Problem> {
         read_or_default(body)
+    }
+}
+
+/// When an edge comes to the trigger input of a simulated array; without a key at once.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+#[schema(examples(json!({"at_ms": 250.0})))]
+pub struct EdgeRequest {
+    /// The tick of the edge, at most an hour ahead; one that has passed counts as now. Excludes `at_ms`.
+    #[serde(default, deserialize_with = "given", skip_serializing_if = "Option::is_none")]
+    pub at_tick: Option<u64>,
+    /// Delay from the request to the edge, ms. Excludes `at_tick`.
+    #[serde(default, deserialize_with = "given", skip_serializing_if = "Option::is_none")]
+    #[schema(minimum = 0.0, maximum = 3_600_000.0)]
+    pub at_ms: Option<f64>,
+}
+
+impl EdgeRequest {
+    /// Reads a body; an empty one gives the defaults.
+    ///
+    /// # Errors
+    /// A `bad-request` that names the key.
+    pub fn parse(body: &[u8]) -> Result<Self, Problem> {
+        let request: Self = read_or_default(body)?;
+        check_onset(request.at_tick, request.at_ms, None, None)?;
+        Ok(request)
     }
 }
 

@@ -22,6 +22,7 @@ pub enum Route {
     Arm,
     Disarm,
     Home,
+    Edge,
     Status,
     Array,
     Doctor,
@@ -179,6 +180,7 @@ const PLAY: &[Code] = &[
     Code::BehindEndless,
     Code::TooSoon,
     Code::Overlaps,
+    Code::NoTriggerInput,
     Code::TooDense,
     Code::TooSlow,
 ];
@@ -203,7 +205,7 @@ const STATUS: Answer = Answer::Json("Status");
 
 impl Route {
     /// Every route.
-    pub const ALL: [Self; 43] = [
+    pub const ALL: [Self; 44] = [
         Self::Play,
         Self::Sequence,
         Self::SequenceCheck,
@@ -215,6 +217,7 @@ impl Route {
         Self::Arm,
         Self::Disarm,
         Self::Home,
+        Self::Edge,
         Self::Status,
         Self::Array,
         Self::Doctor,
@@ -274,6 +277,7 @@ impl Route {
             Self::Arm => "arm",
             Self::Disarm => "disarm",
             Self::Home => "home",
+            Self::Edge => "edge",
             Self::Import => "import",
             Self::StoreTarget => "store-target",
             Self::RemoveTarget => "remove-target",
@@ -441,6 +445,14 @@ impl Route {
                     ANY,
                 ],
                 ..Operation::post("/v1/home")
+            },
+            Self::Edge => Operation {
+                summary: "Make an edge at the trigger input of a simulated array",
+                description: "For tests and pilots: it does what a pulse at the trigger input of a board does. A board refuses it. The event \
+                              `edge` tells of each edge.",
+                body: Body::OptionalJson("EdgeRequest"),
+                errors: &[BODY, &[Code::DeviceRefused, Code::QueueFull], COMMAND, ANY],
+                ..Operation::post("/v1/edge")
             },
             Self::Status => Operation {
                 summary: "Show the device, the running play, the queue and the motors",

@@ -56,6 +56,14 @@ pub struct SequenceRequest {
     /// Onset on the host's `CLOCK_MONOTONIC`, ns. Excludes `at_tick` and `at_ms`.
     #[serde(default, deserialize_with = "given", skip_serializing_if = "Option::is_none")]
     pub at_monotonic_ns: Option<u64>,
+    /// Delay from an edge of the trigger input to the onset, ms, to the nearest tick: the first edge after the daemon has taken the sequence and
+    /// those before it are over. The daemon names the least delay, about 5 ms. Excludes `at_tick`, `at_ms` and `at_monotonic_ns`.
+    #[serde(default, deserialize_with = "given", skip_serializing_if = "Option::is_none")]
+    #[schema(minimum = 0.0, maximum = 3_600_000.0)]
+    pub on_edge_ms: Option<f64>,
+    /// Whether the first edge of the trigger input after the onset stops the sequence and clears the queue, as `POST /v1/stop` does.
+    #[serde(default, deserialize_with = "null_as_default", skip_serializing_if = "std::ops::Not::not")]
+    pub stop_on_edge: bool,
     /// The boot that `at_tick` belongs to, as `device.boot` in the status. The daemon refuses another one.
     #[serde(default, deserialize_with = "given", skip_serializing_if = "Option::is_none")]
     pub boot: Option<u32>,
@@ -151,7 +159,7 @@ impl SequenceRequest {
 
     fn checked(self) -> Result<Self, Problem> {
         let request = self;
-        check_onset(request.at_tick, request.at_ms, request.at_monotonic_ns)?;
+        check_onset(request.at_tick, request.at_ms, request.at_monotonic_ns, request.on_edge_ms)?;
         check_labels(&request.labels)?;
         check_hold(request.hold_ms)?;
         if request.items.is_empty() {

@@ -9,7 +9,9 @@ use crate::answer::PlayAnswer;
 use crate::body::{check_labels, check_text, read};
 use crate::end_cause::EndCause;
 use crate::problem::Problem;
-use crate::receipt::{BurstCounts, MAX_LISTED, OrderedCounts, PulseCounts, paper_array, paper_tick_hz};
+use crate::receipt::{
+    BurstCounts, EdgeRecord, MAX_LISTED, OrderedCounts, PulseCounts, paper_array, paper_tick_hz,
+};
 use crate::request::{Fit, LatePolicy};
 use crate::trigger::TriggerRecord;
 use meissner_input::document::given;
@@ -319,7 +321,7 @@ pub struct RecordedPlay {
     #[schema(required, minimum = 0)]
     pub boot: Option<u32>,
     /// Whether the daemon has the pattern's text still, stored or in the session record, so that it can play it again. Of a sequence as
-    /// a whole: true.
+    /// a whole and of a blank item: true.
     #[serde(default)]
     #[schema(required)]
     pub pattern_kept: bool,
@@ -327,6 +329,14 @@ pub struct RecordedPlay {
     #[serde(default)]
     #[schema(required, minimum = 0)]
     pub first_pulse_tick: Option<u64>,
+    /// The edge of the trigger input after which the play began; null: it waited for none. The items of a sequence repeat it.
+    #[serde(default)]
+    #[schema(required)]
+    pub start_edge: Option<EdgeRecord>,
+    /// The edge that stopped the play; null: none did. The items of a sequence repeat it.
+    #[serde(default)]
+    #[schema(required)]
+    pub stop_edge: Option<EdgeRecord>,
     /// What the participant answered; null: nothing was recorded. The items of a sequence repeat its answer.
     #[serde(default)]
     #[schema(required)]
@@ -353,7 +363,7 @@ pub struct RecordedPlay {
         "open_loop": false, "ordered_ms": 2000.0, "played_ms": 1998.8, "cut_after_ms": null, "offset_tick": 6442629900_u64,
         "offset_monotonic_ns": 75795645882352_u64, "trigger": {"tick": 6442460000_u64, "width_ms": 10.0, "code": null},
         "ordered": {"bursts": 1240, "pulses": 86800}, "planned_onset_ticks": null, "late_strokes": 0, "refused_strokes": null,
-        "boot": 305419896, "pattern_kept": true, "first_pulse_tick": 6442460000_u64,
+        "boot": 305419896, "pattern_kept": true, "first_pulse_tick": 6442460000_u64, "start_edge": null, "stop_edge": null,
         "answer": {"response": "left", "correct": true, "rt_ms": 512.3, "level": 0.4, "factors": {"block": "2"}}
     }],
     "more": false, "complete": false, "missing": ["the session still runs: end it first"], "plays_missing": 0, "lost": 0, "left_out": 0,

@@ -30,6 +30,10 @@ pub struct DeviceInfo {
     #[serde(default = "has_telemetry")]
     #[schema(required)]
     pub telemetry: bool,
+    /// Whether the device has a trigger input: its edges can start and stop plays.
+    #[serde(default)]
+    #[schema(required)]
+    pub trigger_input: bool,
 }
 
 /// Daemons that do not send the key have devices with telemetry.
@@ -80,6 +84,10 @@ pub struct QueuedPlay {
     pub id: u64,
     /// The pattern's name.
     pub pattern: String,
+    /// Whether it waits for an edge of the trigger input, which has not come.
+    #[serde(default)]
+    #[schema(required)]
+    pub waits_for_edge: bool,
 }
 
 /// Which real-time rights the system granted the daemon.
@@ -106,6 +114,35 @@ pub struct PinMovement {
     pub hz: f64,
 }
 
+/// Why the daemon does not trust the telemetry of a motor: `jumps` (the signal moves where the motor rests), `gain` (it shows far
+/// less or more travel than bursts make), `scatter` (equal bursts differ too much) or `limit` (corrections at their limit
+/// have not helped).
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum SensorFault {
+    /// The signal jumps where nothing moved, or moves where the motor should rest.
+    Jumps,
+    /// The travel it shows per burst is far below or above any motor's.
+    Gain,
+    /// Equal bursts differ by more than any motor's scatter.
+    Scatter,
+    /// Corrections have stood at their limit for long, and the shaft has not come nearer to rest.
+    Limit,
+}
+
+impl SensorFault {
+    /// The fault, as a clause about the motor.
+    #[must_use]
+    pub const fn text(self) -> &'static str {
+        match self {
+            Self::Jumps => "its telemetry moves where its bursts do not",
+            Self::Gain => "its telemetry shows far less or more travel than its bursts make",
+            Self::Limit => "corrections at their limit have not brought it nearer to its rest",
+            Self::Scatter => "its telemetry has little to do with its bursts",
+        }
+    }
+}
+
 /// The state of one motor.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct MotorStatus {
@@ -118,6 +155,10 @@ pub struct MotorStatus {
     #[serde(default)]
     #[schema(required)]
     pub calibrated: bool,
+    /// Why its telemetry is not trusted, until somebody arms again; null: it is, or there is none.
+    #[serde(default)]
+    #[schema(required)]
+    pub sensor_fault: Option<SensorFault>,
     /// What the pin does now, whatever the play: renewed ten times a second while pins move. Null if that is not known: without a
     /// device, after an emergency stop, while the position of the pins is unknown, or from an older daemon.
     #[serde(default)]
@@ -203,13 +244,13 @@ pub struct ArmedStatus {
 #[schema(examples(json!({
     "state": "armed", "cause": "request", "armed": {"by": "ada (uid 1000, pid 4711)", "silence_s": 10.0, "left_s": 7.4}, "estops": 0, "position": "known",
     "device": {
-        "kind": "mock", "firmware": "0.1.0", "build": "6d656973", "boot": 305419896, "simulated": true, "telemetry": true
+        "kind": "mock", "firmware": "0.1.0", "build": "6d656973", "boot": 305419896, "simulated": true, "telemetry": true, "trigger_input": true
     },
     "array": "tula35-6x4",
     "device_identity": "seed 0, gain_sd 0.1, asymmetry_sd 0.02, transient_gain 0.8, end_stop_um 500",
     "wanted": "mock", "missing": null,
     "play": {"id": 7, "pattern": "edge-45", "played_s": 0.52},
-    "queued": [{"id": 8, "pattern": "pin-60"}], "last_play": 8, "last_search": null,
+    "queued": [{"id": 8, "pattern": "pin-60", "waits_for_edge": false}], "last_play": 8, "last_search": null,
     "tick": 6442450944_u64, "clock_uncertainty_us": 9.6,
     "clock": {
         "tick": 6442450944_u64, "tick_hz": 85000, "monotonic_ns": 75793540741176_u64, "wall_ns": 1767225600000000000_u64,
@@ -223,7 +264,8 @@ pub struct ArmedStatus {
         "high_at_boot": []
     },
     "motors": [{
-        "rest_error_um": 0.4, "source": "telemetry", "calibrated": false, "now": {"height_um": 31.0, "swing_um": 62.0, "hz": 60.0}
+        "rest_error_um": 0.4, "source": "telemetry", "calibrated": false, "sensor_fault": null,
+        "now": {"height_um": 31.0, "swing_um": 62.0, "hz": 60.0}
     }],
     "calibrated": null,
     "session": null, "role": "operate",

@@ -1,10 +1,12 @@
 //! Reads a column of a CSV file: numbers, perhaps below a row of names. See [`table`](crate::table) for what it may look like.
 //!
-//! The names stand in the last row before the first number.
+//! The names stand in the last row before the first number that is not one of units.
+//!
+//! Invariant: a row is a sample, so no row may be without a value, and all have as many cells.
 
 use crate::error::SamplesError;
-use crate::table::{Table, TableError};
-use crate::{Column, Found, only};
+use crate::table::{Header, Said, Table, TableError};
+use crate::{Column, Found, InHeader, only};
 use meissner_input::message::{cut, quote};
 
 pub(crate) fn read(bytes: &[u8], column: Option<&Column>) -> Result<Found, SamplesError> {
@@ -13,29 +15,63 @@ pub(crate) fn read(bytes: &[u8], column: Option<&Column>) -> Result<Found, Sampl
         Err(TableError::NoNumbers { .. }) => return Err(SamplesError::Count { samples: 0 }),
         Err(error) => return Err(error.into()),
     };
-    let columns = table.kinds().len();
-    let names = table.header().next_back().unwrap_or_default();
+    let width = table.kinds().len();
+    let header = Header::of(&table, |_| false);
+    let names = header.names();
+    if let Some(names) = table.names_of_others() {
+        return Err(SamplesError::Names { names, columns: width });
+    }
+    let by_name = matches!(column, Some(Column::Name(_)));
     let column = match column {
         Some(Column::Name(name)) => named(names, name)?,
-        Some(Column::Number(number)) => only(Some(*number), columns, "column")?,
-        None => only(None, columns, "column")?,
+        Some(Column::Number(number)) => only(Some(*number), width, "column")?,
+        None => only(None, width, "column")?,
     };
+    if let Some(line) = table.missing_above() {
+        return Err(SamplesError::EmptyRow { line });
+    }
+    if let Some((line, found)) = table.uneven_above() {
+        return Err(SamplesError::Cells { line, found, wanted: width });
+    }
+    if let Some((line, cell)) = table.number_above(column).filter(|_| !by_name) {
+        return Err(SamplesError::Above { line, cell: quote(cell) });
+    }
     let (mut rows, mut values) = (table.rows(), Vec::new());
     while rows.advance_data()? {
+        if let Some(line) = rows.skipped_line() {
+            return Err(SamplesError::EmptyRow { line });
+        }
         let number = rows.number(column)?;
         let line = || rows.line();
-        let field = rows.cell(column).ok_or_else(|| SamplesError::Short { line: line(), column })?;
+        let found = rows.width(width);
+        if found != width {
+            return Err(SamplesError::Cells { line: line(), found, wanted: width });
+        }
+        let field = rows.cell(column).unwrap_or_default();
         values.push(number.ok_or_else(|| SamplesError::NotANumber { line: line(), found: quote(field) })?);
     }
-    let name = names.get(column).map(|title| format!(" ({})", cut(title, 64))).unwrap_or_default();
-    Ok(Found { values, rate_hz: None, note: format!("CSV column {column}{name} of {columns}") })
+    let title = names.get(column).map(|title| cut(title, 64));
+    let name = title.as_ref().map(|title| format!(" ({title})")).unwrap_or_default();
+    let header = match header.length(column) {
+        Said::Nothing => None,
+        said => {
+            Some(InHeader { column: title.map_or_else(|| column.to_string(), |title| quote(&title)), said })
+        }
+    };
+    Ok(Found { values, rate_hz: None, header, note: format!("CSV column {column}{name} of {width}") })
 }
 
 /// The number of the column of this name.
 fn named(names: &[String], name: &str) -> Result<usize, SamplesError> {
-    names.iter().position(|field| field == name).ok_or_else(|| {
-        let shown: Vec<_> = names.iter().take(8).map(|field| quote(field)).collect();
-        let more = if names.len() > shown.len() { ", ..." } else { "" };
-        SamplesError::NoName { name: quote(name), names: shown.join(", ") + more }
-    })
+    let mut places = names.iter().enumerate().filter(|(_, field)| *field == name).map(|(place, _)| place);
+    match (places.next(), places.next()) {
+        (Some(place), None) => Ok(place),
+        (Some(_), Some(_)) => Err(SamplesError::SameNames { name: quote(name) }),
+        (None, _) => {
+            let shown: Vec<_> = names.iter().take(8).map(|field| quote(field)).collect();
+            let more = if names.len() > shown.len() { ", ..." } else { "" };
+            let names = if shown.is_empty() { "none".to_owned() } else { shown.join(", ") + more };
+            Err(SamplesError::NoName { name: quote(name), names })
+        }
+    }
 }

@@ -1,5 +1,6 @@
 //! Why a file's samples cannot be used.
 
+use crate::table::LengthUnit;
 use crate::{MAX_FILE_BYTES, MAX_SAMPLES, MOST_FILE_HZ, MOST_HZ};
 
 /// What is wrong with a file, or with the choice of what to take from it. The message is one line.
@@ -16,8 +17,15 @@ pub enum SamplesError {
     Several { what: &'static str, count: usize },
     #[error("no {what} {asked}: {count} {what}(s), counted from 0")]
     NoSuch { what: &'static str, asked: String, count: usize },
-    #[error("no column named {name}: the first row has {names}")]
+    #[error("no column named {name}: the names above the numbers are {names}")]
     NoName { name: String, names: String },
+    #[error("several columns are named {name}: give the number, from 0")]
+    SameNames { name: String },
+    #[error(
+        "{names} names stand above {columns} columns of numbers: correct the names; if commas are decimal marks, put semicolons between the \
+         columns"
+    )]
+    Names { names: usize, columns: usize },
     #[error("columns of an NPY file have no names: give the number, from 0")]
     Unnamed,
     #[error("add rate_hz: the file does not say the rate of its samples")]
@@ -38,8 +46,21 @@ pub enum SamplesError {
     Table(#[from] crate::table::TableError),
     #[error("line {line}: {found} is not a number")]
     NotANumber { line: u64, found: String },
-    #[error("line {line} has no column {column}")]
-    Short { line: u64, column: usize },
+    #[error("line {line} has {found} cells, other rows have {wanted}: complete the row, or delete it")]
+    Cells { line: u64, found: usize, wanted: usize },
+    #[error(
+        "line {line}: {cell} stands in a row above the numbers that is not like theirs: correct the row, or delete it"
+    )]
+    Above { line: u64, cell: String },
+    #[error("line {line} has no value, and each row is a sample: delete it, or write the missing value")]
+    EmptyRow { line: u64 },
+    #[error(
+        "the header says that column {column} is in {}, not um: add {key} = {}, or 1 if the values are um",
+        .unit.symbol(), .unit.um()
+    )]
+    Unit { column: String, unit: LengthUnit, key: &'static str },
+    #[error("the header says {said}, which is no unit of length: add {key}, the um of a value of 1")]
+    OtherUnit { said: String, key: &'static str },
     #[error("{samples} samples: must be 2 to {MAX_SAMPLES}")]
     Count { samples: usize },
     #[error("not {kind} file: {message}")]
@@ -50,4 +71,15 @@ pub enum SamplesError {
     Type { found: String },
     #[error("the array has the shape {shape}: must be (samples,) or (samples, columns)")]
     Shape { shape: String },
+}
+
+impl SamplesError {
+    /// The same for a file in which another key than `scale_um` is the µm of a value of 1.
+    #[must_use]
+    pub fn scaled_by(mut self, other: &'static str) -> Self {
+        if let Self::Unit { key, .. } | Self::OtherUnit { key, .. } = &mut self {
+            *key = other;
+        }
+        self
+    }
 }

@@ -15,6 +15,9 @@ mod wav;
 
 pub use error::SamplesError;
 
+use meissner_input::message::quote;
+use table::{LengthUnit, Said};
+
 /// The most bytes of a file: the paper's 24 motors for 10 minutes at 1 kHz take 55 MiB as `f4`.
 pub const MAX_FILE_BYTES: usize = 64 << 20;
 /// The most samples that are read from a file: an hour at 1 kHz.
@@ -42,7 +45,8 @@ pub struct Choice {
     pub channel: Option<usize>,
     /// The rate of the samples, Hz; needed for NPY and CSV. A WAV file has its own.
     pub rate_hz: Option<f64>,
-    /// µm for a value of 1; needed for WAV, where 1 is full scale. Without it, values of NPY and CSV are µm.
+    /// µm for a value of 1; needed for WAV, where 1 is full scale, and where the header of a CSV file names another unit than µm. Without
+    /// it, values of NPY and CSV are µm.
     pub scale_um: Option<f64>,
     /// Added to each sample, µm.
     pub offset_um: f64,
@@ -64,7 +68,30 @@ struct Found {
     values: Vec<f64>,
     /// The file's own rate, if it has one.
     rate_hz: Option<u32>,
+    /// The unit that its header names, if it names one.
+    header: Option<InHeader>,
     note: String,
+}
+
+/// What a header says of a column's unit.
+struct InHeader {
+    column: String,
+    said: Said<LengthUnit>,
+}
+
+impl InHeader {
+    /// Refuses values that are not in µm.
+    fn um(self) -> Result<(), SamplesError> {
+        let (column, key) = (self.column, "scale_um");
+        match self.said {
+            Said::Nothing | Said::Unit(LengthUnit::Micrometres) => Ok(()),
+            Said::Unit(unit) => Err(SamplesError::Unit { column, unit, key }),
+            Said::Other(unit) => {
+                let said = format!("{} of column {column}", quote(&unit));
+                Err(SamplesError::OtherUnit { said, key })
+            }
+        }
+    }
 }
 
 /// Reads the samples of a file. The end of its name says its format: `.npy`, `.csv` or `.wav`.
@@ -85,7 +112,7 @@ pub fn read(name: &str, bytes: &[u8], choice: &Choice) -> Result<Samples, Sample
             return Err(SamplesError::OtherKey { key, other });
         }
     }
-    let Found { values, rate_hz: own_hz, mut note } = match end.as_str() {
+    let Found { values, rate_hz: own_hz, header, mut note } = match end.as_str() {
         "npy" => npy::read(bytes, choice.column.as_ref())?,
         "csv" => csv_file::read(bytes, choice.column.as_ref())?,
         "wav" => wav::read(bytes, choice.channel)?,
@@ -106,7 +133,13 @@ pub fn read(name: &str, bytes: &[u8], choice: &Choice) -> Result<Samples, Sample
         Some(scale_um) if !scale_um.is_finite() => return Err(SamplesError::Scale { scale_um }),
         Some(scale_um) => scale_um,
         None if is_wav => return Err(SamplesError::NoScale),
-        None => 1.0,
+        None => {
+            if let Some(header) = header {
+                header.um()?;
+                note += " in um";
+            }
+            1.0
+        }
     };
     note += &format!(", {rate_hz} Hz");
     let mut um = Vec::with_capacity(values.len());

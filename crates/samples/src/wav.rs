@@ -34,7 +34,7 @@ pub(crate) fn read(bytes: &[u8], channel: Option<usize>) -> Result<Found, Sample
     let kind = if sample_format == SampleFormat::Int { "bit" } else { "bit float" };
     let place = if channels == 1 { String::new() } else { format!(", channel {channel} of {channels}") };
     let note = format!("WAV {bits_per_sample} {kind}{place}");
-    Ok(Found { values, rate_hz: Some(sample_rate), note })
+    Ok(Found { values, rate_hz: Some(sample_rate), header: None, note })
 }
 
 fn format(error: hound::Error) -> SamplesError {

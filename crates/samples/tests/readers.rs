@@ -96,15 +96,101 @@ fn npy_of_each_type_and_order_is_read() {
 
 #[test]
 fn csv_is_read_with_and_without_names() {
-    let commas = b"\xef\xbb\xbftime_s,pin 9\n0.0, 1.5\n0.001 ,2e0\n\n0.002,-3\n";
+    let commas = b"\xef\xbb\xbftime_s,pin 9\n\n0.0, 1.5\n0.001 ,2e0\n# a comment\n0.002,-3\n";
     let found = good("a.csv", commas, &named("pin 9"));
     assert_eq!((found.um, &*found.note), (vec![1.5, 2.0, -3.0], "CSV column 1 (pin 9) of 2, 1000 Hz"));
     assert_eq!(good("a.csv", commas, &column(1)).um.len(), 3);
     for text in ["1\n2\n3", "# a line of NumPy\r\n1\r\n2\r\n3\r\n", "\"height\"\n1\n2\n3\n"] {
         assert_eq!(good("a.csv", text.as_bytes(), &at(1.0)).um, [1.0, 2.0, 3.0], "{text}");
     }
+    assert_eq!(good("a.csv", b"time,9\n0,1\n1,2\n", &named("9")).um, [1.0, 2.0]);
     for text in ["1;2\n3;4\n", "1\t2\n3\t4\n", "Weg\n\nt;um\n0,5;2,0\n1,5;4,0\n"] {
         assert_eq!(good("a.csv", text.as_bytes(), &column(1)).um, [2.0, 4.0], "{text}");
+    }
+}
+
+/// A row is a sample: files that spreadsheets and pandas write, with rows that have no value.
+#[test]
+fn rows_without_a_value_are_refused() {
+    let says = |text: &str, choice: &Choice| refused("a.csv", text.as_bytes(), choice);
+    for (text, number, line) in [
+        ("1\n\n3\n4\n", 0, 2),
+        ("1\r\n\r\n3\r\n4\r\n", 0, 2),
+        ("1\r\r3\r4\r", 0, 2),
+        ("um\n1\n  \n\n3\n", 0, 3),
+        ("um\n1\n# a comment\n\n3\n", 0, 4),
+        ("um\n1\n\"\"\n3\n", 0, 3),
+        ("um\n\"\"\n1\n3\n", 0, 2),
+        ("um\nNaN\nNaN\n1\n3\n", 0, 2),
+        ("um\n#N/A\n1\n3\n", 0, 2),
+        ("NaN\n1\n3\n", 0, 1),
+        ("t,um\n,\n0,1\n1,3\n", 1, 2),
+        ("t,um\n0,1\n,\n2,3\n", 1, 3),
+        ("t,um\n0,1\n\n2,3\n", 1, 3),
+        ("t;um\n0,1;1,5\n;;\n0,2;3,5\n", 1, 3),
+        ("t\tum\n0\t1\n\t\n2\t3\n", 1, 3),
+        ("t\tum\n\t\n0\t1\n2\t3\n", 1, 2),
+        ("t um\n0 1\n\n2 3\n", 1, 3),
+    ] {
+        let wanted = format!(
+            "line {line} has no value, and each row is a sample: delete it, or write the missing value"
+        );
+        assert_eq!(says(text, &column(number)), wanted, "{text:?}");
+    }
+    assert_eq!(says("um\n1\n#DIV/0!\n3\n", &at(1.0)), "line 3: `#DIV/0!` is not a number");
+    assert_eq!(says("t,um\n0,1\n1,\n2,3\n", &column(1)), "line 3: `` is not a number");
+    // Empty lines above the numbers, at the end, and after line ends that were changed twice.
+    for text in
+        ["um\n\n\n1\n3\n\n\n", "1\n3\n,,\n ,\n", "um\r\r\n1\r\r\n3\r\r\n", "\n \n1\n3", "#\n\n1\r\n3\r\n\r\n"]
+    {
+        assert_eq!(good("a.csv", text.as_bytes(), &at(1.0)).um, [1.0, 3.0], "{text:?}");
+    }
+}
+
+#[test]
+fn a_unit_of_a_header_is_um_or_needs_a_scale() {
+    for (header, number, note) in [
+        ("um", 0, "CSV column 0 (um) of 1 in um, 1000 Hz"),
+        ("height [\u{3bc}m]", 0, "CSV column 0 (height [\u{3bc}m]) of 1 in um, 1000 Hz"),
+        ("t [s],height_um", 1, "CSV column 1 (height_um) of 2 in um, 1000 Hz"),
+        ("t,height\ns,microns", 1, "CSV column 1 (height) of 2 in um, 1000 Hz"),
+        ("Unit: um\nheight", 0, "CSV column 0 (height) of 1 in um, 1000 Hz"),
+        ("pin 9", 0, "CSV column 0 (pin 9) of 1, 1000 Hz"),
+        ("t,pin", 1, "CSV column 1 (pin) of 2, 1000 Hz"),
+        ("height (filtered) [um]", 0, "CSV column 0 (height (filtered) [um]) of 1 in um, 1000 Hz"),
+    ] {
+        let text = format!("{header}\n{}", if number == 0 { "1\n2\n" } else { "0,1\n1,2\n" });
+        let found = good("a.csv", text.as_bytes(), &column(number));
+        assert_eq!((found.um, &*found.note), (vec![1.0, 2.0], note));
+    }
+    for (header, says) in [
+        (
+            "height [mm]",
+            "the header says that column `height [mm]` is in mm, not um: add scale_um = 1000, or 1 if the values are um",
+        ),
+        ("height_nm", "column `height_nm` is in nm, not um: add scale_um = 0.001"),
+        ("Weg / m", "column `Weg / m` is in m, not um: add scale_um = 1000000"),
+        ("mm", "column `mm` is in mm"),
+        ("height\n[mm]", "column `height` is in mm"),
+        ("# height [mm]", "column `height [mm]` is in mm"),
+        ("Unit: mm\nheight", "column `height` is in mm"),
+        (
+            "height [cm]",
+            "the header says `cm` of column `height [cm]`, which is no unit of length: add scale_um, the um of",
+        ),
+        ("height_cm", "says `cm` of column"),
+        ("height\nkPa", "says `kpa` of column `height`"),
+        ("CH1 [V]", "says `v` of column"),
+        ("velocity [um/s]", "says `um/s` of column"),
+        ("Vertical Units:V\nheight", "says `V` of column `height`"),
+        ("height [furlong]", "says `furlong` of column"),
+        ("height [um]\nmm", "says `mm and height [um]` of column"),
+    ] {
+        let text = format!("{header}\n1\n2\n");
+        let line = refused("a.csv", text.as_bytes(), &at(10.0));
+        assert!(line.contains(says), "{line}\n  does not say {says}");
+        let scaled = Choice { scale_um: Some(1000.0), ..at(10.0) };
+        assert_eq!(good("a.csv", text.as_bytes(), &scaled).um, [1000.0, 2000.0], "{header}");
     }
 }
 
@@ -209,9 +295,33 @@ fn every_mistake_is_one_line() {
         (text("", &at(1.0)), "0 samples: must be 2"),
         (text("time\n", &at(1.0)), "0 samples"),
         (text("a,b\n1,2\n", &at(1.0)), "2 columns: add column"),
-        (text("a,b\n1,2\n", &named("c")), "no column named `c`: the first row has `a`, `b`"),
+        (text("a,b\n1,2\n", &named("c")), "no column named `c`: the names above the numbers are `a`, `b`"),
+        (text("1,2\n3,4\n", &named("c")), "no column named `c`: the names above the numbers are none"),
+        (text("a,a\n1,2\n", &named("a")), "several columns are named `a`: give the number, from 0"),
+        // Decimal commas between commas; R's `write.table`, which gives the numbers of its rows no name.
+        (
+            text("t,um\n0,1,1,5\n0,2,2,5\n", &column(1)),
+            "2 names stand above 4 columns of numbers: correct the names; if",
+        ),
+        (text("x um\n1 0.5 2\n2 0.6 3\n", &column(1)), "2 names stand above 3 columns of numbers"),
+        // The rows above those with the usual number of cells are no header.
+        (
+            text("t,um\n0,1,5\n1,2\n2,3\n", &column(1)),
+            "line 2 has 3 cells, other rows have 2: complete the row",
+        ),
+        (
+            text("t,um\nx,1\n1,2\n2,3\n3,4\n", &column(1)),
+            "line 2: `1` stands in a row above the numbers that is not like",
+        ),
+        (text("t,um\n0\n1,2\n2,3\n", &column(1)), "line 2 has 1 cells, other rows have 2"),
+        (text("1000\n0,1\n1,2\n", &column(1)), "line 1 has 1 cells, other rows have 2"),
+        (text("t,um\n0,1\n1, \"2\"\n2,3\n", &column(1)), "line 3: a space stands before a quotation mark"),
+        (
+            text("t,um\n0,1\n1,2,5\n2,3\n", &column(1)),
+            "line 3 has 3 cells, other rows have 2: complete the row, or delete",
+        ),
         (text("1\n2\nthree\n", &at(1.0)), "line 3: `three` is not a number"),
-        (text("1,2\n3\n", &column(1)), "line 2 has no column 1"),
+        (text("1,2\n3\n", &column(1)), "line 2 has 1 cells, other rows have 2"),
         (
             text("0,5;1\n0.5;2\n", &column(0)),
             "line 2: `0.5` has another decimal mark than the numbers above it",

@@ -8,7 +8,9 @@
 //! whatever owns memory leaves through the event queue.
 
 use crate::device::{Device, priority};
-use crate::queues::{Command, CommandQueue, Emit, EventQueue, StreamEvent, ThreadQueues, queues};
+use crate::queues::{
+    Command, CommandError, CommandQueue, Emit, EventQueue, StreamEvent, ThreadQueues, queues,
+};
 use crate::settings::Settings;
 use crate::streamer::Streamer;
 use crate::time::HostInstant;
@@ -109,6 +111,13 @@ impl Loop {
                     let reason = self.streamer.take_disconnect_reason();
                     if let (Some(reason), Some(old)) = (reason, old) {
                         self.queues.event(StreamEvent::Disconnected { reason, device: Some(old) });
+                    }
+                }
+                Command::Edge(at) => {
+                    let device = self.device.as_mut().ok_or(CommandError::NoDevice);
+                    let result = device.and_then(|device| device.edge(HostInstant::now(), at));
+                    if request.ticket != 0 {
+                        self.queues.event(StreamEvent::Answer { ticket: request.ticket, result });
                     }
                 }
                 _ => self.streamer.execute(now, request, &mut self.queues),

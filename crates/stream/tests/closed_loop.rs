@@ -56,6 +56,7 @@ fn swapped_sensors_are_reported_and_both_motors_play_on_in_open_loop() {
         let expected =
             if motor == 3 || motor == 8 { ErrorSource::DeadReckoning } else { ErrorSource::Telemetry };
         assert_eq!(snapshot.source[motor], expected, "motor {motor}");
+        assert_eq!(snapshot.sensor_faults[motor].is_some(), motor == 3 || motor == 8, "motor {motor}");
     }
     let outcome = rig::outcomes(&events)[0].bursts;
     assert_eq!(outcome.played, outcome.planned);
@@ -70,7 +71,9 @@ fn swapped_sensors_are_reported_and_both_motors_play_on_in_open_loop() {
     rig.run_ms(200);
     rig.send(Command::Arm { assume_rest: false });
     rig.run_ms(1500);
-    assert_eq!(*last_snapshot(&rig.take_events()).source, [ErrorSource::Telemetry; MOTORS]);
+    let snapshot = last_snapshot(&rig.take_events());
+    assert_eq!(*snapshot.source, [ErrorSource::Telemetry; MOTORS]);
+    assert_eq!(*snapshot.sensor_faults, [None; MOTORS]);
 }
 
 /// A disarmed device sends no telemetry. The streamer still knows whether telemetry showed the pins until then. It did not if no

@@ -9,6 +9,8 @@ mod capacity;
 mod closed_loop;
 /// Drift without telemetry: estimate, limit, what calibration and `home` do about it.
 mod drift;
+/// Edges of the trigger input.
+mod edges;
 /// What a play's account says of its end: offset, cut, rest errors.
 mod endings;
 /// Faults by script.

@@ -17,7 +17,7 @@
 //! I. A. Polonsky and L. M. Keer, "A numerical method for solving rough contact problems based on the multi-level multi-summation and
 //! conjugate gradient techniques", *Wear* 231, 206-219, 1999.
 
-use crate::fft::{Convolution, Plan, padded};
+use crate::fft::{Convolution, Plan, Work, padded};
 use crate::grains::Grains;
 use meissner_skin::afferents::{ELASTICITY, POISSON};
 
@@ -64,7 +64,7 @@ pub(crate) type Weights = [Option<(usize, f64)>; 4];
 pub fn bytes(grains: &Grains) -> usize {
     let [columns, rows] = padded(grains.size, grains.size);
     let depths = if grains.are_flat() { 1 } else { DEPTHS };
-    // The kernel's spectrum, the grid, and its product; per grain its loads and the state of the solver.
+    // The kernel's spectrum, and the two grids of `Work`; per grain its loads and the state of the solver.
     3 * 16 * columns * rows + 8 * grains.len() * (depths + 8)
 }
 
@@ -90,7 +90,7 @@ impl Contact {
     /// # Errors
     /// As [`Self::new`].
     pub fn with_progress(grains: Grains, most_mm: f64, progress: &dyn Fn(f64)) -> Result<Self, ContactError> {
-        let solver = Solver::new(&grains)?;
+        let mut solver = Solver::new(&grains)?;
         let mut loads_n: Vec<Vec<f64>> = Vec::new();
         let first = if grains.are_flat() { DEPTHS } else { 1 };
         for number in first..=DEPTHS {
@@ -181,6 +181,7 @@ impl Contact {
 struct Solver<'g> {
     grains: &'g Grains,
     skin: Convolution,
+    work: Work,
 }
 
 impl<'g> Solver<'g> {
@@ -191,17 +192,18 @@ impl<'g> Solver<'g> {
         }
         let (size, punch, pitch_mm) = (grains.size, grains.punch(), grains.pitch_mm);
         let kernel = |[x, y]: [f64; 2]| punch.flexibility(pitch_mm * (x * x + y * y).sqrt());
-        Ok(Self { grains, skin: Convolution::new(Plan::new(size, size), size, size, [0, 0], kernel) })
+        let skin = Convolution::new(Plan::new(size, size), size, size, [0, 0], kernel);
+        Ok(Self { grains, skin, work: Work::default() })
     }
 
     /// The displacement of the skin at the grains.
-    fn profile_mm(&self, loads: &[f64]) -> Vec<f64> {
+    fn profile_mm(&mut self, loads: &[f64]) -> Vec<f64> {
         let values = self.grains.cells.iter().zip(loads).map(|(&cell, &load)| (cell, [load, 0.0]));
-        let profile = self.skin.apply(&self.skin.plan().spectrum(values));
+        let profile = self.skin.of(values, &mut self.work);
         self.grains.cells.iter().map(|&cell| profile(cell)[0]).collect()
     }
 
-    fn solve(&self, depth_mm: f64, start: Option<&[f64]>) -> Result<Vec<f64>, ContactError> {
+    fn solve(&mut self, depth_mm: f64, start: Option<&[f64]>) -> Result<Vec<f64>, ContactError> {
         // A grain whose wanted displacement is not above 0 never touches, because no skin is lifted.
         let wanted: Vec<f64> = self.grains.heights_mm.iter().map(|height_mm| depth_mm + height_mm).collect();
         let count = wanted.len();
@@ -213,8 +215,8 @@ impl<'g> Solver<'g> {
         };
         let mut direction = vec![0.0; count];
         let (mut last, mut conjugate) = (1.0, false);
+        let mut profile = self.profile_mm(&loads);
         for _ in 0..MAX_STEPS {
-            let profile = self.profile_mm(&loads);
             let gaps: Vec<f64> = profile.iter().zip(&wanted).map(|(mm, wanted)| mm - wanted).collect();
             let error = |(gap, load): (&f64, &f64)| if *load > 0.0 { gap.abs() } else { (-gap).max(0.0) };
             let worst = gaps.iter().zip(&loads).map(error).fold(0.0, f64::max);
@@ -235,13 +237,22 @@ impl<'g> Solver<'g> {
             // If nothing touches, the first step is that of single grains.
             let length = if curved > 0.0 { along / curved } else { stiffness };
             conjugate = true;
+            // Whether the loads go the whole step: then the profile follows from its effect.
+            let mut whole = true;
             for index in 0..count {
                 if loads[index] > 0.0 {
-                    loads[index] = (loads[index] - length * direction[index]).max(0.0);
+                    let next = loads[index] - length * direction[index];
+                    whole &= next >= 0.0;
+                    loads[index] = next.max(0.0);
                 } else if gaps[index] < 0.0 {
                     loads[index] = -length * gaps[index];
                     conjugate = false;
                 }
+            }
+            if whole && conjugate {
+                profile.iter_mut().zip(&effect).for_each(|(mm, effect)| *mm -= length * effect);
+            } else {
+                profile = self.profile_mm(&loads);
             }
         }
         Err(ContactError::NotFound { grains: count, depth_mm })

@@ -12,11 +12,20 @@ use std::f64::consts::PI;
 
 type Complex = [f64; 2];
 
+/// Grids in which one convolution after another is computed: a system call for each would take as long as the convolution.
+#[derive(Debug, Default)]
+pub(crate) struct Work {
+    grid: Vec<Complex>,
+    turned: Vec<Complex>,
+}
+
 /// The convolution of grids of `[columns, rows]` with a kernel.
 #[derive(Clone, Debug)]
 pub(crate) struct Convolution {
     plan: Plan,
     spectrum: Vec<Complex>,
+    /// Columns of outputs.
+    outputs: usize,
 }
 
 /// The size of a padded grid, and the roots of unity for it.
@@ -36,28 +45,25 @@ impl Plan {
 
     /// The transform of two real grids, given by their non-zero values: column, row, and the two values.
     pub(crate) fn spectrum(&self, values: impl Iterator<Item = ([usize; 2], [f64; 2])>) -> Vec<Complex> {
-        let mut grid = vec![[0.0; 2]; self.columns * self.rows];
-        for ([column, row], value) in values {
-            grid[row * self.columns + column] = value;
-        }
-        self.transform(&mut grid);
-        grid
+        let mut work = Work::default();
+        self.spectrum_in(&mut work, values);
+        work.grid
     }
 
-    fn transform(&self, grid: &mut [Complex]) {
-        for row in grid.chunks_exact_mut(self.columns) {
-            transform(row, &self.roots[0]);
+    fn spectrum_in(&self, work: &mut Work, values: impl Iterator<Item = ([usize; 2], [f64; 2])>) {
+        work.grid.clear();
+        work.grid.resize(self.columns * self.rows, [0.0; 2]);
+        for ([column, row], value) in values {
+            work.grid[row * self.columns + column] = value;
         }
-        let mut column = vec![[0.0; 2]; self.rows];
-        for first in 0..self.columns {
-            for (value, row) in column.iter_mut().zip(grid.chunks_exact(self.columns)) {
-                *value = row[first];
-            }
-            transform(&mut column, &self.roots[1]);
-            for (value, row) in column.iter().zip(grid.chunks_exact_mut(self.columns)) {
-                row[first] = *value;
-            }
-        }
+        self.transform(work, self.columns);
+    }
+
+    /// Transforms the grid. Of the result only the first `columns` are found.
+    fn transform(&self, Work { grid, turned }: &mut Work, columns: usize) {
+        turned.resize(grid.len(), [0.0; 2]);
+        transform_rows(grid, self.columns, self.rows, turned, &self.roots[0]);
+        transform_rows(turned, self.rows, columns, grid, &self.roots[1]);
     }
 }
 
@@ -84,24 +90,44 @@ impl Convolution {
         };
         let offsets = axis(1).flat_map(|(row, y)| axis(0).map(move |(column, x)| ([column, row], [x, y])));
         let spectrum = plan.spectrum(offsets.map(|(at, offset)| (at, [kernel(offset), 0.0])));
-        Self { plan, spectrum }
+        Self { plan, spectrum, outputs: to[0] }
     }
 
-    /// The two outputs of two inputs with this spectrum, as a padded grid, by `[column, row]`.
+    /// The two outputs of two inputs with this spectrum, by `[column, row]`.
     pub(crate) fn apply(&self, inputs: &[Complex]) -> impl Fn([usize; 2]) -> [f64; 2] + use<> {
+        let mut work = Work { grid: inputs.to_vec(), turned: Vec::new() };
+        self.apply_in(&mut work);
+        let (at, grid) = (self.reader(), work.grid);
+        move |place| at(&grid, place)
+    }
+
+    /// The outputs of inputs, given as to [`Plan::spectrum`].
+    pub(crate) fn of<'w, V: Iterator<Item = ([usize; 2], [f64; 2])>>(
+        &self,
+        values: V,
+        work: &'w mut Work,
+    ) -> impl Fn([usize; 2]) -> [f64; 2] + use<'w, V> {
+        self.plan.spectrum_in(work, values);
+        self.apply_in(work);
+        let (at, grid) = (self.reader(), &work.grid);
+        move |place| at(grid, place)
+    }
+
+    fn apply_in(&self, work: &mut Work) {
         // The inverse transform is the forward one with real and imaginary parts exchanged.
-        let product = |(a, b): (&Complex, &Complex)| [a[0] * b[1] + a[1] * b[0], a[0] * b[0] - a[1] * b[1]];
-        let mut grid: Vec<Complex> = inputs.iter().zip(&self.spectrum).map(product).collect();
-        self.plan.transform(&mut grid);
-        let (columns, scale) = (self.plan.columns, 1.0 / grid.len() as f64);
-        move |[column, row]| {
+        for (a, b) in work.grid.iter_mut().zip(&self.spectrum) {
+            *a = [a[0] * b[1] + a[1] * b[0], a[0] * b[0] - a[1] * b[1]];
+        }
+        self.plan.transform(work, self.outputs);
+    }
+
+    fn reader(&self) -> impl Fn(&[Complex], [usize; 2]) -> [f64; 2] + use<> {
+        let columns = self.plan.columns;
+        let scale = 1.0 / (columns * self.plan.rows) as f64;
+        move |grid, [column, row]| {
             let [im, re] = grid[row * columns + column];
             [re * scale, im * scale]
         }
-    }
-
-    pub(crate) const fn plan(&self) -> &Plan {
-        &self.plan
     }
 }
 
@@ -111,8 +137,44 @@ fn roots(size: usize) -> Vec<Complex> {
     (0..size / 2).map(|index| [libm::cos(angle(index)), libm::sin(angle(index))]).collect()
 }
 
-/// Transforms a power of two of values in place.
-fn transform(values: &mut [Complex], roots: &[Complex]) {
+/// Rows that are transformed at once, side by side.
+const SIDE: usize = 8;
+
+/// The same place of some rows: real and imaginary parts.
+#[derive(Clone, Copy)]
+struct Side {
+    re: [f64; SIDE],
+    im: [f64; SIDE],
+}
+
+/// Transforms the first `count` rows of a power of two `size` of values, and writes them as the columns of `to`.
+fn transform_rows(from: &[Complex], size: usize, count: usize, to: &mut [Complex], roots: &[Complex]) {
+    let rows = from.len() / size;
+    let mut values = vec![Side { re: [0.0; SIDE], im: [0.0; SIDE] }; size];
+    for first in (0..count).step_by(SIDE) {
+        let some = SIDE.min(rows - first);
+        let taken = &from[first * size..][..some * size];
+        // Padding is 0, and so is its transform.
+        if taken.iter().all(|value| *value == [0.0; 2]) {
+            to.chunks_exact_mut(rows).for_each(|row| row[first..][..some].fill([0.0; 2]));
+            continue;
+        }
+        for (row, taken) in taken.chunks_exact(size).enumerate() {
+            for (place, [re, im]) in values.iter_mut().zip(taken) {
+                (place.re[row], place.im[row]) = (*re, *im);
+            }
+        }
+        transform(&mut values, roots);
+        for (place, to) in values.iter().zip(to.chunks_exact_mut(rows)) {
+            for (row, to) in to[first..][..some].iter_mut().enumerate() {
+                *to = [place.re[row], place.im[row]];
+            }
+        }
+    }
+}
+
+/// Transforms a power of two of values in place, for rows side by side.
+fn transform(values: &mut [Side], roots: &[Complex]) {
     let size = values.len();
     let bits = size.trailing_zeros();
     for index in 1..size {
@@ -126,10 +188,13 @@ fn transform(values: &mut [Complex], roots: &[Complex]) {
         let step = size / (2 * half);
         for block in values.chunks_exact_mut(2 * half) {
             let (low, high) = block.split_at_mut(half);
-            for ((low, high), root) in low.iter_mut().zip(high).zip(roots.iter().step_by(step)) {
-                let turned = [high[0] * root[0] - high[1] * root[1], high[0] * root[1] + high[1] * root[0]];
-                *high = [low[0] - turned[0], low[1] - turned[1]];
-                *low = [low[0] + turned[0], low[1] + turned[1]];
+            for ((low, high), &[re, im]) in low.iter_mut().zip(high).zip(roots.iter().step_by(step)) {
+                for row in 0..SIDE {
+                    let turned =
+                        [high.re[row] * re - high.im[row] * im, high.re[row] * im + high.im[row] * re];
+                    (high.re[row], high.im[row]) = (low.re[row] - turned[0], low.im[row] - turned[1]);
+                    (low.re[row], low.im[row]) = (low.re[row] + turned[0], low.im[row] + turned[1]);
+                }
             }
         }
         half *= 2;
@@ -140,22 +205,30 @@ fn transform(values: &mut [Complex], roots: &[Complex]) {
 mod tests {
     use super::*;
 
+    /// Of grids with more and with fewer rows and columns than go side by side, one after another in the same memory.
     #[test]
     fn a_convolution_is_the_sum_over_all_inputs() {
-        let (from, to, lead) = ([5, 3], [9, 8], [2, 4]);
         let kernel = |[x, y]: [f64; 2]| 1.0 / (1.0 + (x - 0.3) * (x - 0.3) + 2.0 * y * y) + 0.1 * x;
+        let from = [5, 3];
         let inputs: Vec<_> =
             (0..15).map(|n| ([n % 5, n / 5], [libm::sin(n as f64), libm::cos(3.0 * n as f64)])).collect();
-        let convolution = Convolution::new(Plan::new(from, to), from, to, lead, kernel);
-        let outputs = convolution.apply(&convolution.plan().spectrum(inputs.iter().copied()));
-        for (column, row) in (0..9).flat_map(|column| (0..8).map(move |row| (column, row))) {
-            let mut expected = [0.0; 2];
-            for ([x, y], values) in &inputs {
-                let offset = [column as f64 - 2.0 - *x as f64, row as f64 - 4.0 - *y as f64];
-                expected.iter_mut().zip(values).for_each(|(sum, value)| *sum += value * kernel(offset));
+        let mut work = Work::default();
+        for (to, lead) in [([9, 8], [2, 4]), ([30, 2], [0, 0]), ([3, 20], [1, 9]), ([9, 8], [2, 4])] {
+            let convolution = Convolution::new(Plan::new(from, to), from, to, lead, kernel);
+            let outputs = convolution.of(inputs.iter().copied(), &mut work);
+            for (column, row) in (0..to[0]).flat_map(|column| (0..to[1]).map(move |row| (column, row))) {
+                let mut expected = [0.0; 2];
+                for ([x, y], values) in &inputs {
+                    let offset =
+                        [column as f64 - lead[0] as f64 - *x as f64, row as f64 - lead[1] as f64 - *y as f64];
+                    expected.iter_mut().zip(values).for_each(|(sum, value)| *sum += value * kernel(offset));
+                }
+                let found = outputs([column, row]);
+                assert!(
+                    (0..2).all(|part| (found[part] - expected[part]).abs() < 1e-12),
+                    "{to:?}: {column} {row}"
+                );
             }
-            let found = outputs([column, row]);
-            assert!((0..2).all(|part| (found[part] - expected[part]).abs() < 1e-13), "{column} {row}");
         }
     }
 }

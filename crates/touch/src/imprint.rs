@@ -8,7 +8,7 @@
 //! Invariant: a look-up costs the same wherever the object is and however many grains it has.
 
 use crate::contact::{Contact, ContactError, MAX_BYTES};
-use crate::fft::{Convolution, Plan, padded};
+use crate::fft::{Convolution, Plan, Work, padded};
 use crate::field::cubic;
 use crate::touch::{Frame, Pose};
 
@@ -41,7 +41,7 @@ impl Imprint {
         let size = [0, 1].map(|axis| (last[axis] - first[axis]) as usize + 1);
         let lead = first.map(|first| -first as usize);
         let [columns, rows] = padded(grains.size, size);
-        // The kernel's spectrum, that of the loads, and their product; and the table.
+        // The kernel's spectrum, and the two grids of `Work`; and the table.
         let bytes = 3 * 16 * columns * rows + 4 * size[0] * size[1] * depths;
         if bytes > MAX_BYTES {
             return Err(ContactError::TooLarge { grains: grains.len(), pitch_mm, bytes });
@@ -51,12 +51,13 @@ impl Imprint {
         let kernel = |[x, y]: [f64; 2]| punch.flexibility(pitch_mm * (x * x + y * y).sqrt());
         let skin = Convolution::new(plan, grains.size, size, lead, kernel);
         let mut values_mm = vec![0.0; size[0] * size[1] * depths];
+        let mut work = Work::default();
         // Two depths at a time.
         for depth in (0..depths).step_by(2) {
             let second =
                 |grain: usize| if depth + 1 < depths { contact.solved(depth + 1)[grain] } else { 0.0 };
             let of = |(grain, &cell): (usize, _)| (cell, [contact.solved(depth)[grain], second(grain)]);
-            let found = skin.apply(&skin.plan().spectrum(grains.cells.iter().enumerate().map(of)));
+            let found = skin.of(grains.cells.iter().enumerate().map(of), &mut work);
             for (point, values_mm) in values_mm.chunks_exact_mut(depths).enumerate() {
                 let found = found([point % size[0], point / size[0]]);
                 values_mm[depth..].iter_mut().zip(found).for_each(|(mm, found)| *mm = found as f32);

@@ -370,6 +370,15 @@ fn bad_images_and_profiles_are_refused_in_one_line() {
         error(map("m.png").replace("0.1", "10").replace("um_per_level = 2", "")),
         "o.toml: `um_per_level` is missing: add um_per_level, the height of a step of grey, um"
     );
+    let profile = |keys: &str| {
+        let text = object(&format!("shape = \"texture\"\nfile = \"p.csv\"\nmm_per_pixel = 0.5{keys}"));
+        read_with(&text, &[("p.csv", b"height [mm]\n0\n0.1\n".to_vec())]).map_err(|error| error.to_string())
+    };
+    assert_eq!(
+        profile("").unwrap_err(),
+        "o.toml:4: `file`: the header says that column `height [mm]` is in mm, not um: add um_per_level = 1000, or 1 if the values are um"
+    );
+    assert!(profile("\num_per_level = 1000").is_ok());
     let wide = png(ColorType::Grayscale, BitDepth::Eight, [1001, 9], &[7; 9009]);
     let found = read_with(&map("w.png"), &[("w.png", wide)]).unwrap_err().to_string();
     assert_eq!(

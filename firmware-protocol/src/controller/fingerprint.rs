@@ -11,8 +11,9 @@ impl Controller {
     /// Adds to `hasher` what the controller will do from now on. It leaves out what is only for people: the identity, the time since
     /// the start, the last cut in the handshake.
     pub fn fingerprint(&self, hasher: &mut impl Hasher) {
-        let Self { identity: _, inbox, session, stream, motion, player, reporting, board, now } = self;
+        let Self { identity: _, inbox, session, stream, motion, player, reporting, board, edges, now } = self;
         (inbox, session, stream, player, reporting, board, now).hash(hasher);
+        edges.fingerprint(*now, hasher);
         motion.fingerprint(*now, hasher);
     }
 

@@ -16,6 +16,7 @@
 //! | `motion` | has the state, and drives pins outside of plays: returns, moves, seeks |
 //! | `player` | queues moves, renders the lines from them, books what was played |
 //! | `reporting` | has the counts, the reports and the answers that are to be sent |
+//! | `edges` | numbers the edges of the trigger input |
 //! | `board` | answers requests for the board report and for a self-test |
 //! | `fingerprint` | hashes what the controller will do, for programs that explore all orders |
 //!
@@ -23,6 +24,7 @@
 
 mod board;
 mod commands;
+mod edges;
 mod fingerprint;
 mod inbox;
 mod motion;
@@ -39,6 +41,7 @@ use crate::message::{Cause, Counters, DeviceHello, DeviceMessage, Op, State, Sta
 use crate::stroke::Lines;
 use crate::tick::Tick;
 use board::BoardRequests;
+use edges::Edges;
 use inbox::Inbox;
 use motion::Motion;
 use player::Player;
@@ -90,6 +93,7 @@ pub struct Controller {
     player: Player,
     reporting: Reporting,
     board: BoardRequests,
+    edges: Edges,
     now: Tick,
 }
 
@@ -117,6 +121,7 @@ impl Controller {
             player: Player::new(layout, now),
             reporting: Reporting::new(&layout),
             board: BoardRequests::none(&layout, now),
+            edges: Edges::none(&layout, now),
             now,
         }
     }
@@ -286,6 +291,17 @@ impl Controller {
     pub fn output_failed(&mut self, followed: Tick) {
         self.off_from(Cause::Output, followed.min(self.now + 1).min(self.player.rendered()));
         self.motion.lose_position();
+    }
+
+    /// Takes a rising edge of the trigger input in this tick, which is not after now. It is reported unless it comes within the dead
+    /// time or the places for reports are short.
+    pub fn edge(&mut self, tick: Tick) {
+        if let Some(report) = self.edges.count(tick)
+            && self.session.is_open()
+            && self.reporting.reports().has_room()
+        {
+            self.reporting.report(report);
+        }
     }
 
     /// Displacements of all pins in 0.01 µm, sampled at `tick`. Sent while armed. It replaces a sample of which nothing is sent

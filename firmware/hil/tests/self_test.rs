@@ -51,7 +51,7 @@ fn is_sound(test: &SelfTest) -> bool {
     test.lines == Some(LineTest::default())
         && u64::from(wave.ticks).abs_diff(ticks) <= 2
         && wave.words.abs_diff(4 * wave.ticks) <= 70
-        && test.ram.is_some_and(|ram| ram.bad.is_none() && ram.bytes > 20_000)
+        && test.ram.is_some_and(|ram| ram.bad.is_none() && ram.bytes > 10_000)
         && test.work_us.is_some_and(|us| us < 200)
 }
 

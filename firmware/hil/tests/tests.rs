@@ -5,6 +5,7 @@
 mod arrays;
 mod bus;
 mod dense;
+mod edges;
 mod estop;
 mod estop_races;
 mod faults;

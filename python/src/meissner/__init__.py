@@ -11,6 +11,7 @@
 - `demo`: a daemon with the simulated array, and a client of it. `Daemon` is the daemon alone.
 - `simulate`, `design`, `render`, `displacement`: predicted spikes, a search for patterns, a pattern that feels like an object, and
   how far pins move, by the installed program.
+- `align`: the map between the device's ticks and another recorder's clock, by pulses that both have.
 - `experiment`: trial lists, staircases, QUEST+, and a log that survives a crash.
 - `errors`: one class for each code of the API.
 """
@@ -23,13 +24,14 @@ from typing import TYPE_CHECKING
 from ._bodies import SequenceItem
 from ._endpoint import Endpoint, endpoints
 from ._operations import Core, begin
+from ._sample_files import Trace, import_csv, import_wav
 from ._sse import Event
+from .alignment import Aligned, align
 from .arrays import Array
 from .client import Client, Play, Session
 from .clocks import ClientClock, Instant
 from .errors import ApiError, MeissnerError, PlayStopped, Unreachable
 from .live import Live, Update
-from .motions import Trace, import_csv, import_wav
 from .program import Board, Daemon, Design, Rendering, Simulation, design, render, simulate
 from .results import Item, LiveResult, PlanCheck, Receipt, Status
 from .traces import Displacement, displacement
@@ -38,6 +40,7 @@ if TYPE_CHECKING:
     from .aio import AsyncClient
 
 __all__ = [
+    "Aligned",
     "ApiError",
     "Array",
     "Client",
@@ -62,6 +65,7 @@ __all__ = [
     "Trace",
     "Unreachable",
     "Update",
+    "align",
     "connect",
     "connect_async",
     "demo",

@@ -18,6 +18,7 @@ from urllib.parse import urlsplit
 
 from . import _live
 from . import _operations as ops
+from ._answers import AsyncAnswerable
 from ._endpoint import Endpoint
 from ._http import Op
 from ._live import END_TIMEOUT, Drives, KnownUpdate, LivePlay, Pose, Started, Updates
@@ -47,13 +48,13 @@ class AsyncUpdate(KnownUpdate):
         return await self._live._wait_for(self, timeout)
 
 
-class AsyncLive(LivePlay[AsyncUpdate]):
+class AsyncLive(LivePlay[AsyncUpdate], AsyncAnswerable):
     """A live play: it starts with `async with` or `await`, and ends with its block or `end()`."""
 
-    def __init__(self, client: AsyncClient, start: Op[Started]) -> None:
+    def __init__(self, client: AsyncClient, start: Op[Started], trial: object = None) -> None:
         """`AsyncClient.live()` makes them."""
         super().__init__(Accepted(0, "live", None, None))
-        self._client, self._start = client, start
+        self._client, self._start, self._trial = client, start, trial
         self._updates = Updates(0, lambda seq: AsyncUpdate(self, seq))
         self._writer: asyncio.StreamWriter | None = None
         self._is_over = asyncio.Event()
@@ -72,6 +73,7 @@ class AsyncLive(LivePlay[AsyncUpdate]):
         except BaseException:
             self._close()
             raise
+        self._client.trials[self._trial] = self
         return self
 
     async def _open(self, endpoint: Endpoint, path: str) -> tuple[asyncio.StreamReader, bytes]:
@@ -174,11 +176,6 @@ class AsyncLive(LivePlay[AsyncUpdate]):
             self._receipt = await self._client.run(ops.wait(self._client.core, self._accepted, left))
         return ops.checked(self._receipt) if check and not self._updates.ended_as_asked else self._receipt
 
-    async def refresh(self) -> Receipt:
-        """Ask for the receipt as it is now."""
-        self._receipt = await self._client.run(ops.receipt(self._client.core, self.id))
-        return self._receipt
-
     def __await__(self) -> Generator[Any, None, AsyncLive]:
         return self._begin().__await__()
 
@@ -202,9 +199,8 @@ async def _connect(endpoint: Endpoint) -> tuple[asyncio.StreamReader, asyncio.St
     if endpoint.socket is not None:
         return await asyncio.open_unix_connection(endpoint.socket)
     address = urlsplit(endpoint.url)
-    is_secure = address.scheme == "https"
-    port = address.port or (443 if is_secure else 80)
-    return await asyncio.open_connection(address.hostname, port, ssl=tls() if is_secure else None)
+    port = address.port or (443 if endpoint.is_secure else 80)
+    return await asyncio.open_connection(address.hostname, port, ssl=tls() if endpoint.is_secure else None)
 
 
 async def _within(work: Coroutine[Any, Any, T], timeout: float | None) -> T:

@@ -9,6 +9,7 @@ Invariant: `check` writes nothing.
 from __future__ import annotations
 
 import json
+import numbers
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -16,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from ._labels import exact
+from ._text_file import text_of
 from .errors import BidsConflict, MeissnerError
 
 SOURCE = "meissner_participant"
@@ -42,7 +44,7 @@ def _stated(kind: str, text: str) -> str:
 
 
 def _index(run: int | str) -> str:
-    is_number = isinstance(run, int) and not isinstance(run, bool) and run >= 0
+    is_number = isinstance(run, numbers.Integral) and not isinstance(run, bool) and run >= 0
     if not is_number and not (isinstance(run, str) and re.fullmatch("[0-9]+", run)):
         raise ValueError(f"`run` is {run!r}: BIDS takes a number, such as 1 or '01'")
     return str(run)
@@ -161,8 +163,16 @@ def _sidecars(root: Path) -> Iterator[tuple[Path, dict[str, Any]]]:
 def participants(root: Path) -> tuple[list[str], list[list[str]]]:
     """The columns and the rows of `participants.tsv`."""
     people = root / "participants.tsv"
-    text = people.read_text(encoding="utf-8-sig") if people.exists() else ""
-    header, *rows = [line.split("\t") for line in text.split("\n") if line.strip()] or [["participant_id"]]
+    try:
+        text = text_of(people) if people.exists() else ""
+    except ValueError as error:
+        raise BidsConflict(str(error)) from error
+    header, *rows = [line.split("\t") for line in re.split(r"\r\n?|\n", text) if line.strip()] or [["participant_id"]]
+    long = next((row for row in rows if len(row) > len(header)), None)
+    if long is not None:
+        raise BidsConflict(
+            f"{people}: the row of {long[0]} has {len(long)} cells, the header has {len(header)}: correct it"
+        )
     return header, rows
 
 

@@ -27,6 +27,11 @@ class Endpoint:
         return self.socket or self.url
 
     @property
+    def is_secure(self) -> bool:
+        """Whether connections use TLS."""
+        return self.url.startswith("https:")
+
+    @property
     def same_machine(self) -> bool:
         """Whether the daemon seems to run on this machine. A tunnel looks the same, so the clock checks it."""
         return self.socket is not None or urlsplit(self.url).hostname in ("localhost", "127.0.0.1", "::1")

@@ -21,6 +21,10 @@ except ImportError:  # Windows: sessions are not resumed there.
 _held: dict[str, int] = {}
 """The open files, by session."""
 
+if hasattr(os, "register_at_fork"):
+    # A forked child has no lock.
+    os.register_at_fork(after_in_child=_held.clear)
+
 
 def _file(session_id: str) -> Path | None:
     runtime, home = os.environ.get("XDG_RUNTIME_DIR"), os.environ.get("HOME")

@@ -17,7 +17,7 @@ from urllib.parse import urlsplit
 
 from . import _http
 from . import _operations as ops
-from ._bodies import Labels, Late, Trigger, texts, trigger_of
+from ._bodies import Labels, Late, Trigger, milliseconds, texts, trigger_of
 from ._http import Answer, Op
 from ._operations import Accepted, Core
 from ._plays import KnownPlay
@@ -84,8 +84,8 @@ def start(
         "drives": None if drives is None else plain_drives(drives, array),
         "pose": None if pose is None else plain_pose(pose),
         "scale": scale,
-        "timeout_ms": None if timeout is None else timeout * 1000,
-        "budget_ms": None if budget is None else budget * 1000,
+        "timeout_ms": milliseconds("timeout", timeout),
+        "budget_ms": milliseconds("budget", budget),
         "objective": objective,
         "model": model,
         "setting": setting,

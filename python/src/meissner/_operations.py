@@ -17,9 +17,10 @@ from typing import Any, ParamSpec, TypeVar
 from urllib.parse import quote
 
 from . import _http, motions
-from ._bodies import At, Fit, Labels, Late, Map, SequenceItem, Trigger, sequence_items, texts, trigger_of
+from ._bodies import At, Fit, Labels, Late, Map, SequenceItem, Trigger, milliseconds, sequence_items, texts, trigger_of
 from ._endpoint import Endpoint
 from ._http import Answer, Op, Pause, Request
+from ._text_file import text_of
 from .arrays import Array, of_record
 from .clocks import MAX_SKEW, NS, ClientClock, Instant
 from .errors import (
@@ -281,8 +282,20 @@ def home(core: Core) -> Op[Status]:
     return (yield from _command(core, "/v1/home", timeout=600.0))
 
 
-def _onset(core: Core, at: At) -> Op[dict[str, Any]]:
-    """The keys of an onset: an instant of the device's clock, or of this process's `time.monotonic()`."""
+def edge(core: Core, *, after: float | None = None, at: Instant | None = None) -> Op[Status]:
+    """Make an edge at the trigger input of a simulated array: now, in `after` s, or `at` an instant, exact to the tick. A board refuses."""
+    if after is not None and at is not None:
+        raise ValueError("give `after` or `at`, not both")
+    body = {"at_ms": milliseconds("after", after), "at_tick": at and at.tick}
+    return (yield from _command(core, "/v1/edge", body))
+
+
+def _onset(core: Core, at: At, on_edge: float | None) -> Op[dict[str, Any]]:
+    """The keys of an onset: an instant of the device's clock, or of this process's `time.monotonic()`, or a delay after an edge."""
+    if on_edge is not None:
+        if at is not None:
+            raise ValueError("give `at` or `on_edge`, not both")
+        return {"on_edge_ms": milliseconds("on_edge", on_edge)}
     if at is None:
         return {}
     if isinstance(at, Instant):
@@ -328,6 +341,8 @@ def play(
     strict: bool = False,
     hold: float | None = None,
     at: At = None,
+    on_edge: float | None = None,
+    stop_on_edge: bool = False,
     scale: float | None = None,
     trigger: Trigger = None,
     trial: int | None = None,
@@ -349,6 +364,9 @@ def play(
     earlier play, such as `play.onset.later(1.5)`, which is exact to the tick. Without it the play begins as soon as
     it can. `scale` multiplies the amplitudes. `trigger`: a code from 1 to 255, or False for none.
 
+    With `on_edge` the play waits for an edge of the trigger input, the first after those before it are over, and begins so many s after
+    it, exact to the tick. `stop_on_edge`: the first edge after the onset stops it and clears the queue.
+
     `map="nearest"` plays a pattern for another array, which the daemon refuses otherwise (`OtherArray`): each pin follows the
     nearest pin of the pattern's array, if that is at most one pitch of that array away.
     """
@@ -364,7 +382,7 @@ def play(
         "pattern": given,
         "seconds": seconds,
         "strict": strict or None,
-        "hold_ms": None if hold is None else hold * 1000,
+        "hold_ms": milliseconds("hold", hold),
         "scale": scale,
         "trigger": trigger_of(trigger),
         "trial": trial,
@@ -375,8 +393,9 @@ def play(
         "replace": replace or None,
         "endless": endless or None,
         "open_loop": open_loop or None,
+        "stop_on_edge": stop_on_edge or None,
         "session": core.session and core.session.id,
-        **(yield from _onset(core, at)),
+        **(yield from _onset(core, at, on_edge)),
     }
     return (yield from _accepted(core, _http.post("/v1/play", body, timeout=_COMPILING), name))
 
@@ -401,6 +420,8 @@ def sequence(
     seconds: float | None = None,
     scale: float | None = None,
     at: At = None,
+    on_edge: float | None = None,
+    stop_on_edge: bool = False,
     name: str | None = None,
     strict: bool = False,
     hold: float | None = None,
@@ -416,21 +437,23 @@ def sequence(
     An item is a pattern's name, or a dict with `pattern` (or `samples` and `rate`, or `drives`, as in `play`) and any of `seconds`,
     `scale`, `trigger`, `gap` (pause after the items before, s) and `start` (from the sequence's onset, s). None, or a dict whose
     `pattern` is None, is a blank item: nothing is played for its `seconds`. Items may overlap if they drive different motors. `isi` is the pause from one item's end to the next
-    onset, `soa` the distance of onsets, s. `seconds` and `scale` are for items that give none. `strict`, `hold` and `map`: as in `play`.
+    onset, `soa` the distance of onsets, s. `seconds` and `scale` are for items that give none. `strict`, `hold`, `map`,
+    `on_edge` and `stop_on_edge`: as in `play`.
     """
     body = {
         "items": (yield from items_of(core, items, isi, soa, seconds, scale)),
         "name": name,
         "strict": strict or None,
-        "hold_ms": None if hold is None else hold * 1000,
+        "hold_ms": milliseconds("hold", hold),
         "trial": trial,
         "labels": texts(labels),
         "late": late,
         "map": map,
         "replace": replace or None,
         "open_loop": open_loop or None,
+        "stop_on_edge": stop_on_edge or None,
         "session": core.session and core.session.id,
-        **(yield from _onset(core, at)),
+        **(yield from _onset(core, at, on_edge)),
     }
     return (yield from _accepted(core, _http.post("/v1/sequence", body, timeout=_COMPILING), name or "sequence"))
 
@@ -534,8 +557,7 @@ def pattern(core: Core, name: str, *, sha256: str | None = None) -> Op[dict[str,
 def store_pattern(core: Core, name: str, toml: str | os.PathLike[str], *, replace: bool = False) -> Op[dict[str, Any]]:
     """Store a pattern: its TOML text, or the path of its file."""
     if isinstance(toml, os.PathLike):
-        with open(toml, encoding="utf-8-sig") as file:
-            toml = file.read()
+        toml = text_of(toml).replace("\r\n", "\n")
     path = f"/v1/patterns/{quote(name, safe='')}" + ("?replace=true" if replace else "")
     request = Request("PUT", path, toml.encode(), {"Content-Type": "application/toml"}, timeout=20.0)
     raw: dict[str, Any] = yield from document(core, request)

@@ -5,6 +5,7 @@ hide no error.
 from __future__ import annotations
 
 import contextlib
+import numbers
 import warnings
 from collections.abc import Generator
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -83,10 +84,10 @@ class KnownPlay:
 
 def trial_answer(trial: Trial | int, level: float | None, factors: Labels) -> tuple[int, float | None, dict[str, Any]]:
     """A trial's number, and the level and factors of an answer in it: its own `level` is the level, its other factors are factors."""
-    if isinstance(trial, int):
-        return trial, level, dict(factors or {})
+    if isinstance(trial, (int, numbers.Integral)):
+        return int(trial), level, dict(factors or {})
     own = {**trial.factors, **(factors or {})}
-    if level is None and isinstance(own.get("level"), (int, float)):
+    if level is None and isinstance(own.get("level"), numbers.Real) and not isinstance(own["level"], bool):
         level = own.pop("level")
     return trial.number, level, own
 

@@ -6,7 +6,7 @@ import contextlib
 from typing import Any
 
 from . import _http, _kept
-from ._bodies import Labels, texts
+from ._bodies import Labels, Verdict, texts, verdict
 from ._http import Op
 from ._operations import Accepted, Core, Owned, document, send, status, stop, wait_until_idle
 from ._presses import Press
@@ -114,7 +114,7 @@ def answer(
     accepted: Accepted,
     onset: Instant | None,
     response: object,
-    correct: bool | None = None,
+    correct: Verdict = None,
     rt_ms: float | None = None,
     level: float | None = None,
     factors: Labels = None,
@@ -130,7 +130,7 @@ def answer(
         rt_ms = response.after(onset) * 1000 if rt_ms is None else rt_ms
     said = response.name if isinstance(response, Press) else response
     numbers = {"rt_ms": None if rt_ms is None else float(rt_ms), "level": None if level is None else float(level)}
-    body = {"response": str(said), "correct": None if correct is None else bool(correct), **numbers}
+    body = {"response": str(said), "correct": verdict(correct), **numbers}
     yield from document(core, _http.post(f"/v1/plays/{accepted.id}/answer", {**body, "factors": texts(given)}))
 
 

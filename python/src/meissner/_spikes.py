@@ -11,7 +11,9 @@ from typing import Any
 
 from .clocks import NS
 from .errors import ProgramError
+from .motions import MOTIONS
 from .program import simulate
+from .traces import is_blank
 
 PLACES = [(float(x), float(y)) for y in range(-10, 11) for x in range(-7, 8)]
 """The places of the afferents, mm from the array's middle: 1 mm apart, beyond the pins by a receptive field."""
@@ -38,12 +40,14 @@ def predict(rows: list[dict[str, Any]], patterns: Mapping[str, Mapping[str, Any]
     found: dict[tuple[Any, ...], list[list[float]]] = {}
     problems: list[str] = []
     for row in rows:
+        if is_blank(row):
+            continue
         pattern, played_ms = patterns.get(row["pattern_sha256"] or ""), row["played_ms"]
         which = f"play {row['play']}" + ("" if row["item"] is None else f", item {row['item']}")
         if pattern is None or played_ms is None or row["mapped_from"] is not None:
             problems.append(f"{which}: its pattern as played, or its end, is not known, so it has no predicted spikes")
             continue
-        if any(set(drive) - _KEYS for drive in _set_drives(pattern)):
+        if any(pattern.get(kind) for kind in MOTIONS) or any(set(drive) - _KEYS for drive in _set_drives(pattern)):
             problems.append(f"{which}: its pattern has motions, which have no predicted spikes")
             continue
         key = (row["pattern_sha256"], row["scale"], round(played_ms, 3))
@@ -59,7 +63,7 @@ def predict(rows: list[dict[str, Any]], patterns: Mapping[str, Mapping[str, Any]
 
 def _set_drives(pattern: Mapping[str, Any]) -> list[dict[str, Any]]:
     """The drives with the keys that are given."""
-    return [{key: value for key, value in drive.items() if value is not None} for drive in pattern["drive"]]
+    return [{key: value for key, value in drive.items() if value is not None} for drive in pattern.get("drive", ())]
 
 
 def _spikes(pattern: Mapping[str, Any], scale: float, seconds: float, array: str) -> list[list[float]]:

@@ -5,6 +5,8 @@ Both turn httpx's errors into `Unreachable` (the request was not sent) and `Conn
 
 from __future__ import annotations
 
+import functools
+import os
 import time
 from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import asynccontextmanager, contextmanager
@@ -18,6 +20,9 @@ if TYPE_CHECKING:
     import ssl
 
     import httpx
+
+SILENCE = 60.0
+"""A stream of events is lost when nothing came for so long, s: the daemon sends a comment every 15 s."""
 
 Headers = Callable[[], dict[str, str]]
 Now = Callable[[], int]
@@ -39,12 +44,23 @@ def _options(endpoint: Endpoint) -> dict[str, Any]:
     return {"base_url": endpoint.url, "trust_env": False}
 
 
-def _connections(fresh: bool) -> dict[str, Any]:
+def _connections(endpoint: Endpoint, fresh: bool) -> dict[str, Any]:
     import httpx
 
     # Idle connections stay: httpx would close them after 5 s, and it notices by itself when the daemon has closed one.
     kept = 0 if fresh else 8
-    return {"limits": httpx.Limits(max_connections=32, max_keepalive_connections=kept, keepalive_expiry=None)}
+    return {
+        "uds": endpoint.socket,
+        # Without TLS, httpx would read the certificates of authorities all the same.
+        "verify": tls() if endpoint.is_secure else False,
+        "limits": httpx.Limits(max_connections=32, max_keepalive_connections=kept, keepalive_expiry=None),
+    }
+
+
+def _streaming() -> httpx.Timeout:
+    import httpx
+
+    return httpx.Timeout(10.0, read=SILENCE)
 
 
 class BlockingTransport:
@@ -52,12 +68,12 @@ class BlockingTransport:
 
     def __init__(self, endpoint: Endpoint, headers: Headers, now_ns: Now) -> None:
         self._endpoint, self._headers, self._now_ns = endpoint, headers, now_ns
-        self._client = self._open()
+        self._client, self._process = self._open(), os.getpid()
 
     def _open(self, fresh: bool = False) -> httpx.Client:
         import httpx
 
-        transport = httpx.HTTPTransport(uds=self._endpoint.socket, **_connections(fresh))
+        transport = httpx.HTTPTransport(**_connections(self._endpoint, fresh))
         return httpx.Client(transport=transport, **_options(self._endpoint))
 
     def perform(self, request: Request) -> Answer:
@@ -65,6 +81,9 @@ class BlockingTransport:
         if request.fresh:
             with self._open(fresh=True) as client:
                 return self._send(client, request)
+        if self._process != os.getpid():
+            # Of connections that a forked child shares with its parent, each would read the other's answers.
+            self._client, self._process = self._open(), os.getpid()
         return self._send(self._client, request)
 
     def _send(self, client: httpx.Client, request: Request) -> Answer:
@@ -87,9 +106,7 @@ class BlockingTransport:
 
         with self._open(fresh=True) as client:
             try:
-                with client.stream(
-                    "GET", path, headers=self._headers(), timeout=httpx.Timeout(10.0, read=None)
-                ) as response:
+                with client.stream("GET", path, headers=self._headers(), timeout=_streaming()) as response:
                     if response.status_code >= 400:
                         Answer(response.status_code, response.read()).json()
                     yield response.iter_raw()
@@ -115,7 +132,7 @@ class AsyncTransport:
     def _open(self, fresh: bool = False) -> httpx.AsyncClient:
         import httpx
 
-        transport = httpx.AsyncHTTPTransport(uds=self._endpoint.socket, **_connections(fresh))
+        transport = httpx.AsyncHTTPTransport(**_connections(self._endpoint, fresh))
         return httpx.AsyncClient(transport=transport, **_options(self._endpoint))
 
     async def perform(self, request: Request) -> Answer:
@@ -143,10 +160,9 @@ class AsyncTransport:
         """Opens a stream on a connection of its own."""
         import httpx
 
-        timeout = httpx.Timeout(10.0, read=None)
         async with self._open(fresh=True) as client:
             try:
-                async with client.stream("GET", path, headers=self._headers(), timeout=timeout) as response:
+                async with client.stream("GET", path, headers=self._headers(), timeout=_streaming()) as response:
                     if response.status_code >= 400:
                         Answer(response.status_code, await response.aread()).json()
                     yield response.aiter_raw()
@@ -164,10 +180,15 @@ class AsyncTransport:
         await self._client.aclose()
 
 
+@functools.cache
 def tls() -> ssl.SSLContext:
-    """What other connections of this package trust, for one that httpx does not make."""
+    """What the connections of this package trust: what httpx does, which is certifi's list or `$SSL_CERT_FILE`.
+
+    The first client reads the list, for all: when a forked child ends, the C library may set back the file that another thread
+    of its parent reads, and that thread fails with "PEM lib".
+    """
     import httpx
 
-    context = httpx.create_ssl_context(trust_env=False)
+    context = httpx.create_ssl_context()
     context.set_alpn_protocols(["http/1.1"])
     return context

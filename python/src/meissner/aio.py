@@ -16,11 +16,11 @@ from . import _ending, _exports, _live, _plan, _sessions, program
 from . import _operations as ops
 from ._aio_live import AsyncLive
 from ._alive import Alive
-from ._bodies import Labels
+from ._answers import AsyncAnswerable
+from ._bodies import Labels, Verdict
 from ._http import Answer, Op, Pause, Step
 from ._operations import Accepted, Core
-from ._plays import KnownPlay, answered, played_in, quietly, trial_answer, unanswered
-from ._presses import Press
+from ._plays import answered, played_in, quietly, trial_answer, unanswered
 from ._sse import Event, EventParser
 from ._transport import AsyncTransport
 from .arrays import Array
@@ -76,7 +76,7 @@ def _living(
     """A method that returns a live play, which starts with `async with` or `await`."""
 
     def method(client: AsyncClient, /, *args: P.args, **kwargs: P.kwargs) -> AsyncLive:
-        return AsyncLive(client, operation(client.core, *args, **kwargs))
+        return AsyncLive(client, operation(client.core, *args, **kwargs), kwargs.get("trial"))
 
     return ops.named_after(operation, method)
 
@@ -92,7 +92,7 @@ def _opening(
     return ops.named_after(operation, method)
 
 
-class AsyncPlay(KnownPlay):
+class AsyncPlay(AsyncAnswerable):
     """A play that the daemon has taken."""
 
     def __init__(self, client: AsyncClient, accepted: Accepted) -> None:
@@ -105,31 +105,10 @@ class AsyncPlay(KnownPlay):
         self._receipt = result
         return ops.checked(result) if check else result
 
-    async def refresh(self) -> Receipt:
-        """Ask for the receipt as it is now."""
-        self._receipt = await self._client.run(ops.receipt(self._client.core, self.id))
-        return self._receipt
-
     async def withdraw(self) -> Receipt:
         """Take the play out of the queue. As `Play.withdraw`."""
         self._receipt = await self._client.run(ops.withdraw(self._client.core, self.id))
         return self._receipt
-
-    async def answer(
-        self,
-        response: object,
-        *,
-        correct: bool | None = None,
-        rt_ms: float | None = None,
-        level: float | None = None,
-        factors: Labels = None,
-    ) -> None:
-        """Record what the participant answered. As `Play.answer`."""
-        if isinstance(response, Press) and (self._receipt is None or self._receipt.onset is None):
-            await self.refresh()
-        onset = self.onset if isinstance(response, Press) else None
-        order = _sessions.answer(self._client.core, self._accepted, onset, response, correct, rt_ms, level, factors)
-        await self._client.run(order)
 
 
 class AsyncSession:
@@ -160,7 +139,7 @@ class AsyncSession:
         trial: Trial | int,
         response: object,
         *,
-        correct: bool | None = None,
+        correct: Verdict = None,
         rt_ms: float | None = None,
         level: float | None = None,
         factors: Labels = None,
@@ -216,7 +195,7 @@ class AsyncClient:
     def __init__(self, core: Core) -> None:
         """`connect_async()` makes clients."""
         self.core = core
-        self.trials: dict[Any, AsyncPlay] = {}
+        self.trials: dict[Any, AsyncPlay | AsyncLive] = {}
         """The newest play of each trial."""
         self._transport = AsyncTransport(core.endpoint, lambda: core.headers, core.clock.now_ns)
         self.alive = Alive(core)
@@ -261,6 +240,7 @@ class AsyncClient:
     estop = _awaiting(ops.estop)
     reset = _awaiting(ops.reset)
     home = _awaiting(ops.home)
+    edge = _awaiting(ops.edge)
     play = _playing(ops.play)
     sequence = _playing(ops.sequence)
     check = _awaiting(_plan.check)

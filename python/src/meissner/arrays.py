@@ -12,6 +12,7 @@ from typing import Any
 
 _PAPER = {"array": "tula35-6x4", "tick_hz": 85_000, "mapped_from": None}
 _PAPER_GRID = (6, 4, 2.9)
+_PAPER_MOTOR = {"speed_mm_s": 11.5, "window_ms": 4.3, "travel_um": 400.0}
 
 
 @dataclass(frozen=True)
@@ -58,6 +59,11 @@ class Array:
     def motors(self) -> int:
         """How many motors it has."""
         return len(self.positions_mm)
+
+    @property
+    def motor(self) -> dict[str, float]:
+        """Its motors: `speed_mm_s`, `window_ms` (of the mean over which they settle) and `travel_um`."""
+        return {**_PAPER_MOTOR, **self.raw.get("motor", {})}
 
     def ticks(self, seconds: float) -> int:
         """The nearest number of ticks to a time."""

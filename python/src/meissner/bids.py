@@ -23,7 +23,8 @@ from ._bids_names import label as label
 from ._labels import Labels, exact
 from .arrays import of_record
 from .errors import ProgramError
-from .traces import ArrayName, Grid
+from .motions import pattern_toml
+from .traces import ArrayName, Grid, is_blank
 
 VERSION = "1.10.0"
 _HED = "Sensory-event, Tactile-presentation, Experimental-stimulus"
@@ -68,6 +69,12 @@ _COLUMNS: dict[str, dict[str, Any]] = {
     "mapped_from": {
         "Description": "Name of the array that the pattern is for, if it was mapped by position; n/a: it was not"
     },
+    "start_edge": {
+        "Description": "Number of the edge of the trigger input after which the play began; n/a: it waited for none"
+    },
+    "start_edge_tick": {"Description": "When that edge came on the device's clock, ticks"},
+    "stop_edge": {"Description": "Number of the edge of the trigger input that stopped the play; n/a: none did"},
+    "stop_edge_tick": {"Description": "When that edge came on the device's clock, ticks"},
     "response": {"Description": "What the participant answered; n/a: no answer was recorded"},
     "correct": {
         "Description": "Whether the answer is right",
@@ -150,7 +157,7 @@ def write(
     left_out = losses(recorded)
     for row in rows:
         line = f"the text of {row['pattern']} as played is not kept: its stim_file is n/a"
-        if row["pattern_sha256"] not in stimuli and line not in left_out:
+        if row["pattern_sha256"] not in stimuli and line not in left_out and not is_blank(row):
             left_out.append(line)
     displacement = None
     if displacement_hz is not None and rows:
@@ -233,6 +240,7 @@ def _event(row: Mapping[str, Any], zero: int, stimuli: Mapping[str, str], labels
         "array": row["array"],
         "tick_hz": row["tick_hz"],
         "mapped_from": row["mapped_from"],
+        **edge_cells(row),
         **answer_cells(row),
     }
 
@@ -245,6 +253,13 @@ def first_pulse_ns(row: Mapping[str, Any]) -> int | None:
     onset_ns: int = row["onset_monotonic_ns"]
     after_ticks: int = tick - row["onset_tick"]
     return onset_ns + round(after_ticks * 1e9 / int(row["tick_hz"]))
+
+
+def edge_cells(row: Mapping[str, Any]) -> dict[str, int | None]:
+    """The edges of the trigger input that started and stopped the play. An older daemon records none."""
+    edges = {name: row.get(name) or {} for name in ("start_edge", "stop_edge")}
+    numbers = {name: edge.get("number") for name, edge in edges.items()}
+    return {**numbers, **{f"{name}_tick": edge.get("tick") for name, edge in edges.items()}}
 
 
 def answer_cells(row: Mapping[str, Any]) -> dict[str, Any]:
@@ -331,16 +346,3 @@ def _tsv(file: Path, columns: list[str], rows: list[dict[str, Any]]) -> None:
 def _cell(value: Any) -> str:
     """A value as BIDS has it: no tabs or line ends, `n/a` if it is not known."""
     return "n/a" if value is None or value == "" else re.sub(r"\s", " ", str(value))
-
-
-def pattern_toml(keys: Mapping[str, Any]) -> str:
-    """A pattern file of these keys, without its provenance."""
-    lines = ["format = 1", f"name = {json.dumps(keys['name'])}"]
-    if keys.get("array") is not None:
-        lines.append(f"array = {json.dumps(keys['array'])}")
-    if keys.get("duration_s") is not None:
-        lines.append(f"duration_s = {float(keys['duration_s'])!r}")
-    for drive in keys["drive"]:
-        lines.append("\n[[drive]]")
-        lines += [f"{key} = {value!r}" for key, value in drive.items() if value is not None]
-    return "\n".join(lines) + "\n"

@@ -12,11 +12,11 @@ from typing import Any, Concatenate, ParamSpec, TypeVar
 from . import _ending, _exports, _http, _live, _plan, _sessions, program
 from . import _operations as ops
 from ._alive import Alive
-from ._bodies import Labels
+from ._answers import Answerable
+from ._bodies import Labels, Verdict
 from ._http import Op
 from ._operations import Accepted, Core
-from ._plays import KnownPlay, answered, played_in, quietly, trial_answer, unanswered
-from ._presses import Press
+from ._plays import answered, played_in, quietly, trial_answer, unanswered
 from ._sse import Event, EventParser
 from ._transport import BlockingTransport
 from .arrays import Array
@@ -67,7 +67,9 @@ def _living(operation: Callable[Concatenate[Core, P], Op[_live.Started]]) -> Cal
     """A method that starts a live play and returns it."""
 
     def method(client: Client, /, *args: P.args, **kwargs: P.kwargs) -> Live:
-        return Live(client, client.run(operation(client.core, *args, **kwargs)))
+        play = Live(client, client.run(operation(client.core, *args, **kwargs)))
+        client.trials[kwargs.get("trial")] = play
+        return play
 
     return ops.named_after(operation, method)
 
@@ -86,7 +88,7 @@ def _opening(
     return ops.named_after(operation, method)
 
 
-class Play(KnownPlay):
+class Play(Answerable):
     """A play that the daemon has taken."""
 
     def __init__(self, client: Client, accepted: Accepted) -> None:
@@ -102,36 +104,10 @@ class Play(KnownPlay):
         self._receipt = result
         return ops.checked(result) if check else result
 
-    def refresh(self) -> Receipt:
-        """Ask for the receipt as it is now."""
-        self._receipt = self._client.run(ops.receipt(self._client.core, self.id))
-        return self._receipt
-
     def withdraw(self) -> Receipt:
         """Take the play out of the queue, and return its receipt. Raises `Playing` once it runs."""
         self._receipt = self._client.run(ops.withdraw(self._client.core, self.id))
         return self._receipt
-
-    def answer(
-        self,
-        response: object,
-        *,
-        correct: bool | None = None,
-        rt_ms: float | None = None,
-        level: float | None = None,
-        factors: Labels = None,
-    ) -> None:
-        """Record what the participant answered: the text of `response`, whether it is right, the response time in ms.
-
-        The play belongs to the running session and has begun; it takes one answer. `level` is that of the stimulus, such as a
-        staircase's; `factors` are texts by name. Every export has them in the row of the play. A `Press` has its response time, from
-        the onset of the play, and becomes the factors `response_tick` and `response_uncertainty_s`, too.
-        """
-        if isinstance(response, Press) and (self._receipt is None or self._receipt.onset is None):
-            self.refresh()
-        onset = self.onset if isinstance(response, Press) else None
-        order = _sessions.answer(self._client.core, self._accepted, onset, response, correct, rt_ms, level, factors)
-        self._client.run(order)
 
 
 class Session:
@@ -163,7 +139,7 @@ class Session:
         trial: Trial | int,
         response: object,
         *,
-        correct: bool | None = None,
+        correct: Verdict = None,
         rt_ms: float | None = None,
         level: float | None = None,
         factors: Labels = None,
@@ -213,7 +189,7 @@ class Client:
         """`connect()` and `demo()` make clients."""
         self.core = core
         self.alive = Alive(core)
-        self.trials: dict[Any, Play] = {}
+        self.trials: dict[Any, Play | Live] = {}
         """The newest play of each trial."""
         self._daemon: program.Daemon | None = None
         self._transport = BlockingTransport(core.endpoint, lambda: core.headers, core.clock.now_ns)
@@ -245,6 +221,7 @@ class Client:
     estop = _blocking(ops.estop)
     reset = _blocking(ops.reset)
     home = _blocking(ops.home)
+    edge = _blocking(ops.edge)
     play = _playing(ops.play)
     sequence = _playing(ops.sequence)
     check = _blocking(_plan.check)

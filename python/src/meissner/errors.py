@@ -223,6 +223,10 @@ class NoTelemetry(ApiError, code="no-telemetry", advice="calibrate with a laser"
     """The device has no telemetry."""
 
 
+class NoTriggerInput(ApiError, code="no-trigger-input", advice="play it without `on_edge`"):
+    """The device has no trigger input."""
+
+
 class DriftLimit(ApiError, code="drift-limit", advice="call `home()`, or level the pins and arm again"):
     """Pins may be too far from rest."""
 

@@ -19,6 +19,7 @@ from urllib.parse import urlsplit
 
 from . import _live
 from . import _operations as ops
+from ._answers import Answerable
 from ._endpoint import Endpoint
 from ._live import END_TIMEOUT, Drives, KnownUpdate, LivePlay, Pose, Started, Updates
 from ._operations import Core
@@ -49,7 +50,7 @@ class Update(KnownUpdate):
         return self._live._wait_for(self, timeout)
 
 
-class Live(LivePlay[Update]):
+class Live(LivePlay[Update], Answerable):
     """A live play. As a context manager it ends with its block; `receipt` and `wait()` then say what became of it."""
 
     def __init__(self, client: Client, started: Started) -> None:
@@ -174,11 +175,6 @@ class Live(LivePlay[Update]):
             self._receipt = self._client.run(ops.wait(self._client.core, self._accepted, left))
         return ops.checked(self._receipt) if check and not self._updates.ended_as_asked else self._receipt
 
-    def refresh(self) -> Receipt:
-        """Ask for the receipt as it is now."""
-        self._receipt = self._client.run(ops.receipt(self._client.core, self.id))
-        return self._receipt
-
     def __enter__(self) -> Live:
         with self._lock:
             self._updates.check_open()
@@ -218,7 +214,6 @@ def _open(core: Core, path: str) -> tuple[socket.socket, bytes]:
 
 def _connect(endpoint: Endpoint) -> socket.socket:
     address = urlsplit(endpoint.url)
-    is_secure = address.scheme == "https"
     try:
         if endpoint.socket is not None:
             opened = socket.socket(socket.AF_UNIX)
@@ -229,11 +224,11 @@ def _connect(endpoint: Endpoint) -> socket.socket:
                 opened.close()
                 raise
             return opened
-        place = (address.hostname or "", address.port or (443 if is_secure else 80))
+        place = (address.hostname or "", address.port or (443 if endpoint.is_secure else 80))
         opened = socket.create_connection(place, _CONNECT_TIMEOUT)
         opened.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         # It closes the socket if the handshake fails.
-        return tls().wrap_socket(opened, server_hostname=address.hostname) if is_secure else opened
+        return tls().wrap_socket(opened, server_hostname=address.hostname) if endpoint.is_secure else opened
     except OSError as error:
         raise Unreachable(
             f"no daemon answers at {endpoint.name} ({error}): start one with `meissner daemon`"

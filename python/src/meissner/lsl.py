@@ -16,6 +16,7 @@ import asyncio
 import collections
 import contextlib
 import threading
+import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from types import TracebackType
@@ -87,9 +88,12 @@ class Bridge:
         text: Callable[[str, str, Mapping[str, Any]], str] = text_of,
         telemetry_hz: float = 10.0,
         trigger: Trigger | None = None,
-        report: Callable[[str], None] = lambda line: None,
+        report: Callable[[str], None] = warnings.warn,
     ) -> None:
-        """`name` begins the streams' names. `telemetry_hz`: 0 for none. `report` takes lines about what went wrong."""
+        """`name` begins the streams' names. `telemetry_hz`: 0 for none. `report` takes lines about what went wrong, as it happens.
+
+        What ends the bridge before its block is raised at the block's end, too.
+        """
         self._lsl = needs_pylsl()
         self._of, self._name, self._text, self._report = client.core, name, text, report
         self._telemetry_hz, self._trigger = telemetry_hz, trigger
@@ -108,6 +112,7 @@ class Bridge:
         self._listens = threading.Event()
         self._over = threading.Event()
         self._ended = threading.Event()
+        self._is_waited_for = False
         self._thread = threading.Thread(target=self._run, name="meissner-lsl", daemon=True)
 
     def _outlet(
@@ -153,9 +158,12 @@ class Bridge:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
+        if self.failure is not None and kind is None:
+            raise self.failure
 
     def wait(self) -> None:
         """Wait until the bridge ends, which it does by itself only after an error."""
+        self._is_waited_for = True
         # Python 3.11 takes a thread for ended whose `join` Ctrl-C has interrupted, and Windows does not interrupt a wait without end.
         while not self._ended.wait(0.5):
             pass
@@ -173,6 +181,9 @@ class Bridge:
             asyncio.run(self._work())
         except BaseException as error:
             self.failure = error
+            # Whoever waits has the error at once.
+            if self._listens.is_set() and not self._is_waited_for:
+                self._report(f"markers and telemetry have ended: {error or type(error).__name__}")
         finally:
             self._listens.set()
             self._ended.set()

@@ -1,4 +1,4 @@
-"""Motions as samples: what `play(samples=..., rate=...)` sends, and traces read from WAV and CSV files.
+"""Motions as samples: what `play(samples=..., rate=...)` sends.
 
 Samples are displacements above rest, µm: lists of numbers or NumPy arrays. NumPy is not needed.
 
@@ -9,28 +9,19 @@ from __future__ import annotations
 
 import array
 import base64
-import csv
 import math
-import os
 import sys
-import wave
-from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, NamedTuple, Union
+from collections.abc import Iterable, Mapping
+from typing import Any, Union
 
-from .program import as_array
+from .program import toml_value
 
 Samples = Union[Mapping[int, Any], Any]
+MOTIONS = ("wave", "ramp", "tone", "noise")
+"""The tables of a pattern file that are motions."""
+_TABLES = ("drive", *MOTIONS)
 RATE = (1.0, 8000.0)
 """Rates of samples, Hz."""
-
-
-class Trace(NamedTuple):
-    """Samples of one pin, and their rate."""
-
-    um: Any
-    """Displacement above rest, µm: a NumPy array, if NumPy is installed; else a list."""
-    rate: float
-    """Hz."""
 
 
 def _columns(samples: Samples) -> int:
@@ -113,77 +104,17 @@ def pattern(
     return keys
 
 
-def _trace(values: Sequence[float], rate: float, scale_um: float, offset_um: float) -> Trace:
-    return Trace(as_array([value * scale_um + offset_um for value in values]), rate)
-
-
-def import_wav(
-    path: str | os.PathLike[str], *, scale_um: float, offset_um: float = 0.0, channel: int | None = None
-) -> Trace:
-    """Read a channel of a WAV file (PCM of 8 to 32 bits): `scale_um` is the displacement at full scale, `offset_um` is added.
-
-    A recording swings about 0 and a pin only goes up, so the offset is usually as large as the scale. At most 8000 Hz can be played;
-    `meissner pattern pack` resamples faster files.
-    """
-    try:
-        with wave.open(os.fspath(path), "rb") as file:
-            channels, width, rate, count = file.getparams()[:4]
-            raw = file.readframes(count)
-    except (wave.Error, EOFError) as error:
-        raise ValueError(f"{os.fspath(path)}: not a WAV file of PCM samples: {error}") from error
-    if channel is None and channels > 1:
-        raise ValueError(f"{os.fspath(path)} has {channels} channels: choose one with `channel`, from 0")
-    chosen = channel or 0
-    if not 0 <= chosen < channels:
-        raise ValueError(f"{os.fspath(path)} has {channels} channels: `channel` is {chosen}")
-    full = float(1 << (8 * width - 1))
-    frames = range(chosen * width, len(raw) - width + 1, width * channels)
-    if width == 1:
-        # 8-bit samples have no sign.
-        values = [(raw[at] - 128) / full for at in frames]
-    else:
-        values = [int.from_bytes(raw[at : at + width], "little", signed=True) / full for at in frames]
-    return _trace(values, float(rate), scale_um, offset_um)
-
-
-def import_csv(
-    path: str | os.PathLike[str],
-    *,
-    rate: float,
-    column: int | str | None = None,
-    scale_um: float = 1.0,
-    offset_um: float = 0.0,
-) -> Trace:
-    """Read a column of a CSV file: its number from 0, or its name in the first row. Separators are commas, semicolons or tabs.
-
-    Lines that begin with `#` and empty lines are skipped. `rate` is that of the samples, Hz.
-    """
-    name = os.fspath(path)
-    with open(path, encoding="utf-8-sig", newline="") as file:
-        lines = [line for line in file if line.strip() and not line.startswith("#")]
-    separator = max(",;\t", key=lambda mark: lines[0].count(mark)) if lines else ","
-    rows = list(csv.reader(lines, delimiter=separator))
-    if not rows:
-        raise ValueError(f"{name} has no rows")
-    head = None if all(_is_number(cell) for cell in rows[0]) else [cell.strip() for cell in rows[0]]
-    if column is None and len(rows[0]) > 1:
-        raise ValueError(f"{name} has {len(rows[0])} columns: choose one with `column`")
-    if isinstance(column, str):
-        if head is None or column not in head:
-            raise ValueError(f"{name} has no column {column!r} in its first row")
-        column = head.index(column)
-    chosen, values = column or 0, []
-    for number, row in enumerate(rows[1:] if head else rows):
-        cell = row[chosen] if 0 <= chosen < len(row) else ""
-        if not _is_number(cell) or not math.isfinite(float(cell)):
-            raise ValueError(f"{name}: sample {number} of column {chosen} is {cell!r}: must be a number")
-        values.append(float(cell))
-    return _trace(values, float(rate), scale_um, offset_um)
-
-
-def _is_number(cell: str) -> bool:
-    try:
-        float(cell)
-    except ValueError:
-        return False
-    return True
+def pattern_toml(keys: Mapping[str, Any]) -> str:
+    """A pattern file of these keys, without its provenance."""
+    tables = [(kind, table) for kind in _TABLES for table in keys.get(kind) or ()]
+    least = 1 if all(kind == "drive" for kind, _ in tables) else 2
+    lines = [f"format = {keys.get('format', least)}"]
+    lines += [
+        f"{key} = {toml_value(keys[key])}" for key in ("name", "array", "duration_s") if keys.get(key) is not None
+    ]
+    for kind, table in tables:
+        lines += [
+            f"\n[[{kind}]]",
+            *(f"{key} = {toml_value(value)}" for key, value in table.items() if value is not None),
+        ]
+    return "\n".join(lines) + "\n"

@@ -19,9 +19,10 @@ from typing import Any
 
 from ._labels import Labels
 from ._spikes import Predicted, predict
-from .bids import answer_cells, first_pulse_ns, losses, pattern_toml, stimulus_rows, trial_rows
+from .bids import answer_cells, edge_cells, first_pulse_ns, losses, stimulus_rows, trial_rows
 from .clocks import NS
 from .errors import MeissnerError, ProgramError
+from .motions import pattern_toml
 from .results import Status
 from .traces import ArrayName, Grid
 
@@ -42,6 +43,10 @@ _COLUMNS = {
     "array": "Name of the array of pins",
     "tick_hz": "Ticks of the device's clock a second",
     "mapped_from": "Name of the array that the pattern is for, if it was mapped by position; empty: it was not",
+    "start_edge": "Number of the edge of the trigger input after which the play began; NaN: it waited for none",
+    "start_edge_tick": "When that edge came on the device's clock, ticks; NaN: none",
+    "stop_edge": "Number of the edge of the trigger input that stopped the play; NaN: none did",
+    "stop_edge_tick": "When that edge came on the device's clock, ticks; NaN: none",
     "response": "What the participant answered; empty: no answer was recorded",
     "correct": "Whether the answer is right: true, false; empty: not known",
     "response_time": "Response time, as the experiment measured it, of keys and button boxes from the onset of the play, s; NaN: not known",
@@ -123,7 +128,10 @@ def write(
     if spikes:
         predicted = predict(rows, patterns)
         left_out += predicted.problems
-        _add_units(pynwb, nwb, predicted, zero_ns)
+        if any(predicted.spikes_ns):
+            _add_units(pynwb, nwb, predicted, zero_ns)
+        else:
+            left_out.append("no units: no spike is predicted")
     beside = file.with_name(f".{file.stem}.{os.getpid()}.nwb")
     try:
         with pynwb.NWBHDF5IO(str(beside), "w") as io:
@@ -165,6 +173,10 @@ def _table(pynwb: Any, rows: list[dict[str, Any]], labels: Labels, zero_ns: int)
         "trigger_code",
         "onset_uncertainty",
         "item",
+        "start_edge",
+        "start_edge_tick",
+        "stop_edge",
+        "stop_edge_tick",
     }
     numbers |= {"response_time", "level"}
     meanings = {**_COLUMNS, **{column.name: f"{column.description}; empty: none" for column in labels.columns}}
@@ -180,6 +192,7 @@ def _table(pynwb: Any, rows: list[dict[str, Any]], labels: Labels, zero_ns: int)
             **{name: cell or "" for name, cell in labels.cells(row).items()},
             "first_pulse": None if (pulse_ns := first_pulse_ns(row)) is None else (pulse_ns - zero_ns) / NS,
             "trigger_code": row["trigger"] and row["trigger"]["code"],
+            **edge_cells(row),
             "onset_uncertainty": None if uncertainty_ns is None else uncertainty_ns / NS,
             **{name: "" if cell is None and name not in numbers else cell for name, cell in answer_cells(row).items()},
         }
@@ -236,8 +249,6 @@ def _add_trials(nwb: Any, plays: list[dict[str, Any]], session: Mapping[str, Any
 
 def _add_units(pynwb: Any, nwb: Any, predicted: Predicted, zero_ns: int) -> None:
     """A unit per afferent."""
-    if not predicted.afferents:
-        return
     about = (
         "Afferents of a simulated fingertip, 1 mm apart. Their spikes are PREDICTED from what was ordered by the model `membrane`: "
         "nothing was recorded. Each stimulus is predicted by itself, from rest."
@@ -254,12 +265,17 @@ def _add_displacement(pynwb: Any, nwb: Any, grid: Grid) -> list[str]:
     import numpy
 
     indices, values = array("q"), array("f")
-    unknown = [math.nan] * grid.pins
+    unknown, is_known = [math.nan] * grid.pins, False
     for index, row in grid:
         indices.append(index)
         values.extend(unknown if row is None else row)
-    if not indices:
-        return grid.problems
+        is_known = is_known or row is not None
+    if not is_known:
+        return [*grid.problems, "no displacement of the pins: that of no stimulus is known"]
+    while len(indices) <= grid.pins:
+        # After the last stimulus all pins rest. A table with more columns than rows looks like one whose rows are pins.
+        indices.append(indices[-1] + 1)
+        values.extend([0.0] * grid.pins)
     data = numpy.frombuffer(values, dtype=numpy.float32).reshape(-1, grid.pins)
     is_even = indices[-1] - indices[0] == len(indices) - 1
     times: dict[str, Any] = {"timestamps": numpy.frombuffer(indices, dtype=numpy.int64) / grid.rate_hz}

@@ -241,21 +241,22 @@ def _with_paths(keys: Mapping[str, Any]) -> dict[str, Any]:
 
 def _toml(keys: Mapping[str, Any]) -> str:
     """Keys as a TOML document, with inline tables."""
-    return "".join(f"{json.dumps(key)} = {_toml_value(value)}\n" for key, value in keys.items())
+    return "".join(f"{json.dumps(key)} = {toml_value(value)}\n" for key, value in keys.items())
 
 
-def _toml_value(value: Any) -> str:
+def toml_value(value: Any) -> str:
+    """A value as TOML."""
     if isinstance(value, Mapping):
-        pairs = (f"{json.dumps(key)} = {_toml_value(of)}" for key, of in value.items())
+        pairs = (f"{json.dumps(key)} = {toml_value(of)}" for key, of in value.items())
         return f"{{ {', '.join(pairs)} }}"
     if isinstance(value, (list, tuple)):
-        return f"[{', '.join(map(_toml_value, value))}]"
+        return f"[{', '.join(map(toml_value, value))}]"
     if isinstance(value, (str, bool, int)):
         return json.dumps(value, ensure_ascii=False)
     if isinstance(value, float):
         # TOML has `inf` and `nan`, as Python; the program refuses them by their keys.
         return repr(float(value))
-    return _toml_value(plain(value))
+    return toml_value(plain(value))
 
 
 _PATIENT = {"lead_ms": 500, "lease_ms": 5000}

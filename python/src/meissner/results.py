@@ -113,6 +113,10 @@ class Receipt:
     cause: str | None
     onset: Instant | None
     offset: Instant | None
+    start_edge: Instant | None
+    """The edge of the trigger input that it waited for, of a play that is over; its number is in `raw`."""
+    stop_edge: Instant | None
+    """The edge that stopped it."""
     late: int
     """Number of strokes that came too late; the device left them out."""
     items: tuple[Item, ...]
@@ -153,6 +157,8 @@ class Receipt:
             cause=raw["cause"],
             onset=instant(raw["onset"], "actual_tick"),
             offset=instant(raw["offset"]),
+            start_edge=instant(raw.get("start_edge")),
+            stop_edge=instant(raw.get("stop_edge")),
             late=lateness["host"] + lateness["link"] + lateness["device"],
             items=tuple(
                 Item(

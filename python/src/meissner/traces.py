@@ -101,16 +101,19 @@ class _Samples:
         names = out.readline().split(",")[1:]
         self.motors = tuple(int(name.split("_")[1]) for name in names)
         for line in out:
+            if not line.endswith("\n"):
+                # The program has died within a line; its exit code says so.
+                return
             yield [float(cell) for cell in line.split(",")[1:]]
 
 
 @dataclass(frozen=True)
 class _Stimulus:
-    """A stimulus's place on the grid. Without samples its displacement is not known until `end`."""
+    """A stimulus's place on the grid, with samples from there on. `rest`: no pin moves until `end`; None: that is not known."""
 
     first: int
     end: int
-    samples: _Samples | None
+    samples: _Samples | Literal["rest"] | None
 
 
 class Grid:
@@ -162,6 +165,8 @@ class Grid:
             lasted_s = (row["offset_monotonic_ns"] - onset_ns) / NS
             device_s = (row["offset_tick"] - row["onset_tick"]) / row["tick_hz"] / lasted_s
             end = max(end, math.ceil((after_s + lasted_s) * self.rate_hz))
+        if is_blank(row):
+            return _Stimulus(first, end, "rest")
         text, ordered = texts.get(row["pattern_sha256"] or ""), _as_played(row)
         if text is None or ordered is None or row["mapped_from"] is not None:
             what = f"play {row['play']}" + ("" if row["item"] is None else f", item {row['item']}")
@@ -190,6 +195,11 @@ class Grid:
                     yield index, carried.pop(index)
 
 
+def is_blank(row: Mapping[str, Any]) -> bool:
+    """Whether a stimulus is an item of a sequence in which no pin moves, as in a catch trial."""
+    return bool(row["pattern_sha256"] == "")
+
+
 def _as_played(row: Mapping[str, Any]) -> tuple[float | None, str] | None:
     """Duration and fit that give the strokes that were played; None if the record does not tell."""
     if row["state"] in ("done", "played", "incomplete"):
@@ -200,9 +210,9 @@ def _as_played(row: Mapping[str, Any]) -> tuple[float | None, str] | None:
 
 
 def _samples(stimulus: _Stimulus, pins: int) -> Iterator[tuple[int, Row | None]]:
-    if stimulus.samples is None:
+    if stimulus.samples is None or stimulus.samples == "rest":
         for index in range(stimulus.first, stimulus.end):
-            yield index, None
+            yield index, None if stimulus.samples is None else [0.0] * pins
         return
     for index, moved in enumerate(stimulus.samples, stimulus.first):
         row = [0.0] * pins

@@ -4,7 +4,7 @@
 //! device is closed again before the doctor prints anything.
 
 use super::{port, self_test};
-use crate::doctor::device::{line, simulated, telemetry};
+use crate::doctor::device::{line, simulated, telemetry, trigger_input};
 use crate::receipts::{board_status, device_info};
 use firmware_protocol::frame::PROTOCOL;
 use meissner_api::{BoardStatus, DeviceInfo, Finding, Level};
@@ -161,5 +161,6 @@ fn judged(at: &Examined) -> Vec<Finding> {
     let drift = Finding::new("drift", level, found, advice);
     let mut findings = vec![who, trip, line, drift];
     findings.extend(telemetry(at.device.telemetry));
+    findings.push(trigger_input(at.device.trigger_input));
     findings
 }

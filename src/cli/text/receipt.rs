@@ -18,6 +18,9 @@ pub(in crate::cli) fn receipt(receipt: &Receipt) -> String {
     if let (Some(onset), Some(ms)) = (&receipt.onset, receipt.onset_latency_ms) {
         lines.push(("onset", format!("tick {}, {ms:.2} ms after the request", onset.actual_tick)));
     }
+    for (edge, does) in [(&receipt.start_edge, "started"), (&receipt.stop_edge, "stopped")] {
+        lines.extend(edge.map(|edge| ("edge", format!("{} at tick {} {does} it", edge.number, edge.tick))));
+    }
     if let Some(offset) = &receipt.offset {
         lines.push(("offset", format!("tick {}", offset.tick)));
     }

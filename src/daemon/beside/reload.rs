@@ -59,10 +59,16 @@ fn reload(source: &Source, running: &mut Config, engine: &Engine, store: &Shared
         sums::restore(&mut engine.lock().exposure, read);
     }
     let problem = apply(source, running, engine, store, &mut applied).err();
+    engine.session_record().add(Note::Reloaded { changed: applied.clone(), problem: problem.clone() });
+    // Who reads this in the log finds the entry in the record.
+    match (&*applied, &problem) {
+        ([], None) => info!("the configuration has not changed"),
+        ([], Some(_)) => {}
+        _ => info!("the configuration was read again: {}", applied.join(", ")),
+    }
     if let Some(problem) = &problem {
         warn!("{problem}");
     }
-    engine.session_record().add(Note::Reloaded { changed: applied, problem });
     // Save this after the first entry in a new directory, which opens it.
     let _ = engine.lock().save_exposure(Now::read());
 }
@@ -154,11 +160,6 @@ fn apply(
         ("[mock]", new.mock != running.mock),
     ];
     let fixed: Vec<&str> = fixed.iter().filter(|(_, changed)| *changed).map(|(key, _)| *key).collect();
-    match (applied.is_empty(), fixed.is_empty()) {
-        (true, true) => info!("the configuration has not changed"),
-        (false, _) => info!("the configuration was read again: {}", applied.join(", ")),
-        _ => {}
-    }
     if fixed.is_empty() {
         return Ok(());
     }

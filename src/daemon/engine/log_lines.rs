@@ -22,7 +22,7 @@ impl Engine {
             }
             Event::Disconnected { reason } if *reason == EndCause::AnotherDevice => info!("{reason}"),
             Event::Disconnected { reason } => {
-                warn!(cause = reason.text(), "device disconnected: {reason}; the daemon looks for it again");
+                warn!(cause = reason.text(), "device disconnected: {reason}");
             }
             Event::Ended { receipt } => self.log_play(receipt),
             Event::SensorFault { motor, fault } => {
@@ -142,7 +142,15 @@ mod tests {
         let (commands, settings) = (queues().unwrap().1, Settings::of(meissner_array::spec::Array::paper()));
         let engine = Engine::new(commands, settings, odd(), None);
         let (simulated, telemetry) = (true, false);
-        let device = DeviceInfo { kind: odd(), firmware: odd(), build: odd(), boot: 1, simulated, telemetry };
+        let device = DeviceInfo {
+            kind: odd(),
+            firmware: odd(),
+            build: odd(),
+            boot: 1,
+            simulated,
+            telemetry,
+            trigger_input: false,
+        };
         let mut receipt = Receipt::new(3, &odd(), &odd(), None);
         receipt.cause = Some(odd().into());
         let events = [

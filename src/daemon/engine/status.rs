@@ -29,6 +29,7 @@ impl Engine {
                 rest_error_um: at.rest_error_um[index],
                 source: at.source[index],
                 calibrated: is_calibrated(motor),
+                sensor_fault: at.sensor_faults[index],
                 now: movement(at, motor),
             }
         };
@@ -46,7 +47,11 @@ impl Engine {
             play: receipts.running(),
             queued: receipts
                 .queued()
-                .map(|receipt| QueuedPlay { id: receipt.id, pattern: receipt.pattern.clone() })
+                .map(|receipt| QueuedPlay {
+                    id: receipt.id,
+                    pattern: receipt.pattern.clone(),
+                    waits_for_edge: receipt.on_edge_ms.is_some() && receipt.start_edge.is_none(),
+                })
                 .collect(),
             last_play: receipts.last().map(|receipt| receipt.id),
             last_search: daemon.searches.last_id(),

@@ -85,6 +85,7 @@ fn handler(route: Route) -> MethodRouter<App> {
         Route::Arm => on(method, motors::arm),
         Route::Disarm => on(method, motors::disarm),
         Route::Home => on(method, motors::home),
+        Route::Edge => on(method, motors::edge),
         Route::Status => on(method, status::status),
         Route::Array => on(method, status::array),
         Route::Doctor => on(method, status::doctor),

@@ -2,7 +2,7 @@
 //!
 //! A browser asks again for a file at its plain address, with the tag of what it has; unless the file differs, the answer is 304.
 //! `/` names the others below an address that contains the hash of all of them. A browser keeps those, so to reload the page it
-//! asks for `/` and for `estop.js`, whose address never changes: it must load whatever the browser or a proxy has kept.
+//! asks for `/` alone.
 //!
 //! Invariant: only a file of this very version is answered as one that a browser may keep.
 
@@ -44,10 +44,10 @@ static PAGE: LazyLock<Page> = LazyLock::new(|| {
     let all: String = FILES.iter().map(|(.., text)| *text).collect();
     let version = hash(all.as_bytes());
     let file = |&(path, kind, text): &(&str, &'static str, &'static str)| {
-        let text = if path == "/" {
-            with_version(text, &version).into()
-        } else {
-            Bytes::from_static(text.as_bytes())
+        let text = match path {
+            "/" => with_version(text, &version).into(),
+            _ if path.ends_with(".js") => without_comments(text).into(),
+            _ => Bytes::from_static(text.as_bytes()),
         };
         File { kind, hash: hash(&text), text, gzip: OnceLock::new() }
     };
@@ -66,7 +66,13 @@ fn with_version(text: &str, version: &str) -> String {
     let folder = &FOLDER[1..];
     let kept = format!("\"{folder}{version}/");
     text.replace(&format!("\"{folder}"), &kept)
-        .replace(&format!("{kept}estop.js"), &format!("\"{folder}estop.js"))
+}
+
+/// A script whose lines that are comments are empty: they are for who reads the source, and lines keep their numbers.
+fn without_comments(script: &str) -> String {
+    let line =
+        |line: &str| if line.trim_start().starts_with("//") { "\n".to_owned() } else { format!("{line}\n") };
+    script.lines().map(line).collect()
 }
 
 /// Answers a request for the file at this place of [`FILES`], of the version that its address names.
@@ -169,6 +175,27 @@ mod tests {
     }
 
     #[test]
+    fn a_script_is_sent_without_its_comments_and_its_lines_keep_their_numbers() {
+        let script = "// Why.\nlet a = 1; // here\n  // there\nlet b = \"//\";\n";
+        assert_eq!(without_comments(script), "\nlet a = 1; // here\n\nlet b = \"//\";\n");
+        for (path, _, source) in FILES.iter().filter(|(path, ..)| path.ends_with(".js")) {
+            let (_, _, sent) = get(path, &[]);
+            assert_eq!(text(&sent).lines().count(), source.lines().count(), "{path}");
+        }
+    }
+
+    /// What is sent, compressed and not, bytes.
+    #[test]
+    fn the_page_is_small() {
+        let size = |headers: &[(&str, &str)]| {
+            FILES.iter().map(|(path, ..)| get(path, headers).2.len()).sum::<usize>()
+        };
+        let sent = [size(&[]), size(&[("accept-encoding", "gzip")])];
+        println!("the page: {} bytes, {} as they are sent", sent[0], sent[1]);
+        assert!(sent[0] <= 300_000 && sent[1] <= 150_000, "{sent:?}");
+    }
+
+    #[test]
     fn compressed_files_are_the_same_and_have_other_tags() {
         let mut sent = [0, 0];
         for (path, ..) in FILES {
@@ -186,7 +213,7 @@ mod tests {
     }
 
     #[test]
-    fn a_reload_asks_for_the_page_and_the_emergency_stop_only() {
+    fn a_browser_may_keep_every_file_but_the_first() {
         let (_, _, page) = get("/", &[]);
         let named: Vec<String> = text(&page)
             .split('"')
@@ -197,13 +224,15 @@ mod tests {
         for path in &named {
             let (status, headers, body) = get(path, &[]);
             assert_eq!(status, 200, "{path}");
-            let is_estop = path == "/page/estop.js";
-            assert_eq!(text(headers[CACHE_CONTROL].as_bytes()).contains("immutable"), !is_estop, "{path}");
+            assert!(text(headers[CACHE_CONTROL].as_bytes()).contains("immutable"), "{path}");
             let plain = format!("/page/{}", path.rsplit('/').next().unwrap());
             assert_eq!(body, get(&plain, &[]).2, "{path}");
             assert!(is_file("GET", path), "{path} needs no token");
         }
-        assert_eq!(named.iter().filter(|path| *path == "/page/estop.js").count(), 1);
+        // Files that scripts load are named from where the script is.
+        for (path, _, text) in FILES.iter().filter(|(path, ..)| path.ends_with(".js")) {
+            assert!(!text.contains("\"page/"), "{path}");
+        }
     }
 
     /// A browser may have kept the page of another daemon.

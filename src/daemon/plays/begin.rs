@@ -13,7 +13,7 @@ use crate::daemon::state::{Asker, NewPlay, Reply, State};
 use crate::exposure::{Now, Vibration};
 use meissner_api::{Code, PlayAccepted, Problem};
 use meissner_array::strokes::Surplus;
-use meissner_stream::queues::{Command, Item, Play};
+use meissner_stream::queues::{At, Command, Item, Play};
 use meissner_stream::{Bandwidth, Settings, Source};
 use std::sync::Arc;
 use std::time::Duration;
@@ -105,10 +105,24 @@ impl Engine {
         sent: impl FnOnce(&mut State, u64) + Send,
     ) -> Result<PlayAccepted, Problem> {
         let held = self.hold(terms, &compiled, &check).await?;
-        let Compiled { strokes, items, live, bandwidth, hold, settings, memory, new, texts, .. } = compiled;
-        let &Terms { at, late, replace, open_loop, .. } = terms;
-        let play =
-            Play { items, at, late, replace, open_loop, live, bandwidth, hold, ..Play::new(0, strokes) };
+        let Compiled { strokes, items, live, bandwidth, hold, settings, memory, mut new, texts, .. } =
+            compiled;
+        let &Terms { at, late, replace, open_loop, stop_on_edge, .. } = terms;
+        if let At::Edge(delay_ns) = at {
+            new.receipt.on_edge_ms = Some(delay_ns as f64 / 1e6);
+        }
+        let play = Play {
+            items,
+            at,
+            late,
+            replace,
+            open_loop,
+            stop_on_edge,
+            live,
+            bandwidth,
+            hold,
+            ..Play::new(0, strokes)
+        };
         let (duration, motions) = (new.receipt.duration_ms, new.receipt.motions.clone());
         let (id, reply) = {
             let mut state = self.lock();

@@ -12,3 +12,5 @@ mod pattern;
 mod renderer;
 mod sequence;
 mod terms;
+
+pub(in crate::daemon) use terms::edge_at;

@@ -5,7 +5,8 @@
 use firmware_protocol::message::Trigger;
 use firmware_protocol::tick::Tick;
 use meissner_api::{
-    Labels, LatePolicy, LiveRequest, PlayRequest, Receipt, SequenceRequest, TriggerRequest, TriggerShape,
+    EdgeRequest, Labels, LatePolicy, LiveRequest, PlayRequest, Receipt, SequenceRequest, TriggerRequest,
+    TriggerShape,
 };
 use meissner_array::units::TickRate;
 use meissner_stream::queues::At;
@@ -18,6 +19,7 @@ pub(super) struct Terms {
     pub(super) late: LatePolicy,
     pub(super) replace: bool,
     pub(super) open_loop: bool,
+    pub(super) stop_on_edge: bool,
     pub(super) session: Option<String>,
     trial: Option<u64>,
     labels: Labels,
@@ -25,13 +27,14 @@ pub(super) struct Terms {
 
 /// The terms of a request at an onset; all requests call them the same.
 macro_rules! terms {
-    ($request:expr, $at:expr) => {{
+    ($request:expr, $at:expr, $stop_on_edge:expr) => {{
         let request = $request;
         Self {
             at: $at,
             late: request.late,
             replace: request.replace,
             open_loop: request.open_loop,
+            stop_on_edge: $stop_on_edge,
             session: request.session.clone(),
             trial: request.trial,
             labels: request.labels.clone(),
@@ -39,21 +42,35 @@ macro_rules! terms {
     }};
 }
 
+/// The onset that a request asks for; at most one of these keys is set.
+macro_rules! onset {
+    ($request:expr) => {{
+        let request = $request;
+        match (request.at_tick, request.at_ms, request.at_monotonic_ns, request.on_edge_ms) {
+            (Some(tick), ..) => At::Tick(Tick(tick)),
+            (_, Some(ms), ..) => At::After(nanoseconds(ms)),
+            (_, _, Some(ns), _) => At::Monotonic(HostInstant::from_ns(ns)),
+            (.., Some(ms)) => At::Edge(nanoseconds(ms)),
+            (None, None, None, None) => At::Next,
+        }
+    }};
+}
+
 impl From<&PlayRequest> for Terms {
     fn from(request: &PlayRequest) -> Self {
-        terms!(request, onset(request.at_tick, request.at_ms, request.at_monotonic_ns))
+        terms!(request, onset!(request), request.stop_on_edge)
     }
 }
 
 impl From<&SequenceRequest> for Terms {
     fn from(request: &SequenceRequest) -> Self {
-        terms!(request, onset(request.at_tick, request.at_ms, request.at_monotonic_ns))
+        terms!(request, onset!(request), request.stop_on_edge)
     }
 }
 
 impl From<&LiveRequest> for Terms {
     fn from(request: &LiveRequest) -> Self {
-        terms!(request, At::Next)
+        terms!(request, At::Next, false)
     }
 }
 
@@ -73,13 +90,12 @@ impl Terms {
     }
 }
 
-/// The onset that a request asks for; at most one of these keys is set.
-fn onset(tick: Option<u64>, ms: Option<f64>, monotonic_ns: Option<u64>) -> At {
-    match (tick, ms, monotonic_ns) {
-        (Some(tick), ..) => At::Tick(Tick(tick)),
-        (_, Some(ms), _) => At::After(nanoseconds(ms)),
-        (.., Some(ns)) => At::Monotonic(HostInstant::from_ns(ns)),
-        (None, None, None) => At::Next,
+/// When an edge of the simulated array comes.
+pub(in crate::daemon) fn edge_at(request: &EdgeRequest) -> At {
+    match (request.at_tick, request.at_ms) {
+        (Some(tick), _) => At::Tick(Tick(tick)),
+        (_, Some(ms)) => At::After(nanoseconds(ms)),
+        (None, None) => At::Next,
     }
 }
 
@@ -97,5 +113,5 @@ pub(super) fn trigger(request: Option<TriggerRequest>, rate: TickRate) -> Option
 
 #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "checked: 0 to an hour")]
 fn nanoseconds(ms: f64) -> u64 {
-    (ms * 1e6) as u64
+    (ms * 1e6).round() as u64
 }

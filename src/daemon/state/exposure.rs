@@ -137,7 +137,8 @@ impl State {
         let now = Now::read();
         let at_s = now.at.as_ns() as f64 / 1e9;
         let onset = match at {
-            At::Next => Onset::Next,
+            // When an edge comes nobody knows.
+            At::Next | At::Edge(_) => Onset::Next,
             At::After(ns) => Onset::At(at_s + ns as f64 / 1e9),
             At::Monotonic(at) => Onset::At(at.as_ns() as f64 / 1e9),
             // Without a clock the time of this tick is unknown.

@@ -50,7 +50,7 @@ pub(super) use session::{Sessions, no_play, no_session};
 
 use crate::receipts::{NoPrediction, refusal, state_name};
 use firmware_protocol::message::State as DeviceState;
-use meissner_api::{Event, ItemState, MAX_ITEMS_LISTED, NO_DEVICE, PredictedResponse, Problem};
+use meissner_api::{EndCause, Event, ItemState, MAX_ITEMS_LISTED, NO_DEVICE, PredictedResponse, Problem};
 use meissner_array::per_motor::PerMotor;
 use meissner_array::strokes::Surplus;
 use meissner_stream::queues::{Command, CommandError, StreamEvent};
@@ -130,8 +130,9 @@ impl State {
         if let StreamEvent::Disconnected { device, .. } = streamed {
             self.connection.tell_connector(ConnectorMessage::Gone(device));
         }
-        // At its end, the daemon itself closes the device.
-        let expected = self.commands.is_closing() && matches!(event, Some(Event::Disconnected { .. }));
+        // At its end, the daemon itself closes the device. One that is lost then has not confirmed that its lines are off.
+        let expected =
+            matches!(&event, Some(Event::Disconnected { reason }) if *reason == EndCause::Shutdown);
         (event, !expected)
     }
 

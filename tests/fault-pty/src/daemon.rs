@@ -19,7 +19,7 @@ const SETPRIV: [&str; 3] = ["/usr/bin/setpriv", "--pdeathsig", "KILL"];
 /// Gives its command the priority of an ordinary program, whatever the runner's is.
 const CHRT: [&str; 3] = ["/usr/bin/chrt", "--other", "0"];
 /// Longest wait for what must happen: far longer than it takes on a slow machine.
-const TIMEOUT: Duration = Duration::from_secs(30);
+const TIMEOUT: Duration = Duration::from_secs(300);
 
 pub(crate) struct Daemon {
     child: Child,

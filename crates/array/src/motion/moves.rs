@@ -21,7 +21,7 @@
 //! last level is 0. All ticks are multiples of the step.
 
 use super::error::MotionError;
-use super::reached::Reached;
+use super::reached::{Reached, steps_within};
 use super::waveform::{Section, Waveform, ns_at, ns_of, tick_of};
 use crate::motor::MAX_AMPLITUDE_UM;
 use crate::spec::{Array, MotorSpec};
@@ -98,7 +98,7 @@ pub(crate) fn choose_within<'a>(
         let is_within = |(motor, waveform): (u8, &Waveform)| {
             let waveform = waveform.first(tried_ns);
             let moves: Vec<_> = Moves::new(array, motor, &waveform, grid).collect();
-            Reached::of(array, &waveform, &moves).step_error_um <= error_um
+            steps_within(array, &waveform, &moves, error_um)
         };
         if motors.clone().all(is_within) {
             break;

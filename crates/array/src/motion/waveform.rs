@@ -78,6 +78,8 @@ struct Knots {
 #[derive(Clone, Debug, PartialEq)]
 struct Samples {
     start_ns: u64,
+    /// When the last one is.
+    end_ns: u64,
     rate_hz: f64,
     um: Arc<[f32]>,
     /// The factor of all samples.
@@ -85,9 +87,17 @@ struct Samples {
 }
 
 /// Seconds in nanoseconds, rounded.
-#[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "checked: 0 to 10^17")]
+#[expect(
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    clippy::cast_precision_loss,
+    reason = "checked: 0 to 10^17"
+)]
 pub(crate) fn ns_of(seconds: f64) -> u64 {
-    (seconds * NS_PER_S).round() as u64
+    let ns = seconds * NS_PER_S;
+    // As `round`, which is a call of a function on processors without an instruction for it.
+    let below = ns as u64;
+    below.saturating_add(u64::from(ns - below as f64 >= 0.5))
 }
 
 #[expect(clippy::cast_precision_loss, reason = "below 2^53 for three months; then off by some ns")]
@@ -198,8 +208,10 @@ impl Piece {
 
     /// The first and the last instant, ns.
     fn span_ns(&self) -> (u64, u64) {
-        let ns = |index| self.get(index).map_or(0, |knot| knot.ns);
-        (ns(0), ns(self.len() - 1))
+        match self {
+            Self::Knots(Knots { knots, .. }) => (knots[0].ns, knots[knots.len() - 1].ns),
+            Self::Samples(samples) => (samples.start_ns, samples.end_ns),
+        }
     }
 
     fn um_around(&self, ns: u64) -> [f64; 2] {
@@ -251,7 +263,9 @@ impl Waveform {
         for (number, um) in um.iter().enumerate() {
             check_sample(number, (*um).into())?;
         }
-        Ok(Self::new(vec![Piece::Samples(Samples { start_ns, rate_hz, um, scale: 1.0 })]))
+        let mut samples = Samples { start_ns, end_ns: start_ns, rate_hz, um, scale: 1.0 };
+        samples.end_ns = samples.ns(samples.um.len() - 1);
+        Ok(Self::new(vec![Piece::Samples(samples)]))
     }
 
     /// The function through these points: seconds after `start_s`, in order, and µm.

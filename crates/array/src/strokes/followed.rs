@@ -28,7 +28,7 @@ pub struct Followed {
 
 impl Strokes {
     /// How each motor with motions follows them in one run, in order of motors. Of long motions the errors are those of the beginning:
-    /// of [`StrokeOptions::tried_s`](super::StrokeOptions) at most, shared among the motors. Takes 2 to 3 ms for each second of a motor.
+    /// of [`StrokeOptions::tried_s`](super::StrokeOptions) at most, shared among the motors. Takes about 1 ms for each second of a motor.
     #[must_use]
     pub fn followed(&self) -> Vec<Followed> {
         self.runs.iter().flat_map(Run::followed).collect()

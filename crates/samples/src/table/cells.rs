@@ -130,9 +130,12 @@ pub fn is_missing(cell: &str) -> bool {
         "ol",
         "\u{221e}",
     ];
+    // Errors of spreadsheets: they begin as comments do.
+    const ERRORS: [&str; 7] = ["#NUM!", "#DIV/0!", "#VALUE!", "#REF!", "#NAME?", "#NULL!", "#SPILL!"];
     let lower = cell.trim_matches(['+', '-', '*', '\u{2212}', '#', '!', '?', ' ']).to_lowercase();
     lower.is_empty()
         || WORDS.contains(&lower.as_str())
+        || ERRORS.iter().any(|error| cell.eq_ignore_ascii_case(error))
         // Keyence; Microsoft's C library.
         || lower.len() >= 4 && (lower.bytes().all(|c| c == b'f') || lower.bytes().all(|c| c == b'x'))
         || lower.starts_with("1.#")
@@ -223,13 +226,16 @@ mod tests {
             "-inf",
             "Over Range",
             "#N/A",
+            "#NUM!",
+            "#div/0!",
+            "#NAME?",
             "1.#QNAN",
             "****",
             "\u{221e}",
         ] {
             assert!(is_missing(cell), "{cell}");
         }
-        for cell in ["0", "mm", "1.5", "OK", "s", "EOF", "off"] {
+        for cell in ["0", "mm", "1.5", "OK", "s", "EOF", "off", "# value", "#name", "NUM"] {
             assert!(!is_missing(cell), "{cell}");
         }
     }

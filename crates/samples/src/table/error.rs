@@ -15,6 +15,10 @@ pub enum TableError {
     #[error("line {line}: a quotation mark is not closed: delete it, or export the file again")]
     Quote { line: u64 },
     #[error(
+        "line {line}: a space stands before a quotation mark, which then does not count: delete the space"
+    )]
+    SpaceBeforeQuote { line: u64 },
+    #[error(
         "line {line}: {text} has another decimal mark than the numbers above it: export without thousands separators"
     )]
     Marks { line: u64, text: String },

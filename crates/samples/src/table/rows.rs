@@ -16,7 +16,17 @@ pub(super) enum Delimiter {
     Spaces,
 }
 
-/// Reads the rows of a text. Rows without a value are left out.
+/// Rows without a value, one after another. Comments may stand between them.
+#[derive(Clone, Copy, Debug, Default)]
+struct Gap {
+    count: usize,
+    /// Where the first of them is in the text.
+    first: usize,
+    /// Where the first of them is that has empty cells, and so is no empty line.
+    cells: Option<usize>,
+}
+
+/// Reads the rows of a text. Rows without a value are left out, but counted.
 #[derive(Debug)]
 pub struct Rows<'t> {
     text: &'t str,
@@ -25,6 +35,10 @@ pub struct Rows<'t> {
     delimiter: Delimiter,
     reader: Reader<&'t [u8]>,
     record: StringRecord,
+    /// The rows without a value before the row.
+    gap: Gap,
+    /// Whether the delimiter is known to be the right one.
+    is_certain: bool,
     /// The decimal mark of the numbers so far.
     mark: Option<char>,
 }
@@ -38,7 +52,22 @@ impl<'t> Rows<'t> {
         let mut builder = ReaderBuilder::new();
         builder.delimiter(byte).has_headers(false).flexible(true).trim(Trim::All);
         let reader = builder.from_reader(&text.as_bytes()[from..]);
-        Self { text, from, delimiter, reader, record: StringRecord::new(), mark: None }
+        Self {
+            text,
+            from,
+            delimiter,
+            reader,
+            record: StringRecord::new(),
+            gap: Gap::default(),
+            is_certain: false,
+            mark: None,
+        }
+    }
+
+    /// The same, where an error of the delimiter's quotation marks is one of the file.
+    pub(super) const fn certain(mut self) -> Self {
+        self.is_certain = true;
+        self
     }
 
     /// Goes to the next row that has a value. Returns whether there is one.
@@ -46,6 +75,25 @@ impl<'t> Rows<'t> {
     /// # Errors
     /// A quotation mark is not closed.
     pub fn advance(&mut self) -> Result<bool, TableError> {
+        self.gap = Gap::default();
+        self.read()
+    }
+
+    /// Goes to the next row that has a value and is no comment.
+    ///
+    /// # Errors
+    /// See [`Self::advance`].
+    pub fn advance_data(&mut self) -> Result<bool, TableError> {
+        self.gap = Gap::default();
+        while self.read()? {
+            if !self.is_comment() {
+                return Ok(true);
+            }
+        }
+        Ok(false)
+    }
+
+    fn read(&mut self) -> Result<bool, TableError> {
         loop {
             // The text is UTF-8 and in memory, and rows may differ in their width, so nothing else fails.
             let is_read = self.reader.read_record(&mut self.record).unwrap_or(false);
@@ -55,23 +103,52 @@ impl<'t> Rows<'t> {
             if self.record.as_slice().len() > MAX_ROW {
                 return Err(TableError::Quote { line: self.line() });
             }
+            let is_after_space = |cell: &str| cell.starts_with('"');
+            if self.is_certain && !self.is_comment() && self.cells().any(is_after_space) {
+                return Err(TableError::SpaceBeforeQuote { line: self.line() });
+            }
+            let (ends, lines) = self.lines_before();
+            if lines > 0 {
+                self.skip(ends, lines);
+            }
             if !self.record.as_slice().is_empty() {
                 return Ok(true);
+            }
+            let begin = self.row_begin();
+            self.skip(begin, 1);
+            let text = &self.text.as_bytes()[begin..];
+            let is_line = text
+                .iter()
+                .find(|byte| !matches!(byte, b' ' | b'\t'))
+                .is_none_or(|byte| matches!(byte, b'\r' | b'\n'));
+            if !is_line || self.delimiter == Delimiter::Byte(b'\t') && text.first() == Some(&b'\t') {
+                self.gap.cells.get_or_insert(begin);
             }
         }
     }
 
-    /// Goes to the next row that has a value and is no comment.
-    ///
-    /// # Errors
-    /// See [`Self::advance`].
-    pub fn advance_data(&mut self) -> Result<bool, TableError> {
-        while self.advance()? {
-            if !self.is_comment() {
-                return Ok(true);
-            }
+    const fn skip(&mut self, first: usize, count: usize) {
+        if self.gap.count == 0 {
+            self.gap.first = first;
         }
-        Ok(false)
+        self.gap.count += count;
+    }
+
+    /// Rows without a value between the row and the one before it; none before the first one.
+    #[must_use]
+    pub const fn skipped(&self) -> usize {
+        self.gap.count
+    }
+
+    /// The line of the first of [`Self::skipped`].
+    #[must_use]
+    pub fn skipped_line(&self) -> Option<u64> {
+        (self.gap.count > 0).then(|| self.line_at(self.gap.first))
+    }
+
+    /// The line of the first of [`Self::skipped`] that is no empty line, but has empty cells.
+    pub(super) fn empty_cells_line(&self) -> Option<u64> {
+        self.gap.cells.map(|at| self.line_at(at))
     }
 
     pub(super) fn is_comment(&self) -> bool {
@@ -120,15 +197,39 @@ impl<'t> Rows<'t> {
         self.from + self.record.position().map_or(0, |position| position.byte() as usize)
     }
 
+    /// Where the row begins in the text.
+    fn row_begin(&self) -> usize {
+        // The reader leaves the LF of CRLF, and empty lines, to the next row.
+        let begin = self.begin().min(self.text.len());
+        begin + self.text.as_bytes()[begin..].iter().take_while(|byte| matches!(byte, b'\r' | b'\n')).count()
+    }
+
+    /// Empty lines before the row: where they begin, and how many they are. None before the first row.
+    fn lines_before(&self) -> (usize, usize) {
+        let (begin, bytes) = (self.begin(), self.text.as_bytes());
+        if begin <= self.from {
+            return (begin, 0);
+        }
+        let mut ends = &bytes[begin..self.row_begin()];
+        // The end of the row before. Programs that change line ends twice write CR, CR, LF.
+        let crs = ends.iter().take_while(|byte| **byte == b'\r').count();
+        if bytes[begin - 1] == b'\r' && ends.get(crs) == Some(&b'\n') {
+            ends = &ends[crs + 1..];
+        }
+        let lfs = ends.iter().filter(|byte| **byte == b'\n').count();
+        let last_crs = ends.iter().rev().take_while(|byte| **byte == b'\r').count();
+        (self.row_begin() - ends.len(), lfs + last_crs)
+    }
+
     /// The number of the line where the row begins, from 1. It ends with CR, LF or both; line ends in quotes count, too.
     #[must_use]
     pub fn line(&self) -> u64 {
+        self.line_at(self.row_begin())
+    }
+
+    fn line_at(&self, begin: usize) -> u64 {
         let bytes = self.text.as_bytes();
-        // The reader leaves the LF of CRLF, and empty lines, to the next row.
-        let begin = self.begin().min(bytes.len());
-        let begin = begin + bytes[begin..].iter().take_while(|byte| matches!(byte, b'\r' | b'\n')).count();
-        let before = &bytes[..begin];
-        let ends = before
+        let ends = bytes[..begin]
             .iter()
             .enumerate()
             .filter(|&(at, &byte)| byte == b'\n' || byte == b'\r' && bytes.get(at + 1) != Some(&b'\n'));

@@ -24,7 +24,7 @@ const OTHERS: [(&[u8], &str); 9] = [
     (b"TDSm", "a TDMS file"),
     (b"RIFF", "a WAV file"),
     (b"%PDF", "a PDF file"),
-    (b"\x1f\x8b", "a packed file in a packed file"),
+    (b"\x1f\x8b", "a packed file (gzip)"),
 ];
 
 /// The bytes, unpacked if they are a gzip file.

@@ -13,7 +13,7 @@ mod sent;
 use crate::board::BoardAccount;
 use crate::control::Span;
 use crate::link::ClockEstimate;
-use crate::queues::{At, End, Item, Offset, Onset, Outcome, Play, RestErrors, Stamp};
+use crate::queues::{At, Edge, End, Item, Offset, Onset, Outcome, Play, RestErrors, Stamp};
 use crate::time::HostInstant;
 use account::{Account, Begun};
 use cut::Cut;
@@ -51,6 +51,10 @@ pub(super) struct Active {
     requested: Option<Tick>,
     /// How far ahead of now the next onset is tried.
     margin: Duration,
+    /// Edges of the trigger input from this tick on may start it.
+    taken_at: Tick,
+    started_by: Option<Edge>,
+    stopped_by: Option<Edge>,
     /// The first item that is not known to have ended.
     ending: usize,
     sent: Sent,
@@ -82,7 +86,7 @@ impl Active {
     pub(super) fn new(
         play: Box<Play>,
         issued_at: HostInstant,
-        requested: Option<Tick>,
+        (taken_at, requested): (Tick, Option<Tick>),
         margin: Duration,
     ) -> Self {
         Self {
@@ -92,6 +96,9 @@ impl Active {
             onset: requested,
             requested,
             margin,
+            taken_at,
+            started_by: None,
+            stopped_by: None,
             ending: 0,
             sent: Sent::nothing(Tick(0)),
             cut: Cut::default(),
@@ -123,6 +130,43 @@ impl Active {
     /// What the board's reports say of it.
     pub(super) const fn board(&mut self) -> &mut BoardAccount {
         self.account.board()
+    }
+
+    /// Whether it waits for an edge of the trigger input.
+    pub(super) fn waits_for_edge(&self) -> bool {
+        let waits = matches!(self.play.at, At::Edge(_)) && self.phase == Phase::Waiting;
+        waits && self.started_by.is_none() && !self.is_cut()
+    }
+
+    /// Takes an edge that came while it waited for one: its onset follows from it. Returns whether it did.
+    pub(super) fn take_edge(&mut self, edge: Edge) -> bool {
+        let At::Edge(delay_ns) = self.play.at else { return false };
+        let takes = self.waits_for_edge() && edge.at.tick >= self.taken_at;
+        if takes {
+            self.onset = Some(edge.at.tick + edge_delay(self.rate(), delay_ns));
+            (self.requested, self.started_by) = (self.onset, Some(edge));
+        }
+        takes
+    }
+
+    /// Whether it runs at this tick, as far as is known.
+    pub(super) fn runs_at(&self, tick: Tick) -> bool {
+        let begun = self.phase != Phase::Waiting && self.onset.is_some_and(|onset| onset <= tick);
+        begun && tick < self.until() && self.cut_at().is_none_or(|(at, _)| tick < at)
+    }
+
+    /// Whether an edge at `tick` stops it: the first one after its onset, if the play asks for that and is not over `now`.
+    pub(super) fn stops_by_edge(&self, tick: Tick, now: Tick) -> bool {
+        // The report of the onset may come after that of the edge: what counts is the onset that the device has accepted.
+        let accepted = matches!(self.phase, Phase::Streaming | Phase::Streamed);
+        let begun = accepted && self.onset.is_some_and(|onset| onset < tick);
+        self.play.stop_on_edge && begun && now < self.until() && !self.is_cut()
+    }
+
+    /// Cuts it because of an edge.
+    pub(super) fn stop_by(&mut self, edge: Edge) {
+        self.stopped_by = Some(edge);
+        self.cut(EndCause::Edge);
     }
 
     /// The earliest onset that can be tried at `tick`.
@@ -417,7 +461,7 @@ impl Active {
     /// Closes the account with what is known at its end.
     pub(super) fn close(self, ending: Ending) -> (u64, Outcome) {
         let Ending { after, wire, offset, cut, rest, estimated } = ending;
-        let Self { mut play, phase, onset, mut account, cut: why, .. } = self;
+        let Self { mut play, phase, onset, mut account, cut: why, started_by, stopped_by, .. } = self;
         if let Some(cut) = cut {
             for pin in &mut play.pins {
                 *pin = pin.filter(|[first, _]| *first < cut).map(|[first, end]| [first, end.min(cut)]);
@@ -430,6 +474,8 @@ impl Active {
             end: End::by(cause.as_ref()),
             cause,
             onset: started,
+            started_by,
+            stopped_by,
             offset,
             cut_after: cut.zip(started).map(|(at, onset)| at - onset.actual),
             bursts: account.bursts(after.as_ref()),
@@ -444,4 +490,10 @@ impl Active {
         };
         (outcome.play.id, outcome)
     }
+}
+
+/// The delay from an edge to the onset, ticks.
+#[expect(clippy::cast_precision_loss, reason = "an hour in ns is exact")]
+pub(super) fn edge_delay(rate: TickRate, delay_ns: u64) -> u64 {
+    rate.seconds_to_ticks(delay_ns as f64 / 1e9)
 }

@@ -193,8 +193,8 @@ impl PositionControl {
     }
 
     /// The sensor fault of each motor.
-    pub(super) fn faults(&self) -> impl Iterator<Item = Option<SensorFault>> {
-        self.motors.iter().map(BurstController::fault)
+    pub(super) fn faults(&self) -> PerMotor<Option<SensorFault>> {
+        PerMotor::from_fn(self.array, |motor| self.motors[usize::from(motor)].fault())
     }
 
     /// A pin's offset from rest, µm, and whether telemetry measured it; `None` without telemetry and calibration.

@@ -20,6 +20,8 @@ use meissner_array::spec::Array;
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, PoisonError};
 
+/// Edges of the trigger input that wait for their ticks, at most.
+const EDGES: usize = 1024;
 /// Bytes that wait in either direction at most; beyond that the sender waits.
 const BUFFER: usize = 1 << 16;
 
@@ -57,6 +59,8 @@ pub struct Mock {
     trace: Option<Vec<(Tick, Run)>>,
     positions: Arc<TruePositions>,
     distort: Option<Distortion>,
+    /// Ticks of the edges to come, in order.
+    edges: VecDeque<Tick>,
 }
 
 /// What changes telemetry samples before they are sent.
@@ -90,7 +94,7 @@ impl Mock {
         let mut version = env!("CARGO_PKG_VERSION").split('.').map(|part| part.parse().unwrap_or(0));
         let firmware = std::array::from_fn(|_| version.next().unwrap_or(0));
         let telemetry = if motors.telemetry_hz > 0 { DeviceHello::TELEMETRY } else { 0 };
-        let features = DeviceHello::SIMULATED | telemetry;
+        let features = DeviceHello::SIMULATED | DeviceHello::TRIGGER_INPUT | telemetry;
         let identity = Identity { firmware, build: *b"mock", boot, features };
         let mut controller = Box::new(Controller::starting_at(identity, *array.layout(), now));
         // It renders in no time, and has no USB and no executor.
@@ -107,6 +111,7 @@ impl Mock {
                 rest: Mutex::new(vec![RestStats::default(); array.motors()]),
             }),
             distort: None,
+            edges: VecDeque::with_capacity(EDGES),
         })
     }
 
@@ -190,6 +195,20 @@ impl Mock {
         self.controller.link_lost(self.now);
     }
 
+    /// A rising edge of the trigger input comes at this tick, or in the last tick played if that is later. Returns whether there was
+    /// room for it: 1 024 may wait.
+    pub fn edge_at(&mut self, tick: Tick) -> bool {
+        if tick < self.now {
+            self.controller.edge(Tick(self.now.0 - 1));
+            return true;
+        }
+        let room = self.edges.len() < EDGES;
+        if room {
+            self.edges.insert(self.edges.partition_point(|&waits| waits <= tick), tick);
+        }
+        room
+    }
+
     /// Whether nothing can happen in the controller until bytes come.
     fn is_quiet(&self) -> bool {
         matches!(self.controller.state(), State::Disarmed | State::Faulted)
@@ -234,6 +253,9 @@ impl Mock {
             self.render(end);
             while self.now < end {
                 self.play(end - self.now, self.controller.forced_off(self.now));
+            }
+            while let Some(tick) = self.edges.pop_front_if(|tick| *tick < self.now) {
+                self.controller.edge(tick);
             }
             self.controller.poll(self.now);
             if self.now >= until {

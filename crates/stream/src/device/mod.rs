@@ -40,6 +40,7 @@ mod wall_mock;
 use crate::device::find::BoardQuery;
 use crate::device::mock::TruePositions;
 use crate::link::LineRate;
+use crate::queues::{At, CommandError};
 use crate::time::HostInstant;
 pub use error::DeviceError;
 use meissner_array::simulated::SimulatedMotorsConfig;
@@ -216,6 +217,17 @@ impl Device {
             Self::Mock(_) | Self::Pty(..) => {}
             Self::Serial(port) => port.e_stop(epoch),
             Self::Usb(port) => port.e_stop(epoch),
+        }
+    }
+
+    /// An edge of the trigger input of the mock comes: now ([`At::Next`]), at a tick, or after some time. Never blocks.
+    ///
+    /// # Errors
+    /// If it is no mock, if the edge is more than an hour ahead, or if there is no room for more edges to come.
+    pub fn edge(&mut self, now: HostInstant, at: At) -> Result<(), CommandError> {
+        match self {
+            Self::Mock(mock) => mock.edge(now, at),
+            Self::Pty(..) | Self::Serial(_) | Self::Usb(_) => Err(CommandError::NotSimulated),
         }
     }
 

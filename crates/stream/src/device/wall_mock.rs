@@ -6,6 +6,7 @@
 use crate::device::error::DeviceError;
 use crate::device::mock::{Mock, TruePositions};
 use crate::link::LineRate;
+use crate::queues::{At, CommandError};
 use crate::time::HostInstant;
 use firmware_protocol::tick::Tick;
 use meissner_array::simulated::SimulatedMotorsConfig;
@@ -30,6 +31,9 @@ pub struct WallMock {
 
 /// Bytes that one way of the line holds: as a kernel does for a serial port.
 const HELD: usize = 4096;
+
+/// How far ahead an edge may be asked for.
+const FARTHEST_EDGE: Duration = Duration::from_secs(3600);
 
 /// A line of USB, both ways. It has its memory from the start.
 #[derive(Debug)]
@@ -102,6 +106,22 @@ impl WallMock {
     #[must_use]
     pub fn true_positions(&self) -> Arc<TruePositions> {
         self.mock.true_positions()
+    }
+
+    /// An edge of its trigger input comes: now, at a tick, or after some time.
+    pub(super) fn edge(&mut self, now: HostInstant, at: At) -> Result<(), CommandError> {
+        self.run(now);
+        let present = self.mock.now();
+        let tick = match at {
+            At::Tick(tick) => tick,
+            At::After(ns) => present + self.rate.duration_to_ticks(Duration::from_nanos(ns)),
+            At::Next | At::Monotonic(_) | At::Edge(_) => Tick(present.0 - 1),
+        };
+        // Nothing takes back an edge that waits, so one by a wrong tick may not keep its place for years.
+        if tick > present + self.rate.duration_to_ticks(FARTHEST_EDGE) {
+            return Err(CommandError::TooFar { most_min: (FARTHEST_EDGE.as_secs() / 60) as u32 });
+        }
+        self.mock.edge_at(tick).then_some(()).ok_or(CommandError::TooManyEdges)
     }
 
     /// Takes in the bytes that were written, and runs up to `now`.

@@ -80,10 +80,37 @@ pub enum CommandError {
     /// The onset asked for is too soon.
     #[error("the onset asked for is too soon or already past: choose a later one")]
     TooSoon,
-    /// The onset asked for is beyond the protocol's range.
-    #[error("the onset asked for is more than {most_min} minutes ahead: choose a sooner one")]
+    /// The device has no trigger input.
+    #[error(
+        "the device has no trigger input, so no edge can start a play: see docs/how-to/board.md, or play it without"
+    )]
+    NoTriggerInput,
+    /// The device cannot give a code.
+    #[error("the device was built without a trigger output, so it gives no code: leave the code out")]
+    NoTriggerOutput,
+    /// An edge could not start the play so soon after it.
+    #[error(
+        "the onset must come at least {least_ms} ms after the edge, so that the play reaches the device in time: choose a longer delay"
+    )]
+    EdgeTooSoon {
+        /// The least delay, ms.
+        least_ms: u32,
+    },
+    /// A play before it waits for an edge, so its end is not known.
+    #[error("a play before it waits for an edge of the trigger input: leave the onset out, or use --replace")]
+    BehindEdge,
+    /// A board takes edges by its input alone.
+    #[error(
+        "only a simulated array (`--device mock`) takes an edge by command: give the board a pulse at its trigger input"
+    )]
+    NotSimulated,
+    /// The simulated array has no room for more edges to come.
+    #[error("1024 edges of the simulated array wait for their ticks already: wait until they have come")]
+    TooManyEdges,
+    /// The onset asked for is beyond the protocol's range, or an edge of the simulated array beyond an hour.
+    #[error("the time asked for is more than {most_min} minutes ahead: choose a sooner one")]
     TooFar {
-        /// The farthest onset, minutes ahead.
+        /// The farthest time, minutes ahead.
         most_min: u32,
     },
     /// The onset asked for lies within a queued play.

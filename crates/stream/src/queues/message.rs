@@ -6,14 +6,14 @@ use crate::link::Contradiction;
 use crate::queues::error::CommandError;
 use crate::queues::live::LiveUpdate;
 use crate::queues::outcome::{Onset, Outcome, Snapshot};
-use crate::queues::play::Play;
+use crate::queues::play::{At, Edge, Play};
 use crate::settings::Settings;
 use crate::time::HostInstant;
 use firmware_protocol::array::MotorSet;
 use firmware_protocol::limits::Refusal;
 use firmware_protocol::message::DeviceHello;
 use firmware_protocol::tick::Tick;
-use meissner_api::{EndCause, LateCause, LateCounts, SensorFault};
+use meissner_api::{EdgeEffect, EndCause, LateCause, LateCounts, SensorFault};
 use meissner_array::per_motor::PerMotor;
 
 /// A command with a ticket; [`StreamEvent::Answer`] carries the same ticket.
@@ -68,6 +68,8 @@ pub enum Command {
     ArmUnchecked,
     /// Move all pins to their rest position. The answer comes when they are there.
     Home,
+    /// Make an edge of a simulated array's trigger input: now ([`At::Next`]), at a tick, or after some time. Refused by a board.
+    Edge(At),
     /// Use these gains of the motors.
     SetGains(Box<PerMotor<Gains>>),
     /// Use these settings from the next `arm` on, or at once while disarmed. Refused if they are for another array.
@@ -145,6 +147,15 @@ pub enum StreamEvent {
         late: MotorSet,
         /// Motors whose pins were held for too long.
         held: MotorSet,
+    },
+    /// A rising edge of the trigger input.
+    Edge {
+        /// Which.
+        edge: Edge,
+        /// The play that it started or stopped, or that ran when it came.
+        play: Option<u64>,
+        /// What it did.
+        effect: EdgeEffect,
     },
     /// The streamer did not take this play: to be dropped outside the thread.
     PlayRejected(Box<Play>),

@@ -30,7 +30,7 @@ pub use estop::{ESTOP_TICKETS, EStopSwitch};
 pub use live::{Applied, LiveResult, LiveUpdate};
 pub use message::{Command, Emit, Request, StreamEvent};
 pub use outcome::{End, Movement, Offset, Onset, Outcome, RestErrors, Snapshot};
-pub use play::{At, HOLD_ALWAYS, Item, Play, Stamp};
+pub use play::{At, Edge, HOLD_ALWAYS, Item, Play, Stamp};
 
 /// Most requests that wait. The model checker has small queues, so that they become full.
 const COMMANDS: usize = if cfg!(loom) { 2 } else { 64 };
@@ -252,6 +252,7 @@ impl Emit for ThreadQueues {
             StreamEvent::StrokeLate { .. }
                 | StreamEvent::StrokeRefused { .. }
                 | StreamEvent::PinsLowered { .. }
+                | StreamEvent::Edge { .. }
                 | StreamEvent::Snapshot(_)
         );
         let room = self.events.slots() > if frequent { RESERVED } else { 1 };

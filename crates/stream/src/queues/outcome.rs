@@ -4,14 +4,15 @@
 
 use crate::board::PlayBoard;
 use crate::link::{ClockEstimate, Traffic};
-use crate::queues::play::Play;
+use crate::queues::play::{Edge, Play};
 use crate::settings::Settings;
 use crate::time::HostInstant;
 use firmware_protocol::board::Board;
 use firmware_protocol::message::{Cause, State};
 use firmware_protocol::tick::Tick;
 use meissner_api::{
-    BurstCounts, EndCause, ErrorSource, LateCounts, OffsetRecord, OnsetRecord, PlayState, PulseCounts,
+    BurstCounts, EdgeRecord, EndCause, ErrorSource, LateCounts, OffsetRecord, OnsetRecord, PlayState,
+    PulseCounts, SensorFault,
 };
 use meissner_array::per_motor::PerMotor;
 use meissner_array::spec::Array;
@@ -74,6 +75,12 @@ impl From<Onset> for OnsetRecord {
     }
 }
 
+impl From<Edge> for EdgeRecord {
+    fn from(Edge { number, at }: Edge) -> Self {
+        Self { number, tick: at.tick.0, monotonic_ns: at.at.as_ns(), uncertainty_ns: at.uncertainty_ns }
+    }
+}
+
 /// When the last pulse of a play was over.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Offset {
@@ -128,6 +135,10 @@ pub struct Outcome {
     pub cause: Option<EndCause>,
     /// When it began; `None`: never.
     pub onset: Option<Onset>,
+    /// The edge of the trigger input that it waited for.
+    pub started_by: Option<Edge>,
+    /// The edge that stopped it.
+    pub stopped_by: Option<Edge>,
     /// When its last pulse was over; `None`: nothing was played, or the link was lost before the device reported it.
     pub offset: Option<Offset>,
     /// From the onset to the cut that ended it, ticks; `None` if nothing cut it. If the link was lost: until the host noticed.
@@ -179,6 +190,8 @@ pub struct Snapshot {
     pub rest_error_um: PerMotor<f32>,
     /// Where the estimates come from.
     pub source: PerMotor<ErrorSource>,
+    /// Why a motor's telemetry is not trusted.
+    pub sensor_faults: PerMotor<Option<SensorFault>>,
     /// What each pin did in the 0.2 s before `tick`.
     pub movements: PerMotor<Movement>,
     /// Telemetry shows all pins, or did until the last cut: a device sends none while it is disarmed.

@@ -23,6 +23,9 @@ pub enum At {
     Monotonic(HostInstant),
     /// So many nanoseconds after the streamer takes the command.
     After(u64),
+    /// So many nanoseconds, to the nearest tick, after an edge of the trigger input: the first that comes when the play is taken and the
+    /// plays before it are over.
+    Edge(u64),
 }
 
 /// A device tick, and when it came on the host's clock.
@@ -41,6 +44,15 @@ impl Stamp {
         let at = clock.instant_of(tick);
         Self { tick, at, uncertainty_ns: clock.uncertainty(at).as_nanos() as u64 }
     }
+}
+
+/// A rising edge of the trigger input.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Edge {
+    /// Its number since the device started.
+    pub number: u32,
+    /// When it came.
+    pub at: Stamp,
 }
 
 /// An item of a play: one pattern of a sequence, or the pattern of a play of one. What the daemon asks for, and the account that
@@ -105,6 +117,8 @@ pub struct Play {
     pub replace: bool,
     /// Do not correct from telemetry.
     pub open_loop: bool,
+    /// The first edge of the trigger input after the onset stops it, as [`Command::Stop`](super::Command::Stop) does.
+    pub stop_on_edge: bool,
     /// Of a live play: it ends when its client is silent for so long.
     pub live: Option<Duration>,
     /// The bandwidth it requires; [`Bandwidth::default`] requires none.
@@ -134,6 +148,7 @@ impl Play {
             late: LatePolicy::Drop,
             replace: false,
             open_loop: false,
+            stop_on_edge: false,
             live: None,
             bandwidth: Bandwidth::default(),
         }

@@ -2,9 +2,9 @@
 //!
 //! [`Streamer::execute`] takes each request; `operations` answers those that the device does not answer in time.
 
-use crate::active::{Active, FIRST_MARGIN, Phase};
+use crate::active::{Active, FIRST_MARGIN, Phase, edge_delay};
 use crate::link::Session;
-use crate::queues::{At, Command, CommandError, Emit, MAX_QUEUED_PLAYS, Play, Request, StreamEvent};
+use crate::queues::{At, Command, CommandError, Emit, Item, MAX_QUEUED_PLAYS, Play, Request, StreamEvent};
 use crate::streamer::{ANSWER_WITHIN, OpResult, Streamer, answer, cuts_play};
 use crate::time::HostInstant;
 use firmware_protocol::message::{Cause, LowerStop, Op, State};
@@ -32,6 +32,8 @@ enum Rest {
 
 /// The part of the first margin for the render horizon and a wake-up, not for the link.
 const WAKE_UP: Duration = Duration::from_micros(1500);
+/// How long the report of an edge takes to the streamer: a block, a frame of USB, a wake-up.
+const EDGE_REPORTED: Duration = Duration::from_millis(2);
 
 impl Streamer {
     /// Executes a request. [`Command::Connect`] does nothing here: the thread opens the session with [`Self::connect`].
@@ -41,6 +43,8 @@ impl Streamer {
         let stale = now.since(given) >= ANSWER_WITHIN;
         let taken = match request.command {
             Command::Connect(_) => Ok(None),
+            // The thread has made it, or there is no simulated array.
+            Command::Edge(_) => Err(CommandError::NotSimulated),
             Command::Play(play) if stale => {
                 answer(ticket, Err(CommandError::Timeout), emit);
                 emit.event(StreamEvent::PlayRejected(play));
@@ -154,18 +158,21 @@ impl Streamer {
         &mut self,
         now: HostInstant,
         given: HostInstant,
-        play: Box<Play>,
+        mut play: Box<Play>,
         emit: &mut dyn Emit,
     ) -> Result<(), (CommandError, Box<Play>)> {
         match self.place(now, &play) {
             Err(refused) => Err((refused, play)),
-            Ok((requested, margin)) => {
+            Ok(((tick, requested), margin)) => {
                 if play.replace && self.plays.iter().any(|active| !active.is_cut()) {
                     self.cut_all(EndCause::Replaced);
                     // Sent with the next step.
                     self.operations.queue(now, 0, Op::Stop, emit);
                 }
-                self.plays.push_back(Active::new(play, given, requested, margin));
+                if !self.known.gives_triggers() {
+                    play.items.iter_mut().for_each(|item| item.trigger = None);
+                }
+                self.plays.push_back(Active::new(play, given, (tick, requested), margin));
                 Ok(())
             }
         }
@@ -191,8 +198,8 @@ impl Streamer {
         }
     }
 
-    /// Decides whether a play can be queued; returns the onset it asks for and its first margin.
-    fn place(&self, now: HostInstant, play: &Play) -> Result<(Option<Tick>, Duration), CommandError> {
+    /// Decides whether a play can be queued; returns the present tick, the onset it asks for and its first margin.
+    fn place(&self, now: HostInstant, play: &Play) -> Result<((Tick, Option<Tick>), Duration), CommandError> {
         self.check_array(play.strokes.array())?;
         self.takes_plays()?;
         if self.operations.will_seek() || self.homing.is_under_way() {
@@ -214,12 +221,28 @@ impl Streamer {
         if last.is_some_and(|last| last.play().strokes.end().is_none()) {
             return Err(CommandError::BehindEndless);
         }
+        let has_code = |item: &Item| item.trigger.is_some_and(|trigger| trigger.code > 0);
+        if !self.known.gives_triggers() && play.items.iter().any(has_code) {
+            return Err(CommandError::NoTriggerOutput);
+        }
         let rate = self.rate();
         let too_far = CommandError::TooFar { most_min: (FARTHEST / rate.per_s() / 60) as u32 };
         self.check_drift(tick, play)?;
         let margin = self.margin(session, play)?;
         let requested = match play.at {
-            At::Next => return Ok((None, margin)),
+            At::Next => return Ok(((tick, None), margin)),
+            At::Edge(_) if !self.known.has_trigger_input() => return Err(CommandError::NoTriggerInput),
+            At::Edge(ns) => {
+                let (delay, least) = (edge_delay(rate, ns), margin + EDGE_REPORTED);
+                return match delay {
+                    _ if delay < rate.duration_to_ticks(least) => {
+                        Err(CommandError::EdgeTooSoon { least_ms: least.as_micros().div_ceil(1000) as u32 })
+                    }
+                    _ if delay > FARTHEST => Err(too_far),
+                    _ => Ok(((tick, None), margin)),
+                };
+            }
+            _ if queued().any(Active::waits_for_edge) => return Err(CommandError::BehindEdge),
             At::Tick(tick) => tick,
             At::Monotonic(at) if rate.duration_to_ticks(at.since(now)) > FARTHEST => {
                 return Err(too_far);
@@ -246,7 +269,7 @@ impl Streamer {
         if requested < free {
             return Err(CommandError::Overlaps);
         }
-        Ok((Some(requested), margin))
+        Ok(((tick, Some(requested)), margin))
     }
 
     /// Refuses a play of pins that may be too far from rest.

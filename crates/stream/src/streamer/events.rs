@@ -5,14 +5,14 @@
 use crate::active::{Active, FIRST_MARGIN, Phase};
 use crate::control::Cutting;
 use crate::link::{Event, LostReason, Verdict};
-use crate::queues::{CommandError, Emit, Stamp, StreamEvent};
+use crate::queues::{CommandError, Edge, Emit, Stamp, StreamEvent};
 use crate::streamer::homing::seeks;
 use crate::streamer::{IDLE_PING, Streamer, answer, cuts_play, end_cause};
 use crate::time::HostInstant;
 use firmware_protocol::controller::HORIZON;
 use firmware_protocol::message::{Cause, Counters, Op, State, Status};
 use firmware_protocol::tick::Tick;
-use meissner_api::{EndCause, LateCause, LatePolicy};
+use meissner_api::{EdgeEffect, EndCause, LateCause, LatePolicy};
 use meissner_array::strokes::Step;
 use meissner_array::units::ms_to_duration;
 use std::collections::VecDeque;
@@ -133,6 +133,7 @@ impl Streamer {
                     held.iter().for_each(|motor| strokes.hold_ended(motor, tick));
                 }
             }
+            Event::Edge { tick, number } => self.edge(now, tick, number, emit),
             Event::Board(board) => {
                 self.known.board_heard(board);
                 self.plays.iter_mut().for_each(|active| active.board().heard(board));
@@ -260,6 +261,31 @@ impl Streamer {
         }
         self.fed_until = rendered;
         self.reports.hasten(now);
+    }
+
+    /// An edge of the trigger input stops the play that runs, if that asks for it; or starts the first one that waits for an edge, if
+    /// the plays before it were over. It is reported in any case, as soon as the clock is known.
+    fn edge(&mut self, now: HostInstant, tick: Tick, number: u32, emit: &mut dyn Emit) {
+        let clock = self.session.as_ref().and_then(|session| session.clock().estimate());
+        let Some(stamp) = clock.map(|clock| Stamp::new(tick, &clock)) else { return };
+        let (edge, present) = (Edge { number, at: stamp }, self.tick_at(now).unwrap_or(tick));
+        let runs = self.plays.iter().rposition(|active| active.runs_at(tick));
+        let (play, effect) = if let Some(active) = runs.and_then(|at| self.plays.get_mut(at)) {
+            let id = active.play().id;
+            let stops = active.stops_by_edge(tick, present) && !self.operations.is_full();
+            if stops {
+                active.stop_by(edge);
+                self.cut_all(EndCause::Stop);
+                self.queue_op(now, 0, Op::Stop, emit);
+            }
+            (Some(id), if stops { EdgeEffect::Stop } else { EdgeEffect::Mark })
+        } else {
+            let is_over = |active: &Active| active.is_cut() || active.end().is_some_and(|end| end <= tick);
+            let first = self.plays.iter_mut().find(|active| !is_over(active));
+            let started = first.and_then(|active| active.take_edge(edge).then(|| active.play().id));
+            (started, if started.is_some() { EdgeEffect::Start } else { EdgeEffect::Mark })
+        };
+        emit.event(StreamEvent::Edge { edge, play, effect });
     }
 
     fn onset(&mut self, tick: Tick, counters: Counters, emit: &mut dyn Emit) {

@@ -206,6 +206,6 @@ fn choose_onset(active: &Active, previous_end: Option<Tick>, tick: Tick) -> Opti
     let soonest = active.soonest(tick);
     match active.play().at {
         At::Next => Some(previous_end.map_or(soonest, |end| end.max(soonest))),
-        At::Tick(_) | At::Monotonic(_) | At::After(_) => active.onset(),
+        At::Tick(_) | At::Monotonic(_) | At::After(_) | At::Edge(_) => active.onset(),
     }
 }

@@ -16,6 +16,8 @@ pub(super) struct Known {
     status: Option<(Status, Tick)>,
     board: Option<Board>,
     telemetry: bool,
+    trigger_input: bool,
+    no_trigger_output: bool,
     boot: Option<u32>,
     /// The boot that the estimates of positions belong to.
     reckoned_boot: Option<u32>,
@@ -25,6 +27,8 @@ impl Known {
     /// The device has answered the handshake.
     pub(super) const fn opened(&mut self, hello: &DeviceHello) {
         self.telemetry = hello.features & DeviceHello::TELEMETRY != 0;
+        self.trigger_input = hello.features & DeviceHello::TRIGGER_INPUT != 0;
+        self.no_trigger_output = hello.features & DeviceHello::NO_TRIGGER_OUTPUT != 0;
         self.boot = Some(hello.boot);
     }
 
@@ -43,6 +47,14 @@ impl Known {
 
     pub(super) const fn sends_telemetry(&self) -> bool {
         self.telemetry
+    }
+
+    pub(super) const fn has_trigger_input(&self) -> bool {
+        self.trigger_input
+    }
+
+    pub(super) const fn gives_triggers(&self) -> bool {
+        !self.no_trigger_output
     }
 
     pub(super) const fn board_heard(&mut self, board: Board) {

@@ -275,6 +275,7 @@ impl Streamer {
             settings: self.settings,
             rest_error_um: rest.um,
             source: rest.source,
+            sensor_faults: self.control.faults(),
             movements: self.control.movements(tick),
             pins_seen: self.control.sees_all(),
             line_bytes_per_s: self.session.as_ref().and_then(Session::capacity),

@@ -63,7 +63,7 @@ impl Reports {
 
     /// Reports new sensor faults, and drift if it exceeds `limit_um`.
     pub(super) fn warn(&mut self, control: &PositionControl, tick: Tick, limit_um: f32, emit: &mut dyn Emit) {
-        for ((reported, fault), motor) in self.faults.iter_mut().zip(control.faults()).zip(0..) {
+        for ((reported, fault), motor) in self.faults.iter_mut().zip(&control.faults()).zip(0..) {
             if let Some(fault) = fault.filter(|_| !*reported) {
                 emit.event(StreamEvent::SensorFault { motor, fault });
             }

@@ -428,3 +428,44 @@ fn dropouts() {
     ]);
     assert_eq!(count, 5);
 }
+
+/// Rows that pandas and spreadsheets write for no value. By rate the time goes on; with times it does not matter.
+#[test]
+fn rows_without_a_value() {
+    let one =
+        |word: &'static str| file("um\n", |row| if is_dropped(row.0) { word.to_owned() } else { row.um() });
+    let two = |word: &'static str| {
+        file("a,displacement_um\n", |row| {
+            if is_dropped(row.0) { word.to_owned() } else { format!("7,{}", row.um()) }
+        })
+    };
+    let words = [
+        ("an empty line", ""),
+        ("spaces", "  "),
+        ("quotes", "\"\""),
+        ("a tab", "\t"),
+        ("an error", "#DIV/0!"),
+    ];
+    let count = check(words.map(|(name, word)| (name, one(word), at_1000_hz(), Dropped)))
+        + check(words.map(|(name, word)| (name, one(word).replace('\n', "\r\n"), at_1000_hz(), Dropped)))
+        + check(words.map(|(name, word)| (name, one(word).replace('\n', "\r"), at_1000_hz(), Dropped)));
+    assert_eq!(count, 15);
+    let ends = format!("\n{}\n\n,\n", plain("time_s,displacement_um\n\n"));
+    let twice = one("").replace('\n', "\r\r\n");
+    let spaced = plain("time_s,displacement_um\n").replace('\n', "\n\n");
+    let commented = two("# a comment").replace("# a comment", "# a comment\n\n# and one more");
+    let count = check([
+        ("an empty line among two columns", two(""), at_1000_hz(), Dropped),
+        ("empty cells", two(","), at_1000_hz(), Dropped),
+        ("empty cells, one more", two(" , ,"), at_1000_hz(), Dropped),
+        ("signs of no value", two("NaN,NaN"), at_1000_hz(), Dropped),
+        ("an empty line among comments", commented, at_1000_hz(), Dropped),
+        ("line ends that were changed twice", twice, at_1000_hz(), Dropped),
+        ("none of it", file("um\n", Row::um).replace('\n', "\r\r\n"), at_1000_hz(), Right),
+        ("above and below", ends, Layout::default(), Right),
+        ("above and below, by rate", format!("um\n\n\n{}\n\n\"\"\n", file("", Row::um)), at_1000_hz(), Right),
+        ("with times", spaced, Layout::default(), Right),
+        ("first", format!("um\nNaN\n#N/A\n{}", file("", Row::um)), at_1000_hz(), Right),
+    ]);
+    assert_eq!(count, 11);
+}

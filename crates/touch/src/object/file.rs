@@ -329,7 +329,7 @@ impl RawObject {
                     ..Choice::default()
                 };
                 let samples = meissner_samples::read(name, &bytes_of(name, open)?, &choice)
-                    .map_err(|error| KeyError::key("file", error.into()))?;
+                    .map_err(|error| KeyError::key("file", error.scaled_by("um_per_level").into()))?;
                 let heights_mm: Vec<f32> = samples.um.iter().map(|um| um / 1000.0).collect();
                 let map = HeightMap::new([heights_mm.len(), 1], [pixel_mm, FAR_MM], heights_mm);
                 let map = map.expect("samples are finite");

@@ -2,7 +2,8 @@
 //!
 //! Refused moves have a queue of their own, with a place for every move that a host can queue: their reports are never
 //! lost. The other reports share [`REPORTS`] places. A full queue loses the newest report; the caller counts it. The
-//! controller takes frames of moves only while more than [`RESERVE`] places are free, and reports lowered pins only while [`Reports::has_room`].
+//! controller takes frames of moves only while more than [`RESERVE`] places are free, and reports lowered pins and edges of the trigger input only while
+//! [`Reports::has_room`].
 //! So onsets and cuts find a place as long as the host reads.
 //!
 //! Invariant: each report after the last one seen is in exactly one of the two queues. A number that `ring` does not hold is

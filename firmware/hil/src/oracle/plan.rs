@@ -270,6 +270,8 @@ impl Plan {
             Report::Lowered { tick, late, held } => {
                 self.steps.push((tap.tick(tick), Step::Lower { late, held, order }));
             }
+            // It moves no pin.
+            Report::Edge { .. } => {}
             Report::Cut(cut) => {
                 let by = |wanted: fn(&Op) -> bool| {
                     self.controls.iter().rev().find(|(_, op)| wanted(op)).map_or(order, |&(order, _)| order)

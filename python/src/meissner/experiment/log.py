@@ -2,6 +2,7 @@
 
 Each row is written with one call and flushed to the disk before `add` returns. So a crash loses at most the trial that is
 under way. A row without its line end is unfinished: `Log(..., resume=True)` cuts it off and goes on after the last trial.
+One program at a time writes a log: it holds a lock, which the system releases when it ends.
 
 A file that another program has saved is refused when it is opened: a spreadsheet rounds the times, which have 19 digits, and
 may write other separators and decimal marks.
@@ -9,26 +10,36 @@ may write other separators and decimal marks.
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import io
+import numbers
 import os
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
+from .._answers import Answerable
+from .._bodies import verdict
 from .._plays import KnownPlay, trial_answer
 from ..clocks import Instant
 from ..errors import MeissnerError
 from .trials import Trial
 
-if TYPE_CHECKING:
-    from ..client import Play
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None  # type: ignore[assignment]
 
 # What stands in the columns that the log fills by itself, if it wrote them.
 _WHOLE = re.compile(r"(trial|play|(item\d+_)?(onset|offset)_(tick|monotonic_ns|wall_ns))")
 _UNCERTAINTY = re.compile(r"(item\d+_)?onset_uncertainty_s")
 _FORMS = [(_WHOLE, re.compile(r"(-?\d+)?")), (_UNCERTAINTY, re.compile(r"(\d+\.\d{9})?"))]
+
+# What the daemon takes in an answer.
+MAX_FACTORS = 16
+MAX_FACTOR_CHARACTERS = 100
 
 
 class LogError(MeissnerError):
@@ -77,6 +88,7 @@ class Log:
         """`resume`: go on with a file that is there. Without it the log refuses to touch one.
 
         `answers`: `add` also records what was answered, in the session that runs, so that exports have it in the row of the play.
+        That is for blocking plays; with asyncio, `await session.answer(...)`.
         """
         self.path = Path(path)
         self._answers = answers
@@ -92,12 +104,24 @@ class Log:
             ) from None
         except OSError as error:
             raise LogError(f"{self.path} cannot be opened: {error.strerror}") from error
-        if resume:
-            try:
+        try:
+            self._lock(self._file)
+            if resume:
                 self._take_over(self._file)
-            except BaseException:
-                self.close()
-                raise
+        except BaseException:
+            self.close()
+            raise
+
+    def _lock(self, file: int) -> None:
+        # A file system without locks has none.
+        with contextlib.suppress(OSError):
+            try:
+                if fcntl is not None:
+                    fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                raise LogError(
+                    f"{self.path} is written by another program, or by another `Log`: close that first"
+                ) from None
 
     def _take_over(self, file: int) -> None:
         data = self.path.read_bytes()
@@ -138,7 +162,10 @@ class Log:
         )
 
     def remaining(self, trials: Iterable[Trial]) -> list[Trial]:
-        """The trials that have no row yet. Trials that the log cannot take, or that are others than those of its rows, are refused."""
+        """The trials that have no row yet.
+
+        Trials that the log cannot take, or an answer, or that are others than those of its rows, are refused.
+        """
         trials, finished = list(trials), {row["trial"]: row for row in self.rows}
         columns = self._columns or (["trial", *trials[0].factors] if trials else [])
         for trial in trials:
@@ -147,6 +174,8 @@ class Log:
                 raise LogError(
                     f"{self.path} has no column `{unknown[0]}` for trial {trial.number}: give all trials the same factors"
                 )
+            if self._answers:
+                _check_factors(trial_answer(trial, None, None)[2], f"{self.path}, trial {trial.number}")
             row = finished.get(str(trial.number), {})
             for name, value in trial.factors.items():
                 if row and row[name] != _text(value):
@@ -156,13 +185,15 @@ class Log:
                     )
         return [trial for trial in trials if str(trial.number) not in finished]
 
-    def add(self, trial: Trial | int, play: Play | None = None, **columns: Any) -> None:
+    def add(self, trial: Trial | int, play: KnownPlay | None = None, **columns: Any) -> None:
         """Writes a trial: its number and factors, the play's times, and columns of your own. It is on the disk then.
 
         Of a log with `answers` the columns `response`, `correct`, `rt_ms` and `level` are those of `play.answer`, and factors and other
-        columns are its factors.
+        columns are its factors. Of a participant who has not answered, `response` is None. A refused answer leaves no row.
         """
-        number, factors = (trial, {}) if isinstance(trial, int) else (trial.number, trial.factors)
+        number, factors = (
+            (int(trial), {}) if isinstance(trial, (int, numbers.Integral)) else (trial.number, trial.factors)
+        )
         row: dict[str, Any] = {"trial": number, **factors}
         for name, value in [*(play_columns(play) if play else {}).items(), *columns.items()]:
             if name in row:
@@ -170,25 +201,36 @@ class Log:
             row[name] = value
         if self._file is None:
             raise LogError(f"{self.path} is closed: add trials inside its `with` block")
-        if self._columns is None:
-            self._columns = list(row)
-            self._write(self._file, [self._columns, list(row.values())])
-        else:
-            unknown = [name for name in row if name not in self._columns]
-            if unknown:
-                raise LogError(
-                    f"{self.path} has no column `{unknown[0]}`: the first row names the columns, fill all of them"
-                )
-            self._write(self._file, [[row.get(name) for name in self._columns]])
-        self.rows.append({name: _text(row.get(name)) for name in self._columns})
-        if self._answers and play is not None:
-            given = {name: columns.pop(name, None) for name in ("response", "correct", "rt_ms", "level")}
-            _, level, own = trial_answer(trial, given.pop("level"), columns)
-            correct = None if given["correct"] is None else bool(given["correct"])
-            said = (
-                given["response"] if given["response"] is not None else "" if correct is None else str(correct).lower()
+        names = self._columns or list(row)
+        unknown = [name for name in row if name not in names]
+        if unknown:
+            raise LogError(
+                f"{self.path} has no column `{unknown[0]}`: the first row names the columns, fill all of them"
             )
-            play.answer(said, correct=correct, rt_ms=given["rt_ms"], level=level, factors=own)
+        if self._answers and play is not None:
+            # A row without its answer would be a finished trial, which no export has whole.
+            self._answer(trial, play, columns)
+        cells = [row.get(name) for name in names]
+        self._write(self._file, [cells] if self._columns else [names, cells])
+        self._columns = names
+        self.rows.append(dict(zip(names, map(_text, cells), strict=True)))
+
+    def _answer(self, trial: Trial | int, play: KnownPlay, columns: dict[str, Any]) -> None:
+        if not isinstance(play, Answerable):
+            raise LogError(
+                f"{self.path} cannot await the answer of an asynchronous play: make the log without `answers`, and "
+                "`await session.answer(...)`"
+            )
+        if "response" not in columns and "correct" not in columns:
+            raise LogError(
+                f"{self.path} records answers: give `response` or `correct` (None: the participant has not answered)"
+            )
+        response, correct, rt_ms = (columns.pop(name, None) for name in ("response", "correct", "rt_ms"))
+        _, level, own = trial_answer(trial, columns.pop("level", None), columns)
+        correct = verdict(correct)
+        if response is not None or correct is not None:
+            said = str(correct).lower() if response is None else response
+            play.answer(said, correct=correct, rt_ms=rt_ms, level=level, factors=own)
 
     def _write(self, file: int, lines: list[list[Any]]) -> None:
         data = _text_of([[_text(value) for value in line] for line in lines])
@@ -207,6 +249,17 @@ class Log:
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+
+def _check_factors(factors: Mapping[str, Any], where: str) -> None:
+    """Refuses factors that no answer can have, as the daemon would after the trial."""
+    if len(factors) > MAX_FACTORS:
+        raise LogError(f"{where} has {len(factors)} factors beside `level`: an answer has {MAX_FACTORS} at most")
+    for text in [text for pair in factors.items() for text in map(str, pair)]:
+        if not 1 <= len(text) <= MAX_FACTOR_CHARACTERS or not text.isprintable():
+            raise LogError(
+                f"{where} has the factor {text!r}: in an answer it has 1 to {MAX_FACTOR_CHARACTERS} printable characters"
+            )
 
 
 def _text_of(lines: list[list[str]]) -> bytes:

@@ -14,9 +14,9 @@ from typing import Any, TypeVar
 
 T = TypeVar("T")
 
-# The columns that a log writes of a play (`play_columns` in log.py).
+# The columns that a log writes of a play (`play_columns` in log.py), and those of an answer (`Log.add`) but `level`, which a factor may be.
 _TAKEN = re.compile(
-    r"trial|play|pattern|state|late|item\d+_(pattern|scale)|"
+    r"response|correct|rt_ms|trial|play|pattern|state|late|item\d+_(pattern|scale)|"
     r"(item\d+_)?(onset|offset)_(tick|monotonic_ns|wall_ns|uncertainty_s)"
 )
 
@@ -32,7 +32,7 @@ class Trial:
         taken = [name for name in self.factors if _TAKEN.fullmatch(name)]
         if taken:
             raise ValueError(
-                f"the factor `{taken[0]}` has the name of a column that the log writes of a play: give it another name"
+                f"the factor `{taken[0]}` has the name of a column that the log writes of a play or an answer: give it another name"
             )
 
     def __getitem__(self, factor: str) -> Any:

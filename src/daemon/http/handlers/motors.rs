@@ -1,4 +1,4 @@
-//! Commands to the motors: arm, disarm, home, stop, emergency stop, reset.
+//! Commands to the motors: arm, disarm, home, stop, emergency stop, reset; and edges of a simulated array.
 
 use crate::daemon::engine::TIMEOUT;
 use crate::daemon::engine::estop::Origin;
@@ -7,12 +7,15 @@ use crate::daemon::http::app::App;
 use crate::daemon::http::body;
 use crate::daemon::http::request_log::LoggedRequest;
 use crate::daemon::http::server::Ordered;
+use crate::daemon::plays::edge_at;
 use crate::daemon::state::{Caller, Silence};
 use crate::session_record::Peer;
 use axum::Json;
 use axum::body::Body;
 use axum::extract::{Extension, State};
-use meissner_api::{ArmRequest, Code, DisarmRequest, Event, Problem, ResetRequest, Status, parse_empty};
+use meissner_api::{
+    ArmRequest, Code, DisarmRequest, EdgeRequest, Event, Problem, ResetRequest, Status, parse_empty,
+};
 use meissner_stream::queues::Command;
 use std::time::Duration;
 
@@ -170,4 +173,20 @@ pub(in crate::daemon::http) async fn home(
 ) -> Answer<Json<Status>> {
     let timeout = app.engine.home_timeout();
     simple_command(&app, peer, body, "home", Command::Home, timeout).await
+}
+
+/// Makes an edge at the trigger input of a simulated array.
+pub(in crate::daemon::http) async fn edge(
+    State(app): State<App>,
+    Extension(peer): Extension<Peer>,
+    body: Body,
+) -> Answer<Json<Status>> {
+    let mut logged = LoggedRequest::new(&app.engine, "edge", peer);
+    let result = async {
+        let request = EdgeRequest::parse(&body::read_command(body).await?)?;
+        logged.set_arguments(&request);
+        carry_out(&app, Command::Edge(edge_at(&request)), TIMEOUT).await
+    }
+    .await;
+    logged.result(result)
 }

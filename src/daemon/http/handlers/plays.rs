@@ -80,10 +80,22 @@ async fn inline(app: &App, keys: Box<Map<String, Value>>) -> Result<Stored, Prob
 
 /// The request as the session record keeps it: only the number of its items, because their ends record the rest.
 fn asked_of_sequence(request: &SequenceRequest) -> Value {
-    let SequenceRequest { items, name, at_tick, at_ms, at_monotonic_ns, session, trial, labels, .. } =
-        request;
+    let SequenceRequest {
+        items,
+        name,
+        at_tick,
+        at_ms,
+        at_monotonic_ns,
+        on_edge_ms,
+        stop_on_edge,
+        session,
+        trial,
+        labels,
+        ..
+    } = request;
     json!({
         "name": name, "items": items.len(), "at_tick": at_tick, "at_ms": at_ms, "at_monotonic_ns": at_monotonic_ns,
+        "on_edge_ms": on_edge_ms, "stop_on_edge": stop_on_edge,
         "session": session, "trial": trial, "labels": labels
     })
 }

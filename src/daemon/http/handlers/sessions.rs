@@ -188,8 +188,9 @@ fn slow_disk() -> String {
 fn mark_kept(plays: &mut [RecordedPlay], store: &Store, record: &FilePath) {
     let mut known = HashMap::<String, bool>::new();
     for play in plays {
-        let Some(sha256) = play.pattern_sha256.clone().filter(|_| play.items == 0) else {
-            play.pattern_kept = play.items > 0;
+        let is_blank = play.pattern_sha256.as_deref() == Some("");
+        let Some(sha256) = play.pattern_sha256.clone().filter(|_| play.items == 0 && !is_blank) else {
+            play.pattern_kept = play.items > 0 || is_blank;
             continue;
         };
         play.pattern_kept = *known.entry(sha256).or_insert_with_key(|sha256| {

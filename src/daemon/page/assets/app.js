@@ -9,21 +9,22 @@ import { Designer } from "./designer.js";
 import { bindDevice } from "./device.js";
 import { bindDoctor } from "./doctor.js";
 import { bindFiles } from "./files.js";
-import { Finger, drivesAt, movement } from "./finger.js";
+import { bindEvents } from "./events.js";
+import { FULL_UM, Finger, drivesAt, gradient, movement } from "./finger.js";
+import { bindNumbers } from "./number.js";
 import { Patterns } from "./patterns.js";
 import { bindPinTest } from "./pin-test.js";
 import { bindQueue } from "./queue.js";
 import { bindReceipt } from "./receipt.js";
 import { bindRecord } from "./record.js";
 import { connected, disconnected, handleEvent, showStatus, startViews } from "./views.js";
-import { plain } from "./words.js";
+import { SENSOR_FAULTS, plain } from "./words.js";
 
 const $ = (id) => document.getElementById(id);
 const FRAME_MS = 1000 / 30;
 
 // The running play: its onset on this window's clock, and its pattern once that is known.
 let play = { id: null, onset: 0, pattern: null };
-const doubted = new Set();
 const finger = new Finger($("finger"));
 const patterns = new Patterns();
 new Designer(() => patterns.refresh());
@@ -74,17 +75,12 @@ function handle(event) {
       if (event.state !== state || event.position !== position || event.play?.id !== running?.id) poll();
       break;
     }
-    case "doubted":
-      doubted.add(event.motor);
-      break;
-    case "connected":
-      doubted.clear();
-      poll();
-      break;
     case "owner-silent":
       say($("arm"), `The daemon disarmed: it had no sign of ${event.by} for ${event.silence_s} s.`, "bad");
       poll();
       break;
+    case "doubted":
+    case "connected":
     case "ended":
     case "session-started":
     case "session-ended":
@@ -104,6 +100,7 @@ async function linked(is, problem) {
     alertConnection(plain(problem.message));
     return;
   }
+  handleEvent({ event: "linked" });
   await poll();
   try {
     await loadArray();
@@ -117,19 +114,21 @@ async function linked(is, problem) {
   await connected();
 }
 
+const sourceWords = ({ source, sensor_fault: fault }) => (fault ? `${source}; sensor fault: ${SENSOR_FAULTS[fault] ?? fault}` : source);
+
 function pinRows(now, drives) {
   const motors = last()?.motors ?? [];
   $("pins").tBodies[0].replaceChildren(...motors.map((motor, i) => {
     const does = now[i];
     const phase = does?.swing_um ? drives?.get(i)?.phase : "";
-    const cells = [movement(does), does?.height_um.toFixed(1) ?? "", phase ?? "", motor.rest_error_um?.toFixed(1) ?? "not known", motor.source];
+    const cells = [movement(does), does?.height_um.toFixed(1) ?? "", phase ?? "", motor.source === "none" && last().position !== "known" ? "not known" : motor.rest_error_um.toFixed(1), sourceWords(motor)];
     const row = document.createElement("tr");
     row.append(element("th", String(i), { scope: "row" }), ...cells.map((text) => element("td", String(text))));
     return row;
   }));
 }
 
-const NOTE = "Size and colour: how far a pin moves, as the daemon orders it. Hand: phase, drawn 20 times slower, where it is known. Bar on the left of a pin: offset from rest. Dashed ring: sensor in doubt.";
+const NOTE = "Size and colour: how far a pin moves, as the daemon orders it. Hand: phase, drawn 20 times slower, where it is known. Bar on the left of a pin: offset from rest. Dashed ring: sensor fault. Blue ring: the pin of the pin test.";
 let drawn = 0;
 let tabled = 0;
 function frame(at) {
@@ -141,7 +140,7 @@ function frame(at) {
   const now = motors.map((motor) => motor.now);
   const seconds = Math.max(0, (performance.now() - play.onset) / 1000);
   const drives = status?.play && play.pattern ? drivesAt(play.pattern, seconds) : null;
-  finger.draw(now, drives, motors.map((motor) => motor.rest_error_um), doubted, seconds);
+  finger.draw(now, drives, motors.map((motor) => motor.rest_error_um), motors.map((motor) => motor.sensor_fault), seconds);
   if (at - tabled > 1000 && $("pins").closest("details").open) {
     tabled = at;
     pinRows(now, drives);
@@ -150,8 +149,10 @@ function frame(at) {
 }
 
 bindControls();
+bindNumbers();
 bindFiles(() => patterns.refresh());
 bindPinTest((motor) => finger.choose(motor));
+bindEvents();
 bindQueue();
 bindReceipt();
 bindRecord();
@@ -159,6 +160,8 @@ bindDevice();
 bindDoctor();
 bindCalibration();
 startViews();
+document.querySelector(".colours").style.backgroundImage = gradient();
+$("scale-most").textContent = `${FULL_UM} µm`;
 document.addEventListener("state", showState);
 document.addEventListener("token", listen(handle, linked));
 showState();

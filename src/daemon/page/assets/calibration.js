@@ -84,8 +84,17 @@ async function loadCalibration() {
     facts($("calibration-facts"), []);
     return;
   }
-  const { provenance, motors, used, unused, file } = report;
+  const { motors, used, unused } = report;
   worded($("calibration-note"), `${motors.length} of ${array().positions_mm.length} motors are calibrated. ${used ? "The daemon uses these gains." : `Not in use: ${unused}.`}`);
+  showFacts();
+  $("fit-table").tBodies[0].replaceChildren(...motors.map(row));
+  if (!motors.some((motor) => motor.motor === chosen)) chosen = motors[0].motor;
+  draw();
+}
+
+// What was measured, with its age.
+function showFacts() {
+  const { provenance, file } = report;
   const date = provenance.date ? [provenance.date.replace("T", " ").replace("Z", " UTC"), age(provenance.date)].filter(Boolean).join(", ") : "without a date";
   facts($("calibration-facts"), [
     ["Measured (the last motor)", date],
@@ -95,9 +104,6 @@ async function loadCalibration() {
     ["Plan", `bursts of ${provenance.pulses.join(", ")} pulses, ${provenance.repetitions} ${provenance.repetitions === 1 ? "round" : "rounds"}`],
     ["File", file],
   ]);
-  $("fit-table").tBodies[0].replaceChildren(...motors.map(row));
-  if (!motors.some((motor) => motor.motor === chosen)) chosen = motors[0].motor;
-  draw();
 }
 
 function row(motor) {
@@ -151,6 +157,7 @@ const STATES = { disarmed: "Arm first: the pins move.", faulted: "Reset first.",
 
 // Whether motors can be calibrated now, and if not, why.
 function showCalibrating() {
+  if (report) showFacts();
   const status = known();
   const { play, device } = status ?? {};
   const runs = play?.pattern === CALIBRATION;

@@ -64,21 +64,17 @@ export function rasters({ response }) {
   });
 }
 
-// By which measures a pattern is nearer to the thing than another one, and by how much: both numbers, its own first.
+// In how many measures a pattern is nearer to the thing than another one, where it gains most, and in which it is further: both numbers,
+// its own first.
 function against(found, other, name) {
-  const sides = { nearer: [], further: [] };
-  for (const [key, measure, sign] of MEASURES) {
-    const parts = CLASSES.map((kind, k) => {
-      const [a, b] = [found[key][k], other[key][k]].map((value) => (value === null ? NaN : Number(value.toFixed(2))));
-      return { text: `${kind} ${a.toFixed(2)} (${b.toFixed(2)})`, by: sign * (a - b) };
-    });
-    for (const [side, is] of [["nearer", (by) => by > 0], ["further", (by) => by < 0]]) {
-      const texts = parts.filter(({ by }) => is(by)).map(({ text }) => text);
-      if (texts.length) sides[side].push(`${measure} of ${texts.join(", ")}`);
-    }
-  }
-  const further = sides.further.length ? ` Further by ${sides.further.join(" and ")}.` : "";
-  return sides.nearer.length ? `Nearer to the thing than ${name} by ${sides.nearer.join(" and ")}.${further}` : `Not nearer to the thing than ${name} by any measure.`;
+  const parts = MEASURES.flatMap(([key, measure, sign]) => CLASSES.map((kind, k) => {
+    const [a, b] = [found[key][k], other[key][k]].map((value) => (value === null ? NaN : Number(value.toFixed(2))));
+    return { text: `${measure} of ${kind} ${a.toFixed(2)} (${b.toFixed(2)})`, by: sign * (a - b) };
+  })).filter(({ by }) => !Number.isNaN(by));
+  const nearer = parts.filter(({ by }) => by > 0).sort((a, b) => b.by - a.by);
+  const further = parts.filter(({ by }) => by < 0).map(({ text }) => text);
+  const most = nearer.length ? `, most by ${nearer[0].text}` : "";
+  return `Nearer to the thing than ${name} in ${nearer.length} of ${parts.length} measures${most}.${further.length ? ` Further by ${further.join(", ")}.` : ""}`;
 }
 
 // Lines that say whether the found pattern is worth it. `judged`: the found pattern, and those that it has to beat.
@@ -87,12 +83,28 @@ export function verdict([found, ...others]) {
   return rivals.map((other) => against(found, other, NAMES[other.name].replace("The", "the")));
 }
 
-// Rows for the table of figures.
+// The columns of the table, with how far a number is from that of the thing itself.
+const COLUMNS = [["r_by_class", (r) => 1 - r], ["error_by_class", (error) => error], ["spikes", (share) => Math.abs(Math.log(share))]];
+
+// Rows for the table of figures. The best number of a column is bold.
 export function rows([found, ...others]) {
-  return [found, ...others].map((judged, i) => {
+  const all = [found, ...others];
+  const cells = all.map(() => []);
+  for (const [key, away] of COLUMNS) {
+    CLASSES.forEach((_, k) => {
+      const texts = all.map((judged) => dash(judged[key][k]));
+      const distances = texts.map((text) => (text === "–" ? Infinity : away(Number(text))));
+      const best = Math.min(...distances);
+      texts.forEach((text, i) => {
+        const cell = element("td", "");
+        cell.append(distances[i] === best && best < Infinity ? element("strong", text) : text);
+        cells[i].push(cell);
+      });
+    });
+  }
+  return all.map((judged, i) => {
     const row = element("tr");
-    const name = i === 0 ? `Found (${judged.name})` : NAMES[judged.name];
-    row.append(element("th", name, { scope: "row" }), ...["r_by_class", "error_by_class", "spikes"].flatMap((key) => judged[key].map((value) => element("td", dash(value)))));
+    row.append(element("th", i === 0 ? `Found (${judged.name})` : NAMES[judged.name], { scope: "row" }), ...cells[i]);
     return row;
   });
 }

@@ -1,5 +1,5 @@
-// The header's buttons, which change the device's state, and what all views use: elements, facts, dialogs, checks of fields, and
-// answers beside a control.
+// The header's buttons, which change the device's state, and what all views use: elements, facts, dialogs, and answers beside a
+// control.
 //
 // A control that this window may not use is not offered: `data-needs="operate"` marks what changes something, and `data-needs="stop"`
 // what only stops or disarms. `showRights` decides, the header says why, and `page.css` hides the marked elements. E-STOP is never
@@ -16,6 +16,8 @@ const SILENCE_S = 10;
 // The name of the play that calibrates.
 export const CALIBRATION = "calibration";
 
+// An order without an answer after this time says that it is under way.
+const SLOW_MS = 500;
 // The shortest time between two sentences for screen readers.
 const SPEAK_MS = 1000;
 
@@ -27,16 +29,24 @@ export function showControls() {
   $("reset").disabled = status?.state !== "faulted";
   // The buttons that stop the pins work even while the state is not known.
   $("disarm").disabled = status !== null && status.state !== "armed";
-  $("stop").disabled = status !== null && !status.play && !status.queued.length;
+  const waiting = status?.queued.length ?? 0;
+  $("stop").disabled = status !== null && !status.play && !waiting;
+  write($("stop"), waiting ? `Stop, clear ${waiting}` : "Stop play");
   write($("owner"), status ? owner(status) : "");
-  if (status) showRights(status);
+  write($("armed-by"), status?.armed ? `armed by ${status.armed.by}` : "");
+  $("owner").classList.toggle("warns", status?.state === "armed" && !status.session);
+  if (status) {
+    showRights(status);
+    unsay(status);
+    unrefuse(status);
+  }
 }
 
-// Whose session runs, and for whom the motors are armed.
-function owner({ session, armed }) {
+// Whose session runs.
+function owner({ session, state }) {
   const by = session?.mine ? ", by this window" : session?.owner ? `, by ${session.owner}` : "";
-  const runs = session ? `Session of ${session.participant}${by}${session.exclusive && !session.released ? ", exclusive" : ""}` : "No session";
-  return armed ? `${runs} · armed by ${armed.by}` : runs;
+  const none = state === "armed" ? "No session: plays belong to no participant" : "No session";
+  return session ? `Session of ${session.participant}${by}${session.exclusive && !session.released ? ", exclusive" : ""}` : none;
 }
 
 // Marks a control that changes something, and returns it.
@@ -54,6 +64,18 @@ function showRights({ role, session }) {
   document.documentElement.dataset.may = may;
   $("may-not").hidden = !why;
   write($("may-not"), why);
+}
+
+// Whether this window may change things: while the state was never known, it may try.
+export const may = () => (document.documentElement.dataset.may ?? "all") === "all";
+
+// What this window has kept under a key; null for nothing, and for what is no JSON.
+export function restored(key) {
+  try {
+    return JSON.parse(sessionStorage.getItem(key));
+  } catch {
+    return null;
+  }
 }
 
 // An element of HTML.
@@ -119,13 +141,79 @@ export function say(control, text, kind = "good") {
   if (!line) return;
   line.hidden = !text;
   line.dataset.kind = kind;
+  delete line.dataset.state;
   write(line, text);
   if (text) speak(text, "answer");
 }
 
+// What a control says when its play was ordered: nothing, unless the play has to wait. It takes the answer to the order.
+export function ordered({ id, waits }) {
+  if (!waits) return "";
+  queued.set(id, `Queued as play ${id}.`);
+  return queued.get(id);
+}
+
+// What was said of plays that waited, by their numbers.
+const queued = new Map();
+
+// Takes back that a play waits when it waits no more.
+function unsay(status) {
+  for (const [id, text] of queued) {
+    if (status.queued.some((play) => play.id === id)) continue;
+    queued.delete(id);
+    for (const line of document.querySelectorAll(".say")) if (line.textContent === text) silence(line);
+  }
+}
+
+// Refusals because of the state, which another state may take back.
+const OF_STATE = new Set(["disarmed", "faulted", "returning", "playing", "not-home", "nothing-to-go-by", "session-exclusive", "session-running", "position-unknown", "no-device", "behind-endless", "queue-full", "search-running", "not-known", "unreachable", "slow", "stopped"]);
+
 // Says beside a control that something was refused, or failed, in the page's words.
 export function refuse(control, error) {
   say(control, plain(error.message), "bad");
+  if (!OF_STATE.has(error.code)) return;
+  const line = answerLine(control, true);
+  const text = line.textContent;
+  // The state in which it was refused may be news.
+  poll().then(() => {
+    if (last() && line.textContent === text) line.dataset.state = refusing(last());
+  });
+}
+
+// What a refusal may be about.
+const refusing = ({ state, position, play, session, queued, device }) => JSON.stringify([state, position, device?.boot, play?.id, session?.id, session?.released, queued.length]);
+
+// Takes back the refusals of another state.
+function unrefuse(status) {
+  for (const line of document.querySelectorAll(".say[data-state]")) if (line.dataset.state !== refusing(status)) silence(line);
+}
+
+function silence(line) {
+  line.hidden = true;
+  line.textContent = "";
+  delete line.dataset.state;
+}
+
+// Binds a button that orders something, and returns what its click does. `order`: orders it, and returns what to say beside the button, or
+// nothing. An order that takes long says so. Until its answer the button ignores clicks; always it ignores the second click of a double
+// click, and a key that is held down: each of them would be another play in the queue.
+export function orders(button, order) {
+  let underWay = 0;
+  const run = async () => {
+    underWay += 1;
+    const wait = setTimeout(() => say(button, "The daemon prepares the play …", "wait"), SLOW_MS);
+    try {
+      say(button, (await order()) ?? "");
+    } catch (error) {
+      refuse(button, error);
+    } finally {
+      clearTimeout(wait);
+      underWay -= 1;
+    }
+  };
+  button.addEventListener("keydown", (event) => event.repeat && event.preventDefault());
+  button.addEventListener("click", ({ detail }) => !underWay && detail <= 1 && run());
+  return run;
 }
 
 function answerLine(control, isNeeded) {
@@ -140,22 +228,8 @@ function answerLine(control, isNeeded) {
   return line;
 }
 
-// Whether these fields are valid. If not, a line at the first invalid one says what is wrong, until it is changed.
-export function valid(...ids) {
-  return ids.map($).every((field) => {
-    if (field.checkValidity()) return true;
-    const { type, min, max, validationMessage } = field;
-    const wrong = element("span", type === "number" && !field.validity.stepMismatch ? `Enter a number, ${min} to ${max}.` : validationMessage, { className: "wrong", role: "alert" });
-    field.parentElement.querySelector(".wrong")?.remove();
-    field.after(wrong);
-    field.addEventListener("input", () => wrong.remove(), { once: true });
-    field.focus();
-    return false;
-  });
-}
-
 export function bindControls() {
-  const alive = new Worker("page/alive.js");
+  const alive = new Worker(new URL("./alive.js", import.meta.url));
   document.addEventListener("visibilitychange", () => alive.postMessage(document.hidden ? headers() : null));
   // The header shows a success as the new state.
   const command = (id, body, ms) => call("POST", `/v1/${id}`, body, ms).then(() => say($(id), ""), (error) => refuse($(id), error)).finally(poll);

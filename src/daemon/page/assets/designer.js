@@ -6,10 +6,10 @@
 
 import { call } from "./api.js";
 import { array } from "./array.js";
-import { element, refuse, say, speak } from "./control.js";
+import { element, may, refuse, say, speak } from "./control.js";
 import { History, keep, kept } from "./history.js";
 import { Live } from "./live.js";
-import { complain, number, numbers, right } from "./number.js";
+import { complain, forgive, number, numbers, right } from "./number.js";
 import { Pad } from "./pad.js";
 import { Paper } from "./paper.js";
 import { picture } from "./picture.js";
@@ -57,6 +57,12 @@ export class Designer {
   #loaded = null;
   #numbers = {};
   #timer = 0;
+  // Whether a field has what cannot be drawn: then the drawing is older than the fields.
+  #isWrong = false;
+  // What the page asks about, whether it shall replace an older pattern: the `result` and its `name`.
+  #asked = null;
+  // Whether nothing was rendered because this window may not.
+  #isKept = false;
   // The drawing of before a reload, until the array is known.
   #before = kept();
 
@@ -67,7 +73,7 @@ export class Designer {
     const changed = () => this.#buttons();
     const doc = () => this.#doc();
     this.#paper = new Paper({ doc, pad: this.#pad, changed, saved: () => (saved(), this.#list()) });
-    this.#rendering = new Rendering(() => (this.#keep(), this.#buttons()));
+    this.#rendering = new Rendering(() => (this.#question(null), this.#keep(), this.#buttons()));
     const request = () => {
       const [object] = live(this.#doc());
       return object && { object };
@@ -79,10 +85,11 @@ export class Designer {
       view: "design",
       at: "designer-title",
       load: () => this.#start(),
-      state: () => (this.#paper.doubt(), this.#rendering.doubt()),
+      state: () => (this.#paper.doubt(), this.#rendering.doubt(), this.#rights()),
       on: { search: (event) => this.#handle(event) },
       hide: () => (this.#live.end(), this.#paper.end()),
     });
+    part({ view: "design", at: "load", load: () => this.#list(), again: true });
   }
 
   #bind() {
@@ -109,14 +116,10 @@ export class Designer {
     panel.addEventListener("drop", (event) => (event.preventDefault(), this.#take(event.dataTransfer.files[0])));
     document.addEventListener("keydown", (event) => this.#key(event));
     on("paper", "toggle", () => this.#mode());
-    on("thing-save-form", "submit", (event) => (event.preventDefault(), this.#save(false)));
-    on("thing-replace", "click", () => this.#save(true));
+    on("thing-name", "input", () => this.#question(null));
+    on("thing-save-form", "submit", (event) => (event.preventDefault(), this.#save()));
+    on("thing-replace", "click", () => this.#replace());
     document.addEventListener("array", () => this.#arrange());
-  }
-
-  // The details of a pattern that was found here.
-  details(sha256) {
-    return this.#paper.details(sha256);
   }
 
   // The fields that the chosen thing and touch have.
@@ -171,9 +174,8 @@ export class Designer {
     }
   }
 
-  // Loads the stored targets, the paper's search and the rendering.
+  // Loads the paper's search and the rendering.
   async #start() {
-    await this.#list();
     await this.#paper.start();
     const before = this.#before?.search ?? undefined;
     this.#before = null;
@@ -193,6 +195,9 @@ export class Designer {
     const kind = (target) => `${target.name} (${target.shape}${target.moves ? ", moves" : ""}${target.library ? "" : ", site"})`;
     $("load").replaceChildren(option(targets.length ? "Choose" : "No target is stored", ""), ...targets.map((target) => option(kind(target), target.name)));
     this.#showLoaded();
+    // Another client may have stored another one under the name of the loaded one.
+    const loaded = this.#loaded && targets.find(({ name }) => name === this.#loaded.target.name);
+    if (loaded && loaded.sha256 !== this.#loaded.sha256 && $("shape").value === "loaded") await this.#load(loaded.name);
   }
 
   #showLoaded() {
@@ -233,7 +238,11 @@ export class Designer {
 
   #typed() {
     const lines = $("points").value.split("/").map(numbers);
-    if (lines.some((of) => of.length % 2)) return say($("points"), "The last point has no y: enter x y; x y.", "bad");
+    if (lines.some((of) => of.length % 2)) {
+      this.#isWrong = true;
+      this.#buttons();
+      return say($("points"), "The last point has no y: enter x y; x y.", "bad");
+    }
     say($("points"), "");
     const pairs = lines.map((of) => Array.from({ length: of.length / 2 }, (_, i) => of.slice(2 * i, 2 * i + 2)));
     if (this.#pad.isDrawn) this.#pad.set(pairs);
@@ -250,8 +259,10 @@ export class Designer {
   // Handles a change of the drawing that is complete. `byPen`: the pen has left the pad.
   #changed(byPen = false) {
     clearTimeout(this.#timer);
+    say($("points"), "");
+    this.#isWrong = !complain(...this.#fields());
     this.#show();
-    if (!complain(...this.#fields())) return this.#rendering.ask(null);
+    if (this.#isWrong) return this.#rendering.ask(null);
     if (this.#history.add(this.#state())) this.#keep();
     else if (this.#rendering.isAsked) return undefined;
     this.#buttons();
@@ -259,9 +270,15 @@ export class Designer {
   }
 
   #step(by) {
-    const state = this.#history.move(by);
+    clearTimeout(this.#timer);
+    // What cannot be drawn is no step of the drawing: it goes first.
+    const state = by < 0 && this.#isWrong ? this.#history.now : this.#history.move(by);
     if (!state) return;
+    this.#isWrong = false;
     this.#restore(state);
+    // A field that is hidden may be wrong as well.
+    forgive(...NUMBERS, ...TEXTS);
+    say($("points"), "");
     speak(by < 0 ? "Undone." : "Done again.", "pad");
     this.#keep();
     this.#ask(false);
@@ -287,12 +304,25 @@ export class Designer {
 
   // Asks for the rendering of the drawing, or, in the other mode, for nothing but a search that the person wants.
   #ask(byPen) {
-    if ($("paper").open) {
+    this.#rights();
+    if (!may()) {
+      this.#isKept = true;
+    } else if ($("paper").open) {
       this.#rendering.ask(null);
       if (byPen && $("at-once").checked) this.#paper.find(true);
     } else if (array()) {
       this.#rendering.ask(rendering(this.#doc()), byPen && $("thing-at-once").checked);
     }
+  }
+
+  // Says that this window may not render; when it may, it renders what was drawn meanwhile.
+  #rights() {
+    const isNew = $("thing-may-not").hidden === !may();
+    $("thing-may-not").hidden = may();
+    if (isNew && !may()) speak($("thing-may-not").textContent, "rendering");
+    if (!may() || !this.#isKept) return;
+    this.#isKept = false;
+    this.#ask(false);
   }
 
   // Shows the fields of the mode: the thing, or the paper's search.
@@ -304,24 +334,44 @@ export class Designer {
     this.#ask(false);
   }
 
-  async #save(replace) {
-    $("thing-save-ask").hidden = true;
-    if (!right("thing-name")) return;
-    const name = $("thing-name").value;
+  async #save() {
+    this.#question(null);
+    const [name, { result }] = [$("thing-name").value, this.#rendering];
+    if (!right("thing-name") || !result) return;
     try {
-      await this.#rendering.save(name, replace);
-      say($("thing-save"), `Saved the pattern ${name}.`);
-      this.#saved();
+      await this.#store(result, name, false);
     } catch (error) {
-      if (error.code !== "exists" || replace) return void refuse($("thing-save"), error);
-      say($("thing-save"), "");
-      $("thing-save-ask").hidden = false;
-      $("thing-save-text").textContent = `A pattern ${name} is stored already.`;
-      speak($("thing-save-text").textContent, "answer");
+      if (error.code !== "exists") return void refuse($("thing-save"), error);
+      // The person may have gone on meanwhile.
+      const isSame = result === this.#rendering.result && name === $("thing-name").value;
+      say($("thing-save"), isSame ? "" : `A pattern ${name} is stored already, so nothing was saved.`, "bad");
+      if (isSame) this.#question({ result, name });
     }
   }
 
+  async #store(result, name, replace) {
+    await this.#rendering.save(result, name, replace);
+    say($("thing-save"), `Saved the pattern ${name}.`);
+    this.#saved();
+  }
+
+  // Asks whether to replace an older pattern; null: there is nothing to ask any more.
+  #question(asked) {
+    this.#asked = asked;
+    $("thing-save-ask").hidden = !asked;
+    if (!asked) return;
+    $("thing-save-text").textContent = `A pattern ${asked.name} is stored already.`;
+    speak($("thing-save-text").textContent, "answer");
+  }
+
+  #replace() {
+    const { result, name } = this.#asked;
+    this.#question(null);
+    this.#store(result, name, true).catch((error) => refuse($("thing-save"), error));
+  }
+
   #show() {
+    this.#question(null);
     const shape = $("shape").value;
     const doc = this.#doc();
     this.#pad.shape = shape;
@@ -347,7 +397,7 @@ export class Designer {
 
   #buttons() {
     const { shape } = this.#pad;
-    $("undo").disabled = this.#pad.isTaken || !this.#history.canUndo;
+    $("undo").disabled = this.#pad.isTaken || !(this.#history.canUndo || this.#isWrong);
     $("redo").disabled = this.#pad.isTaken || !this.#history.canRedo;
     $("clear").hidden = !this.#pad.isDrawn;
     $("clear").disabled = this.#pad.isTaken || !this.#pad.lines.length;

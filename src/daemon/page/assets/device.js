@@ -9,13 +9,16 @@ const $ = (id) => document.getElementById(id);
 const ROLES = { operate: "everything but tokens: role “operate”", observe: "only read: role “observe”" };
 const RESPONSES = { average: "a moving average over", lag: "a lag that has settled after" };
 
-// The link's counters by name, from the metrics; null until they are known.
+// The link's counters by name, from the metrics; null until they are known, and when they are too old.
 let counters = null;
+let asked = -Infinity;
+const COUNTERS_MS = 2000;
 
 const plural = (count, one, more = `${one}s`) => `${count} ${count === 1 ? one : more}`;
 
 // The counters that a device restarts when it is connected.
 async function loadCounters() {
+  asked = performance.now();
   const lines = (await text("/v1/metrics")).matchAll(/^meissner_(\w+?)(?:_total)?(?:\{[^}]*\})? (\S+)$/gm);
   counters = {};
   for (const [, name, value] of lines) counters[name] = (counters[name] ?? 0) + Number(value);
@@ -24,7 +27,9 @@ async function loadCounters() {
 
 function link(status) {
   const { device, line_bytes_per_s: line, board } = status;
-  const offsets = status.motors.map((motor) => Math.abs(motor.rest_error_um));
+  // Without an estimate and a known position, 0 means nothing.
+  const isKnown = status.position === "known" || status.motors.every((motor) => motor.source !== "none");
+  const offsets = isKnown ? status.motors.map((motor) => Math.abs(motor.rest_error_um)) : [];
   const worst = Math.max(0, ...offsets);
   const { sent_bytes: sent, retransmitted_frames: again, bad_frames: bad, device_bad_frames: badThere } = counters ?? {};
   return [
@@ -70,6 +75,7 @@ function network({ network, role }) {
 
 function showStatus() {
   const status = known();
+  if (status && performance.now() - asked >= COUNTERS_MS) loadCounters().catch(() => ((counters = null), showStatus()));
   for (const [id, describe] of [["facts", link], ["daemon-facts", daemon], ["network-facts", network]]) {
     // Keep the rows in place.
     const rows = last() ? describe(last()) : [];

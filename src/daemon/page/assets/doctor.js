@@ -3,6 +3,7 @@
 import { call, known } from "./api.js";
 import { element } from "./control.js";
 import { part } from "./views.js";
+import { advice } from "./words.js";
 
 const $ = (id) => document.getElementById(id);
 // A check holds one of the browser's connections to the daemon.
@@ -18,17 +19,17 @@ export function worded(place, text) {
   return place;
 }
 
-function item({ what, level, found, advice }) {
+function item({ what, level, found, advice: remedy }) {
   const item = element("li");
   item.dataset.level = level;
   const head = element("p");
   head.append(element("strong", what), " ", element("span", VERDICTS[level] ?? level, { className: "verdict" }));
   const text = element("div");
-  text.append(head, worded(element("p"), found));
-  if (advice) {
-    const remedy = worded(element("p", "", { className: "remedy" }), advice);
-    remedy.prepend(element("strong", "Remedy: "));
-    text.append(remedy);
+  text.append(head, worded(element("p"), advice(found)));
+  if (remedy) {
+    const line = worded(element("p", "", { className: "remedy" }), advice(remedy));
+    line.prepend(element("strong", "Remedy: "));
+    text.append(line);
   }
   item.append(element("span", "", { className: "mark", ariaHidden: "true" }), text);
   return item;

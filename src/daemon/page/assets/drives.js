@@ -3,15 +3,16 @@
 import { array } from "./array.js";
 import { element } from "./control.js";
 import { thumbnail } from "./finger.js";
+import { number, optional } from "./number.js";
 
 const $ = (id) => document.getElementById(id);
 // Rows that are shown, at most: a pattern has up to 4096 drives.
 export const ROWS = 200;
 const NEW = { motor: 0, frequency_hz: 60, amplitude_um: 80, phase: 0 };
-// Key, name, and the range that the daemon allows; whether it may be empty.
+// Key, name, the range that the daemon allows, and the step of the arrow keys; whether it may be empty.
 const COLUMNS = [
-  ["motor", "Motor", 0, null, 1], ["frequency_hz", "Frequency, Hz", 0.1, 300], ["amplitude_um", "Amplitude, µm", 0, null], ["phase", "Phase, periods", 0, 0.999999],
-  ["start_s", "From, s", 0, 1e8, null, true], ["stop_s", "To, s", 0, 1e8, null, true],
+  ["motor", "Motor", 0, null, 1], ["frequency_hz", "Frequency, Hz", 0.1, 300, 1], ["amplitude_um", "Amplitude, µm", 0, null, 1], ["phase", "Phase, periods", 0, 0.999999, 0.05],
+  ["start_s", "From, s", 0, 1e8, 0.1, true], ["stop_s", "To, s", 0, 1e8, 0.1, true],
 ];
 
 export class Drives {
@@ -68,11 +69,12 @@ export class Drives {
     const row = document.createElement("tr");
     for (const [key, title, min, max, step, isOptional] of COLUMNS) {
       const most = max ?? (key === "motor" ? array().positions_mm.length - 1 : array().motor.travel_um);
-      const input = element("input", "", { type: "number", id: `drive-${this.#number++}`, min, max: most, step: step ?? "any", required: !isOptional, ariaLabel: `Drive ${i + 1}: ${title}` });
+      const input = element("input", "", { inputMode: key === "motor" ? "numeric" : "decimal", id: `drive-${this.#number++}`, min, max: most, step, required: !isOptional, autocomplete: "off", ariaLabel: `Drive ${i + 1}: ${title}` });
       input.value = drive[key] ?? (key === "phase" ? 0 : "");
       input.addEventListener("input", () => {
-        if (input.value === "" && isOptional && !input.validity.badInput) delete drive[key];
-        else drive[key] = input.valueAsNumber;
+        const value = isOptional ? optional(input.id) : number(input.id);
+        if (value === undefined) delete drive[key];
+        else drive[key] = value;
         this.#map();
         this.#changed();
       });

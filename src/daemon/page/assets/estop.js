@@ -131,7 +131,7 @@
     if ($("state")) $("state").dataset.state = status?.play ? "playing" : name;
     const text = status?.play ? `Playing ${status.play.pattern}, ${status.play.played_s.toFixed(1)} s`
       : name === "unknown" ? "Not connected: state not known" : name === "faulted" ? `Stopped: ${status.cause}` : WORDS[name];
-    write($("state-text"), text);
+    write($("state-text"), status?.queued.length ? `${text}; ${status.queued.length} wait` : text);
     write($("touch"), touch(status));
     say(status, text);
     const device = status?.device;
@@ -162,6 +162,9 @@
   };
   windows.onmessage = free;
 
+  // A message of the daemon without its backticks.
+  const words = (detail) => detail?.replace(/`([^`]*)`/g, "“$1”");
+
   // Sends an emergency stop once. Returns nothing if the lines are off, else the reason for doubt.
   async function attempt(value) {
     const at = instant();
@@ -176,8 +179,8 @@
       const body = await response.json().catch(() => null);
       const answered = true;
       if (response.status === 401) return { answered, refused: true, why: value ? "the access token is not valid any more" : "the daemon asks for an access token" };
-      if (response.status === 403) return { answered, refused: true, why: body?.detail ?? "the access token does not allow it" };
-      if (!response.ok) return { answered, why: body?.detail ?? response.statusText };
+      if (response.status === 403) return { answered, refused: true, why: words(body?.detail) ?? "the access token does not allow it" };
+      if (!response.ok) return { answered, why: words(body?.detail) ?? response.statusText };
       if (!isStatus(body) || body.state !== "faulted") return { answered, why: "the answer does not say that the lines are off" };
       take(body, at);
       return isTold(body) ? null : { answered, why: "the stop is latched, but no device answers" };

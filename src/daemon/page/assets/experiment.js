@@ -9,9 +9,10 @@
 // Invariant: a trial is counted when the daemon has its answer.
 
 import { call, known, orderIn, poll } from "./api.js";
-import { array } from "./array.js";
 import { order, wilson } from "./choice.js";
-import { element, refuse, say, speak, valid, write } from "./control.js";
+import { element, refuse, restored, say, speak, write } from "./control.js";
+import { isForeign } from "./foreign.js";
+import { optional, right } from "./number.js";
 import { part } from "./views.js";
 import { plain } from "./words.js";
 
@@ -27,12 +28,16 @@ const NAMES = { ArrowLeft: "←", ArrowRight: "→", ArrowUp: "↑", ArrowDown: 
 
 // What is kept: the settings, the session, `right`, for each answer whether it was right, and `unsent`, an answer that the daemon may not
 // have: `{ play, body }`. Null: no experiment.
-let kept = JSON.parse(sessionStorage.getItem(KEPT));
+let kept = restored(KEPT);
 // The trial that runs: `stop` ends it. Null: none, so the experiment is paused, or over.
 let running = null;
 // Takes an answer, `first` or `second`, while one is awaited.
 let take = null;
 let why = kept ? "The page was loaded again." : "";
+// How long the patterns last that can be chosen, s; null: without end.
+let durations = new Map();
+// The fields in which a pattern stood already.
+const offered = new Set();
 
 function keep(what) {
   kept = what;
@@ -118,9 +123,11 @@ function prompt(text) {
 
 // Plays the next trial, and returns the play's id when it has ended as a whole.
 async function stimulate(signal, trial) {
+  // `seconds`: null for one run of each.
   const { asked, other, seconds, between_ms: gap, session } = kept;
   const [first, second] = order(kept.trials, kept.seed)[trial - 1] ? [asked, other] : [other, asked];
-  const items = [{ pattern: first, seconds }, { pattern: second, seconds, gap_ms: gap }];
+  const length = seconds === null ? {} : { seconds };
+  const items = [{ pattern: first, ...length }, { pattern: second, ...length, gap_ms: gap }];
   const orNot = (promise) => Promise.race([promise, until(signal, () => {})]);
   const ordered = orderIn(session, "/v1/sequence", { name: `trial-${trial}`, trial, labels: { first, second }, items });
   let receipt;
@@ -172,10 +179,15 @@ async function runTrial(signal) {
 }
 
 async function run() {
+  // A second click on “Continue” would count an answer that is not sent yet twice, and play two trials at once.
+  if (running) return;
   const mine = (running = new AbortController());
   why = "";
   try {
-    if (kept.unsent) await send();
+    if (kept.unsent) {
+      prompt("Sending the last answer …");
+      await send();
+    }
     while (!isOver()) await runTrial(mine.signal);
     speak(result(), "trial");
   } catch (error) {
@@ -190,25 +202,30 @@ async function run() {
 const halt = (text) => running?.abort(new Error(text));
 
 async function start() {
-  if (!valid(...FIELDS)) return;
+  if (kept || !right(...FIELDS)) return;
   const [asked, other] = [$("asked").value, $("other").value];
   const keys = INTERVALS.map((interval) => $(`key-${interval}`).value);
-  const wrong = !asked || asked === other ? "Choose two patterns that differ." : keys[0] === keys[1] ? "Choose two keys that differ." : hindrance();
+  const endless = optional("stimulus-s") === undefined ? [asked, other].find((name) => durations.get(name) === null) : undefined;
+  const wrong = !asked || asked === other ? "Choose two patterns that differ." : endless ? `${endless} has no end: enter the seconds of each pattern.` : keys[0] === keys[1] ? "Choose two keys that differ." : hindrance();
   if (wrong) return refuse($("choice-start"), new Error(wrong));
-  const [trials, seed, seconds, between, pause] = FIELDS.map((id) => $(id).valueAsNumber);
+  const [trials, seed, seconds, between, pause] = FIELDS.map(optional);
   say($("choice-start"), "");
-  keep({ session: known().session.id, asked, other, trials, seed, seconds, between_ms: between, pause_s: pause, first_key: keys[0], second_key: keys[1], right: [], unsent: null });
+  keep({ session: known().session.id, asked, other, trials, seed, seconds: seconds ?? null, between_ms: between, pause_s: pause, first_key: keys[0], second_key: keys[1], right: [], unsent: null });
   $("choice-title").focus();
   run();
 }
 
 async function load() {
   const { patterns } = await call("GET", "/v1/patterns");
-  const names = patterns.filter((pattern) => pattern.array === array().name && pattern.reached_max_um !== null).map((pattern) => pattern.name);
+  const fitting = patterns.filter((pattern) => !isForeign(pattern) && (pattern.drives_moving || pattern.motions));
+  durations = new Map(fitting.map((pattern) => [pattern.name, pattern.duration_s]));
+  const names = [...durations.keys()];
   for (const [i, id] of ["asked", "other"].entries()) {
     const before = $(id).value;
     $(id).replaceChildren(...names.map((name) => element("option", name)));
-    $(id).value = names.includes(before) ? before : (names[i] ?? "");
+    // A pattern that was removed is not replaced by another one unseen: the person chooses again.
+    $(id).value = offered.has(id) ? before : (names[i] ?? "");
+    if ($(id).value) offered.add(id);
   }
   $("choice-none").hidden = names.length > 1;
 }
@@ -231,7 +248,7 @@ function choose(event) {
 }
 
 export function bindExperiment() {
-  const refresh = part({ view: "record", at: "choice-title", load, state: show, hide: () => halt("The view was left.") });
+  const refresh = part({ view: "record", at: "choice-title", load, again: true, state: show, hide: () => halt("The view was left.") });
   document.addEventListener("array", refresh);
   document.addEventListener("visibilitychange", () => document.hidden && halt("The window was hidden."));
   document.addEventListener("keydown", press, { capture: true });

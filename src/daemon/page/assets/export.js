@@ -28,6 +28,10 @@ const COLUMNS = [
   ["correct", ({ play }) => play.answer?.correct],
   ["response_time", ({ play }) => (typeof play.answer?.rt_ms === "number" ? play.answer.rt_ms / 1000 : null)],
   ["level", ({ play }) => play.answer?.level],
+  ["start_edge", ({ play }) => play.start_edge?.number],
+  ["start_edge_tick", ({ play }) => play.start_edge?.tick],
+  ["stop_edge", ({ play }) => play.stop_edge?.number],
+  ["stop_edge_tick", ({ play }) => play.stop_edge?.tick],
 ];
 
 const labels = (of) => Object.entries(of).map(([key, value]) => `${key}=${value}`).join(";");

@@ -3,6 +3,7 @@
 import { put } from "./api.js";
 import { refuse, say } from "./control.js";
 import { loadSequence } from "./sequence.js";
+import { plain } from "./words.js";
 
 const $ = (id) => document.getElementById(id);
 // What a body of the API has, at most.
@@ -17,18 +18,29 @@ async function read(file, ...kinds) {
   return file.text();
 }
 
-// Stores patterns under the names that they bear.
+// Stores a pattern under the name that it bears, and returns what to say.
+async function storeOne(file) {
+  const text = await read(file, "toml");
+  const name = /^name\s*=\s*["']([^"']*)["']/m.exec(text)?.[1];
+  if (name === undefined) throw new Error(`${file.name} has no line “name = …”: a pattern bears the name of its file.`);
+  const { warnings } = await put(`/v1/patterns/${encodeURIComponent(name)}${$("import-replace").checked ? "?replace=true" : ""}`, text);
+  return [`Stored ${name}.`, ...warnings].join(" ");
+}
+
+// Stores patterns, and says of each file what came of it.
 async function store(files, stored) {
   const lines = [];
+  let areAllStored = true;
   for (const file of files) {
-    const text = await read(file, "toml");
-    const name = /^name\s*=\s*["']([^"']*)["']/m.exec(text)?.[1];
-    if (name === undefined) throw new Error(`${file.name} has no line “name = …”: a pattern bears the name of its file.`);
-    const { warnings } = await put(`/v1/patterns/${encodeURIComponent(name)}${$("import-replace").checked ? "?replace=true" : ""}`, text);
-    lines.push(`Stored ${name}.`, ...warnings);
-    stored();
+    try {
+      lines.push(await storeOne(file));
+    } catch (error) {
+      areAllStored = false;
+      lines.push(files.length > 1 ? `Not stored: ${file.name}. ${plain(error.message)}` : plain(error.message));
+    }
   }
-  say($("import"), lines.join(" "));
+  say($("import"), lines.join(" "), areAllStored ? "good" : "bad");
+  stored();
 }
 
 async function load(file) {
@@ -38,7 +50,7 @@ async function load(file) {
 
 // `stored`: called when a pattern was stored.
 export function bindFiles(stored) {
-  const imports = (files) => store(files, stored).catch((error) => refuse($("import"), error));
+  const imports = (files) => store(files, stored);
   const loads = (file) => load(file).catch((error) => refuse($("sequence-file"), error));
   // The same file may be chosen again.
   const chosen = (id, take) => $(id).addEventListener("change", async () => {

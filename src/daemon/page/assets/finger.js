@@ -1,7 +1,8 @@
-// The fingertip with its pins, as an SVG. Colour and size of a pin show how far the daemon moves it, a number its frequency, a bar its
-// offset from rest, and a hand its phase, where that is known. Hands turn 20 times slower.
+// The fingertip with its pins, as an SVG. Beside a pin stands its number. Its colour and size show how far the daemon moves it, the text
+// below its frequency, a bar its offset from rest, and a hand its phase, where that is known. Hands turn 20 times slower.
 
 import { layout, scale } from "./array.js";
+import { SENSOR_FAULTS } from "./words.js";
 
 const SLOWER = 20;
 // Drawing units: from a pin to its nearest neighbour, and from the outermost pins to the edge of the skin. What stands at a pin fits.
@@ -13,7 +14,7 @@ const EDGE = 24;
 const LEAST_RADIUS = 3;
 // The radius of the skin's corners, at most: pins in the corners stay on the skin.
 const CORNER = 58;
-const FULL_UM = 100;
+export const FULL_UM = 100;
 // A pin that moves by less is drawn as still, and one that stands lower as at rest, µm.
 const LEAST_UM = 0.5;
 // Stops of a colour map that rises in lightness, so that it is readable without colours.
@@ -25,6 +26,9 @@ export function make(name, attributes = {}, text = "") {
   if (text) element.textContent = text;
   return element;
 }
+
+// The colours, from 0 to `FULL_UM`, as CSS has them.
+export const gradient = () => `linear-gradient(90deg, ${COLOURS.map((colour) => `rgb(${colour.join(" ")})`).join(", ")})`;
 
 export function colour(um) {
   const at = (Math.min(Math.max(um / FULL_UM, 0), 1) * (COLOURS.length - 1)) || 0;
@@ -89,13 +93,14 @@ export class Finger {
         group,
         disc: make("circle", { class: "pin" }),
         hand: make("line", { class: "hand", x1: 0, y1: 0, x2: 0, y2: -9 }),
-        ring: make("circle", { r: 12, class: "doubt" }),
+        ring: make("circle", { r: 12, class: "sensor-fault" }),
         offset: make("rect", { class: "offset", x: -13.5, y: 0, width: 2, height: 0 }),
-        number: make("text", { class: "hertz", y: 19 }),
+        mark: make("text", { class: "hertz", y: 19 }),
+        number: make("text", { class: "number", x: 12, y: 12 }, String(motor)),
         title: make("title"),
       };
       group.addEventListener("click", () => document.dispatchEvent(new CustomEvent("pin", { detail: motor })));
-      group.append(pin.title, pin.ring, pin.offset, pin.disc, pin.hand, pin.number);
+      group.append(pin.title, pin.ring, pin.offset, pin.disc, pin.hand, pin.mark, pin.number);
       this.svg.append(group);
       return pin;
     });
@@ -107,8 +112,8 @@ export class Finger {
   }
 
   // `now`: what each pin does, as the status has it, null for a pin of which that is not known. `drives`: those that are on, by motor, for
-  // their phases. `rest_um`: offsets. `doubted`: motors. `seconds`: since the onset.
-  draw(now, drives, rest_um, doubted, seconds) {
+  // their phases. `rest_um`: offsets. `faults`: sensor faults, null for none. `seconds`: since the onset.
+  draw(now, drives, rest_um, faults, seconds) {
     const known = this.#pins.map((_, motor) => now[motor] ?? null);
     set(this.svg, "aria-label", summary(known, rest_um));
     this.#pins.forEach((pin, motor) => {
@@ -126,13 +131,13 @@ export class Finger {
       set(pin.disc, "fill", swing ? colour(swing) : "none");
       set(pin.hand, "visibility", drive ? "visible" : "hidden");
       set(pin.hand, "transform", `rotate(${(360 * turns).toFixed(0)})`);
-      set(pin.ring, "visibility", doubted.has(motor) ? "visible" : "hidden");
+      set(pin.ring, "visibility", faults[motor] ? "visible" : "hidden");
       const bar = Math.min(Math.abs(rest) / 5, 12);
       set(pin.offset, "height", bar.toFixed(1));
       set(pin.offset, "y", (rest > 0 ? -bar : 0).toFixed(1));
       const mark = !does ? "?" : swing ? `${+does.hz.toFixed(0)} Hz` : isRaised ? `${does.height_um.toFixed(0)} µm` : "";
-      if (pin.number.textContent !== mark) pin.number.textContent = mark;
-      const text = `Pin ${motor}: ${words}${does ? `, ${rest.toFixed(1)} µm from rest` : ""}${doubted.has(motor) ? ", its sensor is in doubt" : ""}`;
+      if (pin.mark.textContent !== mark) pin.mark.textContent = mark;
+      const text = `Pin ${motor}: ${words}${does ? `, ${rest.toFixed(1)} µm from rest` : ""}${faults[motor] ? `, sensor fault: ${SENSOR_FAULTS[faults[motor]] ?? faults[motor]}` : ""}`;
       if (pin.title.textContent !== text) pin.title.textContent = text;
     });
   }

@@ -3,11 +3,12 @@
 
 import { call, known, last, order, put } from "./api.js";
 import { array } from "./array.js";
-import { refuse, say } from "./control.js";
+import { orders, refuse, say } from "./control.js";
 import { Live } from "./live.js";
 import { figures, maps } from "./maps.js";
 import { number, right } from "./number.js";
 import { drawn, target } from "./thing.js";
+import { plain } from "./words.js";
 
 const $ = (id) => document.getElementById(id);
 // The amplitude of a new target, if the motors go so far, µm.
@@ -28,10 +29,10 @@ export class Paper {
   #saved;
   #live;
   #search = null;
-  // The pattern that was found, and its details once they are known, by its SHA-256.
-  #details = new Map();
   // Whether the pattern found plays automatically: only if the person has touched nothing since the pen was lifted.
   #atOnce = false;
+  // Plays what was found.
+  #feel;
 
   // `doc`: the drawing. `pad`: where it is drawn. `changed`: called when the pad is taken or free. `saved`: called when a pattern and a target
   // have been stored.
@@ -41,7 +42,7 @@ export class Paper {
     const on = (id, event, run) => $(id).addEventListener(event, run);
     on("find", "click", () => this.find(false));
     on("cancel", "click", () => this.#cancel());
-    on("feel", "click", () => this.#feel());
+    this.#feel = orders($("feel"), () => this.#play());
     on("save-form", "submit", (event) => (event.preventDefault(), this.#save()));
     for (const event of ["pointerdown", "keydown"]) document.addEventListener(event, () => (this.#atOnce = false), { capture: true });
   }
@@ -60,7 +61,7 @@ export class Paper {
   // The search that the daemon knows.
   async start() {
     const newest = last()?.last_search;
-    const search = newest ? await call("GET", `/v1/searches/${newest}`).catch(() => null) : null;
+    const search = newest ? await call("GET", `/v1/searches/${newest}`).catch(absent) : null;
     // A restarted daemon counts from 1; an event may have come before the answer.
     if (!search) this.#forget();
     else if (search.method === null && (search.state !== "running" || search.id !== this.#search?.id)) this.#show(search);
@@ -85,11 +86,6 @@ export class Paper {
     $("search-progress").textContent = "";
     $("search-busy").hidden = $("result").hidden = true;
     this.buttons();
-  }
-
-  // The details of a pattern that was found here.
-  details(sha256) {
-    return this.#details.get(sha256);
   }
 
   async handle(event) {
@@ -144,18 +140,8 @@ export class Paper {
     await call("DELETE", `/v1/searches/${this.#search.id}`).catch((error) => refuse($("cancel"), error));
   }
 
-  async #feel() {
-    if (!right("feel-seconds")) return;
-    const { id } = this.#search;
-    try {
-      // Its pins are shown while it plays.
-      const known = call("GET", `/v1/patterns/search:${id}`).then((details) => this.#details.set(details.sha256, details), () => {});
-      await order("/v1/play", { pattern: `search:${id}`, seconds: number("feel-seconds"), replace: true });
-      await known;
-      say($("feel"), "");
-    } catch (error) {
-      refuse($("feel"), error);
-    }
+  async #play() {
+    if (right("feel-seconds")) await order("/v1/play", { pattern: `search:${this.#search.id}`, seconds: number("feel-seconds"), replace: true });
   }
 
   async #save() {
@@ -184,8 +170,8 @@ export class Paper {
     const isNew = before?.id !== search.id || before.state !== state;
     // Announce the result only once, when it is complete.
     if (state === "done" ? search.result && before?.result !== search.result : isNew) {
-      const words = { running: `Searching for ${target} …`, cancelled: "Cancelled.", failed: `Failed: ${search.problem}`, done: `Found a pattern for ${target}: ${part}.` };
-      $("search-note").textContent = words[state] + (search.result ? ` ${judge(search.result)}` : "");
+      const words = { running: `Searching for ${target} …`, cancelled: "Cancelled.", failed: `Failed: ${plain(search.problem ?? "")}`, done: `Found a pattern for ${target}: ${part}.` };
+      $("search-note").textContent = words[state] + (search.result ? ` ${judge(search.result, search.objective)}` : "");
     }
     if (state === "done" && isNew) $("save-name").value = target;
     if (search.result && search.result !== before?.result) this.#showResult(search.result);
@@ -198,7 +184,7 @@ export class Paper {
     $("maps").replaceChildren(...shown);
     $("maps-note").textContent = legend;
     $("figures").tBodies[0].replaceChildren(...figures(result));
-    $("result-warnings").textContent = result.warnings.join(" · ");
+    $("result-warnings").textContent = result.warnings.map((line) => plain(line)).join(" ");
   }
 
   buttons() {
@@ -212,8 +198,16 @@ export class Paper {
   }
 }
 
-// Whether the search was worth it, in words.
-function judge({ ended, value, value_naive_reach: reach, value_naive_pitch: pitch }) {
-  const better = Math.max(reach, pitch) >= value;
-  return `${ended === "limit" ? "The time is used up." : "Nothing improves any more."} ${better ? "A rule of thumb reaches as much without a search." : "By the objective it is better than both rules of thumb."}`;
+// Nothing, of a search that the daemon does not have.
+function absent(error) {
+  if (error.code !== "not-found") throw error;
+  return null;
+}
+
+// Whether the search was worth it, by what it has searched for, in words.
+function judge({ ended, value, value_naive_reach: reach, value_naive_pitch: pitch }, objective) {
+  const rule = Math.max(reach, pitch);
+  const of = `${value.toPrecision(3)} against ${rule.toPrecision(3)} of the better rule of thumb`;
+  const verdict = rule >= value ? "A rule of thumb reaches as much without a search" : "It is better than both rules of thumb";
+  return `${ended === "limit" ? "The time is used up." : "Nothing improves any more."} ${verdict}, by the objective “${objective}”: ${of}.`;
 }

@@ -1,93 +1,156 @@
 // The patterns: list, search, maps, play. A person chooses one for its details, and a second one to compare.
+//
+// Others may store, replace and remove patterns meanwhile, and no event tells of it. So the list is fetched whenever it comes into sight, and
+// a pattern plays only if the daemon still has the one that is drawn.
 
 import { call, order } from "./api.js";
 import { Chosen } from "./chosen.js";
-import { element, operates, refuse, say, valid } from "./control.js";
+import { element, operates, ordered, orders, refuse } from "./control.js";
 import { thumbnail } from "./finger.js";
 import { isForeign, mapping } from "./foreign.js";
+import { number, optional, right } from "./number.js";
 import { part } from "./views.js";
 
 const $ = (id) => document.getElementById(id);
 // Items that are built at once. The others are empty until they come into view, so that a list of thousands costs little.
 const AT_ONCE = 100;
 
+// Where a pattern is stored, as the list shows it and as the search finds it.
+const where = ({ library }) => (library ? "library" : "site");
+const key = ({ name, sha256 }) => `${name} ${sha256}`;
+// The pattern that the daemon has under a name, in full.
+const stored = (name) => call("GET", `/v1/patterns/${encodeURIComponent(name)}`);
+
 export class Patterns {
+  // By name and SHA-256.
   #details = new Map();
   #byName = new Map();
-  #chosen = new Chosen((name) => this.details(name), () => this.refresh(), () => this.#mark());
+  // Lists that were asked for: an older one shows nothing.
+  #asked = 0;
+  #chosen = new Chosen({
+    details: (pattern) => this.details(pattern), check: (pattern) => this.#check(pattern), stored: () => this.refresh(), marked: () => this.#mark(),
+  });
   // Fetches the list again.
   refresh;
   // Maps are fetched when they come into view.
   #view = new IntersectionObserver((entries) => entries.forEach((entry) => entry.isIntersecting && this.#draw(entry.target)), { rootMargin: "300px" });
 
   constructor() {
-    this.refresh = part({ view: "play", at: "patterns-title", load: () => this.#load() });
+    this.refresh = part({ view: "play", at: "patterns-title", load: () => this.#load(), again: true });
     $("search").addEventListener("input", () => this.#filter());
-    document.addEventListener("array", () => ($("nearest").checked = false));
+    document.addEventListener("array", () => {
+      $("nearest").checked = false;
+      // What a pattern is for, and what it reaches, depends on the array.
+      $("pattern-list").replaceChildren();
+      this.#details.clear();
+    });
   }
 
   async #load() {
-    const { patterns, errors } = await call("GET", "/v1/patterns");
+    const asked = ++this.#asked;
+    const { patterns: all, errors } = await call("GET", "/v1/patterns");
+    if (asked !== this.#asked) return;
+    // Those of this site come first.
+    const patterns = [...all.filter(({ library }) => !library), ...all.filter(({ library }) => library)];
+    const before = this.#byName;
     this.#byName = new Map(patterns.map((pattern) => [pattern.name, pattern]));
-    this.#details.clear();
+    const keys = new Set(patterns.map(key));
+    for (const old of this.#details.keys()) if (!keys.has(old)) this.#details.delete(old);
     $("pattern-errors").textContent = errors.join(" · ");
     $("nearest-label").hidden = !patterns.some(isForeign);
-    this.#view.disconnect();
-    $("pattern-list").replaceChildren(...patterns.map(({ name }, i) => {
-      const item = document.createElement("li");
-      item.dataset.name = name;
-      if (i < AT_ONCE) this.#build(item);
-      this.#view.observe(item);
-      return item;
-    }));
+    this.#list(before);
     this.#filter();
     this.#chosen.renew(this.#byName);
     this.#mark();
   }
 
-  // A pattern in full, fetched once.
-  details(name) {
-    if (!this.#details.has(name)) {
-      const fetched = call("GET", `/v1/patterns/${encodeURIComponent(name)}`);
-      this.#details.set(name, fetched);
-      fetched.catch(() => this.#details.delete(name));
-    }
-    return this.#details.get(name);
+  // Shows the list. The items of patterns that are as `before` stay as they are.
+  #list(before) {
+    const list = $("pattern-list");
+    const old = new Map([...list.children].map((item) => [item.dataset.name, item]));
+    const isSame = (pattern) => JSON.stringify(pattern) === JSON.stringify(before.get(pattern.name));
+    const items = [...this.#byName.values()].map((pattern, i) => {
+      const item = old.get(pattern.name) ?? element("li");
+      const isNew = !item.isConnected || !isSame(pattern);
+      item.dataset.name = pattern.name;
+      if (isNew && (i < AT_ONCE || item.firstChild)) this.#build(item);
+      // Also one whose map could not be fetched.
+      if (isNew || !item.querySelector(".map > *")) this.#view.observe(item);
+      return item;
+    });
+    for (const [name, item] of old) if (!this.#byName.has(name)) this.#view.unobserve(item);
+    if (items.length === list.children.length && items.every((item, i) => item === list.children[i])) return;
+    const [focus, top] = [document.activeElement, list.scrollTop];
+    list.replaceChildren(...items);
+    list.scrollTop = top;
+    if (list.contains(focus)) focus.focus({ preventScroll: true });
   }
 
+  // A pattern of the list in full, fetched once. If the daemon has another one by now, the list is fetched again.
+  details(pattern) {
+    if (!this.#details.has(key(pattern))) {
+      const fetched = stored(pattern.name).then((full) => {
+        if (full.sha256 !== pattern.sha256) this.refresh();
+        return full;
+      });
+      this.#details.set(key(pattern), fetched);
+      fetched.catch(() => this.#details.delete(key(pattern)));
+    }
+    return this.#details.get(key(pattern));
+  }
+
+  // Makes sure that the daemon has the pattern that the page shows. If not, it shows what there is, and throws.
+  async #check({ name, sha256 }) {
+    const now = await stored(name).catch((error) => {
+      if (error.code !== "not-found") throw error;
+      return null;
+    });
+    if (now?.sha256 === sha256) return;
+    await this.refresh();
+    throw new Error(now ? `\`${name}\` was replaced by another pattern, which the page shows now. Look at it, then press again.` : `\`${name}\` was removed meanwhile.`);
+  }
+
+  // Fills an item; its button to play, and what it said, stay.
   #build(item) {
-    const pattern = this.#byName.get(item.dataset.name);
+    const { name } = item.dataset;
+    const pattern = this.#byName.get(name);
     const length = pattern.duration_s === null ? "without end" : `${pattern.duration_s} s`;
     const drives = pattern.drives_moving ? `${pattern.drives_moving} drives, up to ${pattern.reached_max_um.toFixed(0)} µm` : "";
     const moves = [drives, pattern.motions ? `${pattern.motions} motions` : ""].filter(Boolean).join(", ") || "no pin moves";
-    const play = operates(element("button", "Play", { type: "button", ariaLabel: `Play ${pattern.name}` }));
-    play.addEventListener("click", () => this.#play(pattern, play));
     const choose = element("button", "", { type: "button", className: "choose" });
     choose.append(
-      element("strong", pattern.name),
-      element("span", `${length}; ${moves}; ${pattern.library ? "library" : "site"}${isForeign(pattern) ? `; for the array ${pattern.array}` : ""}`),
+      element("strong", name),
+      element("span", `${length}; ${moves}; ${where(pattern)}${isForeign(pattern) ? `; for the array ${pattern.array}` : ""}`),
     );
-    choose.addEventListener("click", () => this.#chosen.choose(pattern));
-    const compare = element("button", "Compare", { type: "button", className: "compare", ariaLabel: `Compare with ${pattern.name}` });
+    choose.addEventListener("click", () => this.#chosen.ask(pattern));
+    const compare = element("button", "Compare", { type: "button", className: "compare", ariaLabel: `Compare with ${name}` });
     compare.addEventListener("click", () => this.#chosen.compare(pattern));
-    item.append(play, element("div", "", { className: "map" }), choose, compare);
+    const [play, said] = ["button", ".say"].map((part) => item.querySelector(`:scope > ${part}`));
+    item.replaceChildren(play ?? this.#player(name), element("div", "", { className: "map" }), choose, compare, ...(said ? [said] : []));
     this.#markItem(item);
+  }
+
+  #player(name) {
+    const play = operates(element("button", "Play", { type: "button", ariaLabel: `Play ${name}` }));
+    orders(play, () => this.#play(this.#byName.get(name)));
+    return play;
   }
 
   #draw(item) {
     this.#view.unobserve(item);
     if (!item.firstChild) this.#build(item);
+    const pattern = this.#byName.get(item.dataset.name);
     // Where the pins of another array stand is not known here.
-    if (isForeign(this.#byName.get(item.dataset.name))) return;
-    this.details(item.dataset.name).then((details) => item.querySelector(".map").replaceChildren(thumbnail(details)), () => {});
+    if (isForeign(pattern)) return;
+    this.details(pattern).then((details) => pattern.sha256 === this.#byName.get(pattern.name)?.sha256 && item.querySelector(".map").replaceChildren(thumbnail(details)), () => {});
   }
 
   #filter() {
     const words = $("search").value.toLowerCase().split(/\s+/);
     const items = [...$("pattern-list").children];
-    for (const item of items) item.hidden = !words.every((word) => item.dataset.name.includes(word));
+    for (const item of items) item.hidden = !words.every((word) => `${item.dataset.name} ${where(this.#byName.get(item.dataset.name))}`.includes(word));
     $("pattern-none").hidden = items.some((item) => !item.hidden);
-    $("pattern-none").textContent = items.length ? "No pattern has this in its name." : "No pattern is stored.";
+    $("pattern-none").textContent = items.length ? "No pattern fits the search." : "No pattern is stored.";
   }
 
   // Marks the chosen pattern, and the one beside it.
@@ -103,13 +166,16 @@ export class Patterns {
     item.querySelector(".compare")?.setAttribute("aria-pressed", beside);
   }
 
-  async #play(pattern, button) {
-    if (!valid("seconds", "scale")) return;
+  async #play(pattern) {
+    if (!right("seconds", "scale")) return undefined;
+    const body = { pattern: pattern.name, pattern_sha256: pattern.sha256, seconds: optional("seconds"), scale: number("scale"), ...mapping(pattern) };
     try {
-      await order("/v1/play", { pattern: pattern.name, seconds: $("seconds").valueAsNumber, scale: $("scale").valueAsNumber, ...mapping(pattern) });
-      say(button, "");
+      await this.#check(pattern);
     } catch (error) {
-      refuse(button, error);
+      // Its button is gone.
+      if (!this.#byName.has(pattern.name)) return void refuse($("patterns-title"), error);
+      throw error;
     }
+    return ordered(await order("/v1/play", body));
   }
 }

@@ -2,31 +2,27 @@
 
 import { order } from "./api.js";
 import { array } from "./array.js";
-import { refuse, say, valid } from "./control.js";
+import { ordered, orders } from "./control.js";
+import { number, right } from "./number.js";
 
 const $ = (id) => document.getElementById(id);
 
 // The pattern that moves one pin. One stroke lasts a period.
 function pattern() {
-  const [motor, hz, um] = ["pin-motor", "pin-hz", "pin-um"].map((id) => $(id).valueAsNumber);
-  const seconds = $("pin-what").value === "stroke" ? 1 / hz : $("pin-seconds").valueAsNumber;
+  const [motor, hz, um] = ["pin-motor", "pin-hz", "pin-um"].map(number);
+  const seconds = $("pin-what").value === "stroke" ? 1 / hz : number("pin-seconds");
   return { format: 1, name: "pin-test", duration_s: seconds, drive: [{ motor, frequency_hz: hz, amplitude_um: um }] };
 }
 
 async function play() {
   const isStroke = $("pin-what").value === "stroke";
-  if (!valid("pin-motor", "pin-hz", "pin-um", ...(isStroke ? [] : ["pin-seconds"]))) return;
-  try {
-    await order("/v1/play", { pattern: pattern() });
-    say($("pin-play"), "");
-  } catch (error) {
-    refuse($("pin-play"), error);
-  }
+  if (!right("pin-motor", "pin-hz", "pin-um", ...(isStroke ? [] : ["pin-seconds"]))) return undefined;
+  return ordered(await order("/v1/play", { pattern: pattern() }));
 }
 
 // `chosen(motor)`: called when a person has chosen a pin here; null for no such pin.
 export function bindPinTest(chosen) {
-  const mark = () => chosen($("pin-motor").checkValidity() ? $("pin-motor").valueAsNumber : null);
+  const mark = () => chosen(Number.isNaN(number("pin-motor")) ? null : number("pin-motor"));
   document.addEventListener("array", () => {
     const { positions_mm: pins, motor } = array();
     [$("pin-motor").max, $("pin-um").max] = [pins.length - 1, motor.travel_um];
@@ -39,5 +35,5 @@ export function bindPinTest(chosen) {
   });
   $("pin-motor").addEventListener("input", mark);
   $("pin-what").addEventListener("change", () => ($("pin-seconds-label").hidden = $("pin-what").value === "stroke"));
-  $("pin-play").addEventListener("click", play);
+  orders($("pin-play"), play);
 }

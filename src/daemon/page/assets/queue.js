@@ -9,7 +9,7 @@ import { part } from "./views.js";
 const $ = (id) => document.getElementById(id);
 // Items of a running sequence that are listed, at most.
 const ITEMS = 8;
-// Late strokes, by play.
+// Late strokes of a play that this window has heard of, by play.
 const late = new Map();
 // Receipts of plays that run or wait, by play; null while they are on their way, or cannot be had.
 const receipts = new Map();
@@ -26,11 +26,13 @@ function receiptOf(id) {
 // The plays of a status, with when they begin from now and how long they last, s: null for without end (`length_s`) and not known (`at_s`).
 function planned({ play: running, queued }) {
   let at = running ? -running.played_s : null;
-  return [...(running ? [running] : []), ...queued].map(({ id, pattern }) => {
+  return [...(running ? [running] : []), ...queued].map(({ id, pattern, waits_for_edge: waits = false }) => {
+    // When an edge comes, nobody knows.
+    if (waits) at = null;
     const receipt = receiptOf(id);
     const ms = receipt ? (receipt.duration_ms.compiled ?? receipt.duration_ms.ordered) : undefined;
     const length = ms === undefined || ms === null ? null : ms / 1000;
-    const play = { id, name: pattern, at_s: at, length_s: length, isKnown: ms !== undefined, items: itemsOf(id), count: receipt?.items_planned ?? null };
+    const play = { id, name: pattern, at_s: at, length_s: length, isKnown: ms !== undefined, items: itemsOf(id), count: receipt?.items_planned ?? null, waits };
     // A play that is due begins soon.
     at = at === null || length === null ? null : Math.max(0, at + length);
     return play;
@@ -44,7 +46,7 @@ function lengthOf({ length_s: length, isKnown }) {
 function words(play, isRunning) {
   const items = play.count === null ? "" : `, ${play.count} items`;
   if (isRunning) return `${lengthOf(play)}${items}; began ${seconds(-play.at_s)} ago`;
-  const begins = play.at_s === null ? "begins when those before it are over" : `begins in about ${seconds(play.at_s)}`;
+  const begins = play.waits ? "waits for an edge of the trigger input" : play.at_s === null ? "begins when those before it are over" : `begins in about ${seconds(play.at_s)}`;
   return `${lengthOf(play)}${items}; ${begins}`;
 }
 
@@ -113,7 +115,7 @@ function show() {
   write($("queue-none"), !status ? "Not known." : plays.length ? (status.queued.length ? "" : "No play waits.") : "No play runs or waits.");
   showItems(running);
   showSequence();
-  facts($("play-facts"), running ? [["Late strokes of this play", late.get(running.id) ?? "none"]] : []);
+  facts($("play-facts"), running ? [["Late strokes that this window has heard of", late.get(running.id) ?? "none"]] : []);
 }
 
 export function bindQueue() {
@@ -123,6 +125,8 @@ export function bindQueue() {
     at: "queue-title",
     state: show,
     always: {
+      // Of another start of the daemon the numbers begin anew.
+      linked: () => late.clear(),
       late: ({ id }) => void late.set(id, (late.get(id) ?? 0) + 1),
       ended: ({ receipt }) => void late.delete(receipt.id),
     },

@@ -1,7 +1,7 @@
 // The last play: its receipt.
 
 import { call, last } from "./api.js";
-import { facts, refuse, say } from "./control.js";
+import { facts, refuse, say, write } from "./control.js";
 import { keep } from "./toml.js";
 import { part } from "./views.js";
 
@@ -9,6 +9,7 @@ const $ = (id) => document.getElementById(id);
 
 // The play that is shown.
 let shown = null;
+const NONE = $("receipt-summary").textContent;
 
 function show(receipt) {
   // A running play has no counts yet.
@@ -52,7 +53,12 @@ const whole = (id) => call("GET", `/v1/plays/${id}`);
 
 async function load() {
   const newest = last()?.last_play;
-  if (newest) show(await whole(newest));
+  if (newest) return show(await whole(newest));
+  // A daemon that was started again has none.
+  shown = null;
+  write($("receipt-summary"), NONE);
+  facts($("receipt-facts"), []);
+  $("receipt-more").hidden = $("receipt-keep").hidden = true;
 }
 
 export function bindReceipt() {

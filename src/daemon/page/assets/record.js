@@ -3,9 +3,10 @@
 // A session may have thousands of plays. The daemon answers with some of them, and the table has a page of these.
 
 import { call } from "./api.js";
-import { element, facts, refuse, say, valid, write } from "./control.js";
+import { element, facts, refuse, say, write } from "./control.js";
 import { bindExperiment } from "./experiment.js";
 import { csv, json, READ_MS, readSession } from "./export.js";
+import { number, right } from "./number.js";
 import { bindSession } from "./session.js";
 import { part } from "./views.js";
 
@@ -15,8 +16,11 @@ const PAGE = 100;
 const LISTED = 200;
 
 let sessions = [];
-// The chosen session: its id, and rows of its plays as the daemon answered: `{ from, plays, more, ... }`.
-let chosen = null;
+// The session that the table shows, and its first row: `{ id, from }`, counted from 0. Files are those of this session.
+let shown = null;
+// What is to be shown: what a person has asked for last. As long as the daemon has not answered, or has failed to, it is not shown.
+let wanted = null;
+// Rows of the shown session's plays, as the daemon answered: `{ from, plays, more, ... }`. Null: they must be fetched.
 let rows = null;
 
 const when = (instant) => instant.slice(0, 19).replace("T", " ");
@@ -26,7 +30,7 @@ async function load() {
   sessions = all.reverse();
   write($("sessions-problem"), unreadable ? `${unreadable} lines of the session record cannot be read.` : "");
   list();
-  if (chosen) await choose(chosen);
+  await refresh();
 }
 
 function list() {
@@ -45,43 +49,49 @@ function sessionRow(session) {
   show.setAttribute("aria-label", `Show the session of ${session.participant}, ${when(session.started)}`);
   show.addEventListener("click", async () => {
     try {
-      await choose(session.id);
+      const isShown = session.id === shown?.id;
+      if (isShown) rows = null;
+      await turn(session.id, isShown ? shown.from : 0);
       say(show, "");
       $("plays-title").focus();
     } catch (error) {
       refuse(show, error);
     }
   });
-  if (session.id === chosen) row.ariaSelected = "true";
+  if (session.id === shown?.id) row.ariaSelected = "true";
   row.append(...[when(session.started), session.participant, session.experiment ?? "", session.plays, session.reason ?? "runs"].map((text) => element("td", String(text))), element("td"));
   row.lastChild.append(show);
   return row;
 }
 
-// Shows a session from its first row on, or, if it is shown already, from the same row on.
-async function choose(id) {
-  if (id !== chosen) $("plays-from").value = 1;
-  [chosen, rows] = [id, null];
-  await turn();
-  list();
-}
-
-// Shows what has come to the chosen session.
+// Shows what has come to the session.
 async function refresh() {
   rows = null;
-  if (chosen) await turn();
+  if (wanted) await turn(wanted.id, wanted.from);
 }
 
-// Shows the page of plays that begins with the row that the field names.
-async function turn() {
-  const [id, from] = [chosen, $("plays-from").valueAsNumber - 1];
-  const isThere = rows && from >= rows.from && (from + PAGE <= rows.from + rows.plays.length || !rows.more);
+// Shows a session from a row on. Until the daemon has answered, the table and the files are those of before; and an answer counts only
+// if nothing else was asked for meanwhile.
+async function turn(id, from) {
+  const mine = (wanted = { id, from });
+  const isThere = id === shown?.id && rows && from >= rows.from && (from + PAGE <= rows.from + rows.plays.length || !rows.more);
   if (!isThere) {
-    const found = await call("GET", `/v1/sessions/${encodeURIComponent(id)}/plays?from=${from}`, undefined, READ_MS);
-    if (id !== chosen) return;
+    let found;
+    try {
+      found = await call("GET", `/v1/sessions/${encodeURIComponent(id)}/plays?from=${from}`, undefined, READ_MS);
+    } catch (error) {
+      if (mine !== wanted) return;
+      wanted = shown;
+      throw error;
+    }
+    if (mine !== wanted) return;
     rows = { ...found, from };
   }
+  const before = shown;
+  shown = mine;
+  if (id !== before?.id || from !== before.from) $("plays-from").value = from + 1;
   showPlays(from);
+  if (id !== before?.id) list();
 }
 
 function showPlays(from) {
@@ -114,12 +124,12 @@ function playRow(play) {
   return row;
 }
 
-// Saves the chosen session as a file.
+// Saves the session that the table shows as a file.
 async function download(button, kind, write) {
   button.disabled = true;
   say(button, "The daemon reads its record …", "wait");
   try {
-    const read = await readSession(chosen);
+    const read = await readSession(shown.id);
     const url = URL.createObjectURL(new Blob([write(read)], { type: kind }));
     const name = `session-${read.session.id}${read.complete ? "" : "-incomplete"}.${kind.split("/")[1]}`;
     element("a", "", { href: url, download: name }).click();
@@ -134,16 +144,18 @@ async function download(button, kind, write) {
 export function bindRecord() {
   bindSession();
   bindExperiment();
-  part({ view: "record", at: "record-title", load, on: { "session-started": load, "session-ended": load, ended: ({ receipt }) => receipt.session === chosen && refresh() } });
+  part({ view: "record", at: "record-title", load, on: { "session-started": load, "session-ended": load, ended: ({ receipt }) => receipt.session === wanted?.id && refresh() } });
   document.addEventListener("answered", () => refresh().catch((error) => refuse($("plays-next"), error)));
   $("record-filter").addEventListener("input", list);
-  const page = (first) => () => {
-    if (first !== undefined) $("plays-from").value = Math.max(1, $("plays-from").valueAsNumber + first || 1);
-    if (valid("plays-from")) turn().then(() => say($("plays-next"), ""), (error) => refuse($("plays-next"), error));
-  };
-  $("plays-back").addEventListener("click", page(-PAGE));
-  $("plays-next").addEventListener("click", page(PAGE));
-  $("plays-from").addEventListener("change", page());
+  const page = (from) => turn(shown.id, Math.max(0, from)).then(() => say($("plays-next"), ""), (error) => {
+    $("plays-from").value = shown.from + 1;
+    refuse($("plays-next"), error);
+  });
+  // The page that was asked for last, if it is one of the shown session.
+  const last = () => (wanted.id === shown.id ? wanted : shown).from;
+  $("plays-back").addEventListener("click", () => page(last() - PAGE));
+  $("plays-next").addEventListener("click", () => page(last() + PAGE));
+  $("plays-from").addEventListener("change", () => right("plays-from") && page(number("plays-from") - 1));
   $("save-csv").addEventListener("click", () => download($("save-csv"), "text/csv", csv));
   $("save-json").addEventListener("click", () => download($("save-json"), "application/json", json));
 }

@@ -3,7 +3,7 @@
 
 import { call, known, last, order, put } from "./api.js";
 import { rasters, responses, rows, verdict } from "./compare.js";
-import { refuse, say, speak } from "./control.js";
+import { orders, refuse, say, speak } from "./control.js";
 import { plain } from "./words.js";
 
 const $ = (id) => document.getElementById(id);
@@ -25,12 +25,14 @@ export class Rendering {
   // The search that is in the way, and the request that waits for it.
   #blocked = null;
   #changed;
+  // Plays what was found.
+  #feel;
 
   // `changed`: called when another pattern is found, or is no more.
   constructor(changed) {
     this.#changed = changed;
     for (const event of ["pointerdown", "keydown"]) document.addEventListener(event, () => (this.#atOnce = false), { capture: true });
-    $("thing-feel").addEventListener("click", () => this.#feel());
+    this.#feel = orders($("thing-feel"), () => order("/v1/play", { pattern: `search:${this.#search.id}`, replace: true }).then(() => ""));
     $("thing-cancel").addEventListener("click", () => this.#goOn());
     this.#show();
   }
@@ -180,15 +182,6 @@ export class Rendering {
     if (atOnce) this.#feel();
   }
 
-  async #feel() {
-    try {
-      await order("/v1/play", { pattern: `search:${this.#search.id}`, replace: true });
-      say($("thing-feel"), "");
-    } catch (error) {
-      refuse($("thing-feel"), error);
-    }
-  }
-
   // Says so when it is not known whether the rendering goes on.
   doubt() {
     if (this.#search?.state !== "running" || known()) return;
@@ -196,9 +189,13 @@ export class Rendering {
     $("thing-busy").hidden = true;
   }
 
-  // Stores the pattern under a name. Throws what the daemon says against it.
-  async save(name, replace) {
-    const { rendered, target } = this.#search;
+  // What was found and judged, to be saved; null without it.
+  get result() {
+    return this.#search?.rendered ? this.#search : null;
+  }
+
+  // Stores the pattern of a result under a name. Throws what the daemon says against it.
+  async save({ rendered, target }, name, replace) {
     const text = rendered.pattern.replace(/^name = "([a-z0-9-]+)"$/gm, (line, old) => (old === target ? `name = "${name}"` : line));
     await put(`/v1/patterns/${name}${replace ? "?replace=true" : ""}`, text);
   }
@@ -207,7 +204,7 @@ export class Rendering {
   #show(isAsked = false) {
     const { state, found, rendered, problem, target, method } = this.#search ?? {};
     const isRunning = isAsked || state === "running";
-    const words = { running: found ? `Found a pattern for ${target}. Judging it …` : `Rendering ${target} …`, failed: `Failed: ${problem}`, cancelled: "Cancelled." };
+    const words = { running: found ? `Found a pattern for ${target}. Judging it …` : `Rendering ${target} …`, failed: `Failed: ${plain(problem ?? "")}`, cancelled: "Cancelled." };
     $("thing-note").textContent = isAsked ? "Rendering …" : (words[state] ?? "");
     $("thing-busy").hidden = !isRunning;
     $("thing-feel").disabled = !found;

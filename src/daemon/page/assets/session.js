@@ -4,8 +4,10 @@
 // session is over it is forgotten, because the daemon refuses all changes of a client that still shows it.
 
 import { call, known, poll } from "./api.js";
-import { element, facts, open, refuse, say, valid, write } from "./control.js";
+import { element, facts, open, refuse, say, write } from "./control.js";
+import { optional, right } from "./number.js";
 import { part } from "./views.js";
+import { plain } from "./words.js";
 
 const $ = (id) => document.getElementById(id);
 // Where `estop.js` finds the token, and whose it is.
@@ -31,7 +33,13 @@ function watch() {
   say($("session-start"), `The session of ${mine.participant} is over.`, "bad");
 }
 
-function describe(session) {
+// What is left of the participant's limits, and which of them is the nearest.
+function leftWords({ session_left_s: session, day_left_s: day, continuous_left_s: continuous, pause_s: pause }) {
+  const whole = session !== null && session < day ? `${session.toFixed(0)} s in this session` : `${day.toFixed(0)} s today`;
+  return `${whole}; ${continuous.toFixed(0)} s before a pause of ${pause.toFixed(0)} s`;
+}
+
+function describe(session, limits) {
   const { participant, experiment, owner, mine, exclusive, released, release_in_s: left } = session;
   const who = mine ? "this window" : `another client${owner ? `, ${owner}` : ""}`;
   const share = !exclusive ? "no: every client may change things"
@@ -39,7 +47,8 @@ function describe(session) {
       : `only ${mine ? "this window" : "its owner"} may change things${mine || left === null ? "" : `, until it is silent for ${left.toFixed(0)} s more`}`;
   return [
     ["Participant", participant], ["Experiment", experiment ?? "none named"], ["Started", session.started.slice(0, 19).replace("T", " ")], ["Started by", who],
-    ["Exclusive", share], ["Seed", session.seed ?? "none"], ["Plays", session.plays], ["Vibration", `${session.vibration_s.toFixed(1)} s`],
+    ["Exclusive", share], ["Seed", session.seed ?? "none"], ...(session.labels.note ? [["Note", session.labels.note]] : []), ["Plays", session.plays],
+    ["Vibration", `${session.vibration_s.toFixed(1)} s`], ["Vibration left", leftWords(limits)],
   ];
 }
 
@@ -50,23 +59,23 @@ function show() {
   $("session-running").hidden = !session;
   write($("session-note"), !status ? "Whether a session runs is not known." : session ? "" : "No session runs.");
   if (!session) return;
-  facts($("session-facts"), describe(session));
+  facts($("session-facts"), describe(session, status.participant));
   const isBusy = Boolean(status.play || status.queued.length);
   $("session-end").disabled = isBusy;
   write($("session-end-note"), isBusy ? "A play runs or waits: stop it to end the session." : "");
 }
 
 async function start() {
-  if (!valid("participant", "experiment", "session-seed")) return;
-  const [participant, experiment] = [$("participant").value.trim(), $("experiment").value.trim()];
-  const seed = $("session-seed").value === "" ? {} : { seed: $("session-seed").valueAsNumber };
+  if (!right("participant", "experiment", "session-seed", "remark")) return;
+  const [participant, experiment, note] = ["participant", "experiment", "remark"].map((id) => $(id).value.trim());
+  const seed = optional("session-seed");
   try {
-    const { id, token, record_problem: problem } = await call("POST", "/v1/sessions", { participant, exclusive: $("exclusive").checked, ...(experiment ? { experiment } : {}), ...seed });
+    const { id, token, record_problem: problem } = await call("POST", "/v1/sessions", { participant, exclusive: $("exclusive").checked, ...(experiment ? { experiment } : {}), ...(note ? { labels: { note } } : {}), seed });
     isSeen = false;
     sessionStorage.setItem(TOKEN, token);
     sessionStorage.setItem(ABOUT, JSON.stringify({ id, participant }));
     say($("session-start"), "");
-    say($("session-end"), problem ? `The daemon does not record this session: ${problem}` : "", "bad");
+    say($("session-end"), problem ? `The daemon does not record this session: ${plain(problem)}` : "", "bad");
   } catch (error) {
     refuse($("session-start"), error);
   }

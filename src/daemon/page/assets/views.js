@@ -13,19 +13,20 @@ let current = null;
 // Whether parts can be loaded: the page has a connection, and knows the array.
 let isReady = false;
 
-// Adds a part, and returns a function that loads it again: at once, or when its view is shown next.
+// Adds a part, and returns a function that loads it again: at once (the promise resolves then), or when its view is shown next.
 //
-// `view`: its view. `at`: the id of its heading; a failed load says so below it. `load`: fetches what the part shows. It runs when the
-// view is shown first, and again when events may have been missed: after a new connection, or after an event of `on` that came while
-// the view was hidden. `state`: shows the status (`known()` of `api.js`), at each status while the view is shown. `on`: handlers of
-// the daemon's events, by name, for the time in which the view is shown. `always`: handlers that also run while it is hidden. `hide`:
-// called when a person leaves the view.
+// `view`: its view. `at`: the id of its heading or control; a failed load says so below it. `load`: fetches what the part shows. It
+// runs when the view is shown first, and again when events may have been missed: after a new connection, or after an event of `on`
+// that came while the view was hidden. `again`: what it fetches may change without an event, so it is also loaded each time that its
+// view comes into sight, or the window gets the focus. `state`: shows the status (`known()` of `api.js`), at each status while the
+// view is shown. `on`: handlers of the daemon's events, by name, for the time in which the view is shown; `linked` is the begin of their
+// stream. `always`: handlers that also run while it is hidden. `hide`: called when a person leaves the view.
 export function part(what) {
   const mine = { on: {}, always: {}, ...what, fresh: false };
   parts.push(mine);
   return () => {
     mine.fresh = false;
-    if (mine.view === current) load(mine);
+    return mine.view === current ? load(mine) : undefined;
   };
 }
 
@@ -42,6 +43,14 @@ async function load(mine) {
 }
 
 const shown = () => parts.filter((part) => part.view === current);
+
+// Loads what the shown view needs. What may have changed meanwhile is loaded again.
+function loadShown() {
+  for (const part of shown()) {
+    if (part.again) part.fresh = false;
+    load(part);
+  }
+}
 
 // Loads what the shown view needs, and marks the rest as out of date. The promise resolves when the shown view is loaded.
 export function connected() {
@@ -85,12 +94,14 @@ function show() {
   document.title = `${name} · ${title}`;
   $("view-title").textContent = name;
   showStatus();
-  for (const part of shown()) load(part);
+  loadShown();
 }
 
 // Shows the view of the address, now and when it changes. All parts have been added.
 export function startViews() {
   addEventListener("hashchange", show);
+  // A window that was hidden connects again, and loads everything. One beside it was only left.
+  addEventListener("focus", loadShown);
   // The height of what stays at the top, for what stands below it.
   const [header, bar] = [$("header"), $("bar")];
   const measure = () => {

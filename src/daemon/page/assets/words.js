@@ -7,6 +7,21 @@ const LABELS = {
   seconds: "Seconds", participant: "Participant", experiment: "Experiment",
 };
 
+// Why a sensor is not trusted, by the API's names.
+export const SENSOR_FAULTS = {
+  jumps: "it jumps where nothing moved", gain: "it shows far less or more travel than bursts make", scatter: "equal bursts differ too much",
+  limit: "corrections at their limit have not helped",
+};
+
+// Commands for which the page has a button.
+const BUTTONS = [
+  [/(run )?`meissner arm --assume-rest --checked NAME`(, or\s+"checked": "NAME")?/g, "press Arm and enter your name"],
+  [/(run )?`meissner arm( --assume-rest)?`/g, "press Arm"],
+  [/(run )?`meissner (disarm|home|reset|calibrate)`/g, (_, __, name) => `press ${name[0].toUpperCase()}${name.slice(1)}`],
+  [/(run )?`meissner stop`/g, "press Stop play"],
+];
+const OPTION = [/(^|[^\w-])--([a-z][a-z-]*)/g, "$1the option “$2”"];
+
 // From the special to the general: the last ones take what is left.
 const WORDS = [
   [/: add `seconds` \(--seconds S\), or allow a play without end.*/, ": enter its seconds"],
@@ -19,10 +34,7 @@ const WORDS = [
   [/: start it without --no-record, and see `logbook_days`/, ": it was started without one"],
   [/send a valid token .*/, "enter a valid access token"],
   [/more than drift_limit_um = (\S+):/, "more than the limit of $1 µm:"],
-  [/(run )?`meissner arm --assume-rest --checked NAME`(, or\s+"checked": "NAME")?/g, "press Arm and enter your name"],
-  [/(run )?`meissner arm( --assume-rest)?`/g, "press Arm"],
-  [/(run )?`meissner (disarm|home|reset|calibrate)`/g, (_, __, name) => `press ${name[0].toUpperCase()}${name.slice(1)}`],
-  [/(run )?`meissner stop`/g, "press Stop play"],
+  ...BUTTONS,
   [/, or see `meissner status`/, ""],
   [/`meissner status` shows/, "“Each pin as a table” shows"],
   [/(`meissner list`|`GET \/v1\/targets`) shows all/, "the list shows all"],
@@ -32,9 +44,15 @@ const WORDS = [
   [/`(meissner [a-z]+( [a-z]+)?)[^`]*`( on the daemon's machine)?/g, "“$1” on the daemon's machine"],
   [/`([a-z_]+)`/g, (text, key) => LABELS[key] ?? text],
   [/`/g, ""],
-  [/(^|[^\w-])--([a-z][a-z-]*)/g, "$1the option “$2”"],
+  OPTION,
   [/(\d) um\b/g, "$1 µm"],
 ];
+
+// Advice for the daemon's machine: its commands stay, between backticks, but for those that the page has a button for.
+export function advice(text) {
+  const words = BUTTONS.reduce((text, [from, to]) => text.replace(from, to), text);
+  return words.split("`").map((part, i) => (i % 2 ? part : part.replace(...OPTION))).join("`");
+}
 
 // A sentence in the page's words. `text`: the `detail` of a problem.
 export function plain(text) {

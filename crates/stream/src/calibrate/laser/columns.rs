@@ -6,9 +6,8 @@
 //! Invariant: of two columns that may be meant none is taken, and a displacement without a known unit is refused.
 
 use crate::calibrate::laser::error::RecordingError;
-use crate::calibrate::laser::units::{LengthUnit, Said, TimeUnit, Unit, is_alone};
 use meissner_input::message::quote;
-use meissner_samples::table::{Kind, Table};
+use meissner_samples::table::{Header as Described, Kind, LengthUnit, Said, Table, TimeUnit, Unit, words};
 
 /// How to read a recording. What is not said here, the file must say.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -64,92 +63,37 @@ const INDEX: [&str; 14] = [
     "points", "row",
 ];
 
-/// Rows of names and units that are looked at.
-const ROWS: usize = 4;
-
-/// The words of a name, in lower case and without numbers at their ends.
-fn words(name: &str) -> Vec<String> {
-    let lower = name.to_lowercase();
-    let words = lower.split(|c: char| !c.is_alphanumeric());
-    words
-        .map(|word| word.trim_end_matches(|c: char| c.is_ascii_digit()).to_owned())
-        .filter(|word| !word.is_empty())
-        .collect()
-}
-
 /// The rows of a header that describe the columns.
 struct Header<'t> {
     table: &'t Table<'t>,
-    names: &'t [String],
-    units: &'t [String],
+    described: Described<'t>,
 }
 
 impl<'t> Header<'t> {
     fn of(table: &'t Table<'t>) -> Self {
-        let rows: Vec<&[String]> = table.names().take(ROWS).collect();
-        let is_units = |row: &&&[String]| {
-            let mut filled = row.iter().filter(|cell| !cell.is_empty() && *cell != "-").peekable();
-            filled.peek().is_some() && filled.all(|cell| is_alone(cell))
-        };
-        let units = rows.iter().find(is_units).copied().unwrap_or_default();
-        let mut names = rows.iter().filter(|row| !is_units(row));
-        let has_word = |row: &&&[String]| {
-            row.iter().any(|cell| {
-                words(cell)
-                    .iter()
-                    .any(|word| TIME.contains(&word.as_str()) || DISPLACEMENT.contains(&word.as_str()))
+        let has_word = |row: &[String]| {
+            row.iter().flat_map(|cell| words(cell)).any(|word| {
+                let word = word.as_str();
+                TIME.contains(&word) || DISPLACEMENT.contains(&word)
             })
         };
-        let names = names.clone().find(has_word).or_else(|| names.next()).copied().unwrap_or_default();
-        Self { table, names, units }
+        Self { table, described: Described::of(table, has_word) }
     }
 
     fn name(&self, column: usize) -> &str {
-        self.names.get(column).map_or("", String::as_str)
+        self.described.name(column)
     }
 
     fn has(&self, column: usize, known: &[&str]) -> bool {
         words(self.name(column)).iter().any(|word| known.contains(&word.as_str()))
     }
 
-    /// What the header says of a column's unit; `axis` are the words of a line that states it.
     fn unit<U: Unit>(&self, column: usize, axis: &[&str]) -> Said<U> {
-        let by = |row: &[String]| row.get(column).map_or(Said::Nothing, |cell| Said::by(cell));
-        match (by(self.units), by(self.names)) {
-            (Said::Unit(one), Said::Unit(other)) if one != other => {
-                Said::Other(format!("{} and {}", self.units[column], self.names[column]))
-            }
-            (Said::Nothing, Said::Nothing) => self.stated(axis),
-            (Said::Nothing, said) | (said, _) => said,
-        }
-    }
-
-    /// What a line such as `Vertical Units,V` or `Unit: mm` says.
-    fn stated<U: Unit>(&self, axis: &[&str]) -> Said<U> {
-        const UNIT: [&str; 4] = ["unit", "units", "einheit", "einheiten"];
-        let mut found = Said::Nothing;
-        for row in self.table.header() {
-            let joined =
-                row.iter().filter(|cell| !cell.is_empty()).map(String::as_str).collect::<Vec<_>>().join(":");
-            let Some((key, value)) = joined.split_once([':', '=']) else { continue };
-            let words = words(key);
-            let is_of = |known: &[&str]| words.iter().any(|word| known.contains(&word.as_str()));
-            let is_axis = is_of(axis) || words.len() == 1 && axis.contains(&"");
-            if !is_of(&UNIT) || !is_axis {
-                continue;
-            }
-            let value = value.trim_matches([' ', '[', ']', '(', ')', '"', ':']);
-            let said =
-                U::named(&value.to_lowercase()).map_or_else(|| Said::Other(value.to_owned()), Said::Unit);
-            found =
-                if found == Said::Nothing || found == said { said } else { Said::Other(value.to_owned()) };
-        }
-        found
+        self.described.unit(column, axis)
     }
 
     fn length(&self, column: usize) -> Said<LengthUnit> {
-        // The empty word: a unit of nothing in particular is the displacement's.
-        self.unit(column, &["", "y", "vertical", "displacement", "position", "distance", "weg"])
+        self.described.length(column)
     }
 
     fn time(&self, column: usize) -> Said<TimeUnit> {

@@ -1,8 +1,8 @@
 //! Calibration with a laser: gains of one motor from a recording of its pin, on a device without telemetry.
 //!
 //! 1. `played`: a [`PlayedPlan`] lists the bursts of a plan that was played, each with its tick.
-//! 2. `recording`: a [`Recording`] is what a displacement sensor saw of the pin: a table of time and displacement. `columns` and
-//!    `units` say what its columns are.
+//! 2. `recording`: a [`Recording`] is what a displacement sensor saw of the pin: a table of time and displacement. `columns` says
+//!    what its columns are.
 //! 3. `align`: the bursts in the recording tell when the plan began by the sensor's clock, and how fast that clock runs.
 //! 4. `travels`: the motor model gives each burst's travel, the drift and the noise of the sensor.
 //! 5. [`fit_recording`] does 3 and 4 and fits the motor's gains as every calibration does.
@@ -18,16 +18,15 @@ mod played;
 mod recording;
 mod simulated;
 mod travels;
-mod units;
 
 pub use align::Figure;
 pub use columns::Layout;
 pub use error::{LaserError, MAX_CLOCK_PPM, MAX_RECORDING_BYTES, MAX_SAMPLES, MAX_SECONDS, RecordingError};
+pub use meissner_samples::table::{LengthUnit, TimeUnit};
 pub use played::{BurstDirection, LASER, MAX_PLAN_BYTES, PlanFileError, PlayedBurst, PlayedOn, PlayedPlan};
 pub use recording::{Recording, Sample};
 pub use simulated::{Sensor, simulated_recording};
 pub use travels::TracePoint;
-pub use units::{LengthUnit, TimeUnit};
 
 use crate::calibrate::calibration::{Calibration, CalibrationError};
 use crate::calibrate::fit::{MotorFit, fit};

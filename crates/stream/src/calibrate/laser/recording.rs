@@ -1,7 +1,7 @@
 //! A recording of a displacement sensor: reads the table that the sensor's program, an oscilloscope or a spreadsheet wrote.
 //!
 //! `meissner-samples` finds the table in the file, [`Columns`] what its columns are. A row without a displacement is left out; the
-//! time goes on.
+//! time goes on. Without a column of times, so does an empty line between samples.
 //!
 //! Invariant: times increase, and every number is finite.
 
@@ -51,7 +51,10 @@ impl Recording {
             if found != width {
                 return Err(RecordingError::Columns { line: rows.line(), found, wanted: width });
             }
-            if count == MAX_SAMPLES {
+            if matches!(columns.times, Times::Rate(_)) {
+                count += rows.skipped();
+            }
+            if count >= MAX_SAMPLES {
                 return Err(RecordingError::TooMany);
             }
             let seconds = times.next(&mut rows, columns.times, count)?;

@@ -77,6 +77,9 @@ pub(super) struct DeviceKnowledge {
     returning: u64,
     /// Marks sent that may still be reported.
     marks: VecDeque<Tick>,
+    /// Whether it has a trigger input; the last edge of this session: its number and tick.
+    trigger_input: bool,
+    edge: Option<(u32, Tick)>,
 }
 
 /// The device's clock at an instant, and by how much it may lie before or after that.
@@ -136,6 +139,8 @@ impl DeviceKnowledge {
             seeks: true,
             returning: 0,
             marks: VecDeque::with_capacity(MARKS),
+            trigger_input: false,
+            edge: None,
         }
     }
 
@@ -184,6 +189,7 @@ impl DeviceKnowledge {
     /// The handshake is done; `by`: the device's clock is not beyond this.
     pub(super) fn open(&mut self, hello: &DeviceHello, by: Tick) {
         (self.pool, self.telemetry) = (hello.pool, hello.features & DeviceHello::TELEMETRY != 0);
+        self.trigger_input = hello.features & DeviceHello::TRIGGER_INPUT != 0;
         (self.horizon, self.reports) = (hello.horizon.into(), hello.reports);
         (self.opened, self.epoch, self.report_read_by) = (Tick(hello.tick), hello.epoch, by);
     }
@@ -204,10 +210,13 @@ impl DeviceKnowledge {
     }
 
     /// Takes over a report.
-    pub(super) fn report(&mut self, report: &Report, onset: Tick, by: Tick) {
+    pub(super) fn report(&mut self, report: &Report, tick: Tick, by: Tick) {
         self.report_read_by = by;
+        if let Report::Edge { number, .. } = report {
+            self.edge = Some((*number, tick));
+        }
         if let Report::Onset { counters, .. } = report {
-            let at = self.marks.iter().position(|&sent| sent == onset);
+            let at = self.marks.iter().position(|&sent| sent == tick);
             at.and_then(|at| self.marks.remove(at));
             self.reported = *counters;
         }
@@ -457,7 +466,19 @@ impl DeviceKnowledge {
                     Err(Contradiction::Report)
                 }
             }
+            Report::Edge { tick, number } => {
+                let tick = self.tick_within(clock, tick, 0)?;
+                let fits = self.trigger_input && self.edge_follows(number, tick);
+                if fits { Ok(tick) } else { Err(Contradiction::Report) }
+            }
         }
+    }
+
+    /// Whether an edge with this number at this tick may follow the last one: at most one in each dead time.
+    fn edge_follows(&self, number: u32, tick: Tick) -> bool {
+        let Some((last, at)) = self.edge else { return true };
+        let most = tick.0.saturating_sub(at.0) / u64::from(self.layout().edge_dead_time());
+        (1..=most).contains(&number.wrapping_sub(last).into())
     }
 
     /// Whether the result of a self-test names only outputs that there are.

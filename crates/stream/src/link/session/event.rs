@@ -247,6 +247,13 @@ pub enum Event {
         /// The first tick in which it did so.
         tick: Tick,
     },
+    /// A rising edge of the trigger input.
+    Edge {
+        /// When it came.
+        tick: Tick,
+        /// Its number since the device started. A gap: edges that it did not report.
+        number: u32,
+    },
     /// The device refused a queued stroke when it should have begun.
     StrokeRefused {
         /// Its motor.

@@ -198,6 +198,7 @@ impl Session {
             Report::Cut(cut) => emit(Event::Cut { cut, at: tick }),
             Report::Refused { motor, reason, .. } => emit(Event::StrokeRefused { motor, up: tick, reason }),
             Report::Lowered { late, held, .. } => emit(Event::Lowered { late, held, tick }),
+            Report::Edge { number, .. } => emit(Event::Edge { tick, number }),
         }
         Ok(())
     }

@@ -1,4 +1,4 @@
-//! Units of a recording: the names that headers have for them, and what a header's cell says of its column's unit.
+//! Units of a table: the names that headers have for them, and what a header's cell says of its column's unit.
 //!
 //! Invariant: a cell that names anything but one known unit gives no unit, so that a wrong one is never assumed.
 
@@ -26,7 +26,7 @@ pub enum LengthUnit {
 }
 
 /// A unit that a column may have.
-pub(super) trait Unit: Copy + PartialEq {
+pub trait Unit: Copy + PartialEq {
     /// From its name in lower case.
     fn named(name: &str) -> Option<Self>;
 }
@@ -58,7 +58,9 @@ impl Unit for LengthUnit {
 }
 
 impl TimeUnit {
-    pub(super) const fn seconds(self) -> f64 {
+    /// Its seconds.
+    #[must_use]
+    pub const fn seconds(self) -> f64 {
         match self {
             Self::Minutes => 60.0,
             Self::Seconds => 1.0,
@@ -70,7 +72,20 @@ impl TimeUnit {
 }
 
 impl LengthUnit {
-    pub(super) const fn um(self) -> f64 {
+    /// Its symbol in ASCII.
+    #[must_use]
+    pub const fn symbol(self) -> &'static str {
+        match self {
+            Self::Metres => "m",
+            Self::Millimetres => "mm",
+            Self::Micrometres => "um",
+            Self::Nanometres => "nm",
+        }
+    }
+
+    /// Its micrometres.
+    #[must_use]
+    pub const fn um(self) -> f64 {
         match self {
             Self::Metres => 1e6,
             Self::Millimetres => 1e3,
@@ -96,17 +111,20 @@ impl FromStr for LengthUnit {
 
 /// What a cell of a header says of a unit.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) enum Said<U> {
+pub enum Said<U> {
+    /// No unit.
     Nothing,
+    /// This one.
     Unit(U),
     /// A unit of another kind, or what cannot be read as one.
     Other(String),
 }
 
-/// Names of units that are neither of time nor of length.
-const OTHERS: [&str; 22] = [
+/// Names of units that are neither of time nor of a length that is read.
+const OTHERS: [&str; 35] = [
     "v", "mv", "\u{b5}v", "uv", "kv", "volt", "volts", "ma", "hz", "khz", "db", "deg", "rad", "%", "\u{b0}c",
-    "inch", "inches", "mil", "mils", "counts", "digits", "px",
+    "inch", "inches", "mil", "mils", "counts", "digits", "px", "km", "dm", "cm", "pm", "angstrom", "thou",
+    "mn", "kn", "newton", "pa", "kpa", "bar", "lsb",
 ];
 
 fn is_unit(name: &str) -> bool {
@@ -122,7 +140,7 @@ pub(super) fn is_alone(cell: &str) -> bool {
 
 impl<U: Unit> Said<U> {
     /// Of a cell as `Displacement [mm]`, `time_ms`, `Weg / mm`, `t/s`, `um`.
-    pub(super) fn by(cell: &str) -> Self {
+    pub fn by(cell: &str) -> Self {
         let lower = cell.to_lowercase();
         let bracketed: Vec<&str> = lower
             .split(['(', '[', '{', '<'])
@@ -187,6 +205,8 @@ mod tests {
             ("velocity_mm_s", Said::Other("mm/s".into())),
             ("v m/s", Said::Other("s".into())),
             ("Voltage [V]", Said::Other("v".into())),
+            ("height_cm", Said::Other("cm".into())),
+            ("Kraft / mN", Said::Other("mn".into())),
             ("CH1 (mV)", Said::Other("mv".into())),
             ("CH1_V", Said::Other("v".into())),
             ("Displacement [um] or [mm]", Said::Other("um mm".into())),
