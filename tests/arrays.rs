@@ -1,8 +1,6 @@
 //! Other arrays: each shipped one and one of a site's own plays; what is for another array is refused in one line.
 
-use crate::harness::{
-    Daemon, PATIENT, complaint, directory, document, ended, meissner, printed, problem, ran,
-};
+use crate::harness::{Daemon, PATIENT, complaint, directory, document, ended, meissner, printed, problem};
 use meissner_api::{ArrayDetails, Receipt, Status};
 use meissner_array::spec::{Array, names};
 use serde_json::{Value, json};
@@ -105,17 +103,9 @@ fn an_array_of_ones_own_takes_a_file_and_no_code() {
 
     // Simulated, searched for, sampled and played, all by its file.
     let file = dir.path().join("lab-3x2.toml").display().to_string();
-    ran(&mut in_dir(&[
-        "optimise",
-        "edge-0",
-        "--array",
-        "lab-3x2.toml",
-        "--budget",
-        "100",
-        "-o",
-        "lab-edge.toml",
-    ]))
-    .success();
+    in_dir(&["optimise", "edge-0", "--array", "lab-3x2.toml", "--budget", "100", "-o", "lab-edge.toml"])
+        .assert()
+        .success();
     let pattern = fs::read_to_string(dir.path().join("lab-edge.toml")).unwrap();
     assert!(pattern.contains("array = \"lab-3x2\""), "{pattern}");
     assert!(pattern.contains("[[drive]]"), "{pattern}");

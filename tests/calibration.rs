@@ -1,6 +1,8 @@
 //! `meissner calibrate` and its API: measure, fit, store, use; refuse and stop.
 
-use crate::harness::{Daemon, complaint, document, ended, meissner, next, printed, problem, refusal};
+use crate::harness::{
+    Daemon, PATIENT, complaint, document, ended, meissner, next, printed, problem, refusal,
+};
 use meissner_api::Event;
 use meissner_array::simulated::SimulatedMotorsConfig;
 use meissner_client::Events;
@@ -25,7 +27,7 @@ fn outcome(events: &mut Events) -> (Vec<u8>, Option<String>) {
 
 #[test]
 fn a_calibration_is_played_fitted_stored_and_used() {
-    let daemon = Daemon::with("mock", &format!("lease_ms = 5000\n[mock]\n{STEADY}"));
+    let daemon = Daemon::with("mock", &format!("{PATIENT}[mock]\n{STEADY}"));
     let mut client = daemon.client();
     assert_eq!(problem(client.get("/v1/calibration")).code, "not-found");
     assert_eq!(refusal(client.post("/v1/calibrate", &quick(3))), ("disarmed".into(), 409));
@@ -80,8 +82,7 @@ fn a_calibration_is_played_fitted_stored_and_used() {
     assert!(text.contains("2 of 24 motors, 20"), "{text}");
 
     // The calibration belongs only to this array, with telemetry or without.
-    let at =
-        format!("lease_ms = 5000\ncalibration = {:?}\n[mock]\n{STEADY}", daemon.path("calibration.toml"));
+    let at = format!("{PATIENT}calibration = {:?}\n[mock]\n{STEADY}", daemon.path("calibration.toml"));
     let blind = Daemon::with("mock", &format!("{at}telemetry_hz = 0\n"));
     assert_eq!(document(blind.meissner().args(["status", "--json"]))["motors"][5]["calibrated"], true);
     let mut client = blind.armed();
@@ -142,7 +143,7 @@ fn a_bad_file_is_reported_once_and_not_used() {
 /// A board without telemetry: the plan is played and written, the laser's recording fitted, the gains stored and used.
 #[test]
 fn a_laser_calibrates_a_device_without_telemetry() {
-    let config = format!("lease_ms = 5000\nlead_ms = 1000\n[mock]\n{STEADY}telemetry_hz = 0\n");
+    let config = format!("{PATIENT}[mock]\n{STEADY}telemetry_hz = 0\n");
     let daemon = Daemon::with("mock", &config);
     daemon.armed();
     let complains = |arguments: &str| complaint(daemon.meissner().args(arguments.split(' ')));

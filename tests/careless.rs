@@ -1,6 +1,6 @@
 //! Careless systems: an open umask, too little memory, floods of refusals.
 
-use crate::harness::{Daemon, PROGRAM, TIMEOUT, directory, meissner, wait_until};
+use crate::harness::{Daemon, PATIENT, PROGRAM, TIMEOUT, directory, meissner, wait_until};
 use meissner_api::{Session, Status};
 use serde_json::{Value, json};
 use std::fs;
@@ -29,8 +29,8 @@ fn an_open_umask_opens_nothing() {
     command.env("XDG_DATA_HOME", &data);
     let log = fs::File::create(dir.path().join("log")).unwrap();
     // This uses the default directory of patterns.
-    let config = "# no patterns_dir\n";
-    let mut daemon = Daemon::launch(std::sync::Arc::clone(&dir), "mock", config, log, command);
+    let config = format!("# no patterns_dir\n{PATIENT}");
+    let mut daemon = Daemon::launch(std::sync::Arc::clone(&dir), "mock", &config, log, command);
     daemon.wait_for_device();
     let mut client = daemon.armed();
     let pattern = dir.path().join("mine.toml");

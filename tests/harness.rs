@@ -1,8 +1,7 @@
 //! A real daemon in its own directory, and helpers for the other tests.
 
 use assert_cmd::Command;
-use assert_cmd::assert::Assert;
-use meissner_api::{Event, Problem, Receipt, Status};
+use meissner_api::{Event, Problem, Receipt, SessionList, Status};
 use meissner_client::{Client, ClientError, Events};
 use rustix::process::{Pid, Resource, Rlimit, Signal, getrlimit, kill_process, prlimit};
 use serde_json::{Value, json};
@@ -20,8 +19,8 @@ use tempfile::TempDir;
 /// Longest wait for an event that must happen: far longer than it takes on a slow machine.
 pub(crate) const TIMEOUT: Duration = Duration::from_secs(300);
 
-/// A configuration with which a stall of a busy machine neither makes strokes late nor disarms the motors.
-pub(crate) const PATIENT: &str = "lead_ms = 500\nlease_ms = 5000\n";
+/// A configuration with which a stall of a busy machine neither makes strokes late nor disarms the motors: the longest ones.
+pub(crate) const PATIENT: &str = "lead_ms = 1000\nlease_ms = 10000\n";
 
 /// The highest limits of a participant, for tests that are not about them.
 pub(crate) const NOBODY: &str =
@@ -144,7 +143,9 @@ impl Daemon {
     }
 
     pub(crate) fn client(&self) -> Client {
-        Client::new(&self.socket()).unwrap()
+        let mut client = Client::new(&self.socket()).unwrap();
+        client.set_patience(TIMEOUT);
+        client
     }
 
     /// A client of an armed daemon. A board on a machine that stands still does not answer in time: it is asked again.
@@ -152,7 +153,7 @@ impl Daemon {
         let mut client = self.client();
         wait_until(|| match client.post::<Status>("/v1/arm", &json!({"assume_rest": true})) {
             Ok(_) => true,
-            Err(ClientError::Problem(problem)) if problem.code == "timeout" => false,
+            Err(ClientError::Problem(problem)) if ["timeout", "no-device"].contains(&&*problem.code) => false,
             Err(error) => panic!("{error}"),
         });
         client
@@ -196,6 +197,22 @@ impl Daemon {
             ended.is_some()
         });
         ended.unwrap()
+    }
+
+    /// Waits until the session record has all that has happened.
+    pub(crate) fn wait_for_record(&self) {
+        let _: SessionList = self.client().get("/v1/sessions").unwrap();
+    }
+
+    /// Waits until the session record has the predicted responses of all plays: they come in order. A test that changes the record
+    /// must not collide with one.
+    pub(crate) fn wait_for_prediction(&self) {
+        let mut client = self.client();
+        wait_until(|| {
+            let receipt: Value = client.get("/v1/plays/last").unwrap();
+            !(receipt["predicted_response"].is_null() && receipt["predicted_response_unknown"].is_null())
+        });
+        self.wait_for_record();
     }
 
     /// Ends it with SIGTERM.
@@ -287,15 +304,9 @@ pub(crate) fn began(events: &mut Events) -> u64 {
     })
 }
 
-/// Runs a command; again while a slow disk has not taken the entries that it reads.
-pub(crate) fn ran(command: &mut Command) -> Assert {
-    let is_slow = |ran: &Assert| ran.get_output().stderr.ends_with(b"s: ask again\n");
-    (0..20).map(|_| command.assert()).find(|ran| !is_slow(ran)).unwrap()
-}
-
 /// The message of a command that fails: exit 1 and one line on stderr.
 pub(crate) fn complaint(command: &mut Command) -> String {
-    let output = ran(command).failure().code(1).get_output().clone();
+    let output = command.assert().failure().code(1).get_output().clone();
     let line = String::from_utf8(output.stderr).unwrap();
     assert!(line.starts_with("meissner: ") && line.trim_end().lines().count() == 1, "{line}");
     assert!(output.stdout.is_empty(), "{:?}", output.stdout);
@@ -304,7 +315,7 @@ pub(crate) fn complaint(command: &mut Command) -> String {
 
 /// The output of a command that succeeds.
 pub(crate) fn printed(command: &mut Command) -> String {
-    String::from_utf8(ran(command).success().get_output().stdout.clone()).unwrap()
+    String::from_utf8(command.assert().success().get_output().stdout.clone()).unwrap()
 }
 
 /// The JSON document that a command prints.

@@ -7,7 +7,7 @@ mod page;
 /// Checks a value against a schema.
 mod schema;
 
-use crate::harness::{Daemon, TIMEOUT, assert_up_to_date, next, problem};
+use crate::harness::{Daemon, PATIENT, TIMEOUT, assert_up_to_date, next, problem};
 use meissner_api::ArrayDetails;
 use meissner_api::route::{Answer, Body};
 use meissner_api::{
@@ -292,7 +292,7 @@ fn the_daemon_and_the_document_have_the_same_routes() {
 #[test]
 fn a_daemon_s_answers_fit_the_document() {
     // With little scatter a short calibration always measures gains accurately enough to be stored.
-    let daemon = Daemon::with("mock", "lease_ms = 5000\nmock.gain_sd = 0.02\n");
+    let daemon = Daemon::with("mock", &format!("{PATIENT}mock.gain_sd = 0.02\n"));
     let document = openapi::document();
     let mut client = daemon.client();
     let fits = |route: Route, answer: &Value| {

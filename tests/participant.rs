@@ -110,6 +110,7 @@ fn a_restart_and_a_kill_keep_the_days_sum() {
     let mut daemon = start();
     daemon.armed();
     printed(daemon.meissner().args(["play", "pin-60", "--seconds", "0.4", "--wait"]));
+    daemon.wait_for_record();
     assert!(daemon.end().success());
     drop(daemon);
     let mut daemon = start();

@@ -3,7 +3,7 @@
 use crate::harness::{Daemon, PATIENT, PROGRAM, directory, ended, problem, wait_until};
 use jiff::Zoned;
 use meissner::store::Store;
-use meissner_api::{ImportedPattern, Status};
+use meissner_api::{ImportedPattern, SessionList, Status};
 use meissner_client::{Client, ClientError};
 use meissner_input::message::is_plain;
 use rand_chacha::ChaCha8Rng;
@@ -17,8 +17,9 @@ use std::os::unix::net::UnixStream;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::thread;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 use tempfile::TempDir;
 
 /// Starts a daemon with a session record through a shell that may set limits first. Its log goes through a pipe, so that limits on
@@ -80,29 +81,27 @@ fn text(name: &str, version: u32, padding: usize) -> String {
     format!("format = 1\nname = \"{name}\"\nduration_s = 1.0\n{drive}# version {version}\n# {padding}\n")
 }
 
-/// An upload that was acknowledged this long before a kill must be in the session record. The time allows for syncs on a busy disk.
-const RECORDED_WITHIN: Duration = Duration::from_secs(3);
-
 /// Uploads until the daemon is killed, `rounds` times, and checks the files each time. Returns the number of acknowledged uploads,
-/// and how many of them had to be in the session record, because they were acknowledged long enough before the kill.
+/// and how many of them had to be in the session record, because the daemon has read the record to its end since then.
 fn kill_again_and_again(seed: u64, rounds: u32) -> (usize, usize) {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     let dir = directory();
     let (patterns, logbook) = (dir.path().join("patterns"), dir.path().join("logbook"));
     let mut stored: BTreeMap<String, String> = BTreeMap::new();
-    let (mut version, mut all, mut long_before) = (0, 0, 0);
+    let (mut version, mut all, mut all_recorded) = (0, 0, 0);
     for round in 0..rounds {
         let daemon = start(&dir, "");
         // Kill it mostly while it starts or has just started, and now and then so late that the session record must have entries.
-        let after = if round % 20 == 0 { 4000 + random.next_u64() % 500 } else { random.next_u64() % 150 };
-        let mut acknowledged: Vec<(Instant, String)> = Vec::new();
+        let late = round % 20 == 0;
+        let after = random.next_u64() % if late { 500 } else { 150 };
+        let mut acknowledged: Vec<String> = Vec::new();
+        let recorded = AtomicUsize::new(0);
         let mut on_its_way: Option<(String, String)> = None;
-        let killed = thread::scope(|scope| {
+        thread::scope(|scope| {
             let killer = scope.spawn(|| {
+                wait_until(|| !late || recorded.load(Ordering::Relaxed) > 0);
                 thread::sleep(Duration::from_millis(after));
-                let at = Instant::now();
                 daemon.signal(Signal::KILL);
-                at
             });
             let mut client = daemon.client();
             while !killer.is_finished() {
@@ -114,9 +113,12 @@ fn kill_again_and_again(seed: u64, rounds: u32) -> (usize, usize) {
                     .put::<ImportedPattern>(&format!("/v1/patterns/{name}?replace=true"), text.clone())
                 {
                     Ok(imported) => {
-                        acknowledged.push((Instant::now(), imported.sha256));
+                        acknowledged.push(imported.sha256);
                         stored.insert(name, text);
                         on_its_way = None;
+                        if late && random.next_u64() % 4 == 0 && is_recorded(&mut client) {
+                            recorded.store(acknowledged.len(), Ordering::Relaxed);
+                        }
                     }
                     Err(ClientError::NoDaemon { .. }) => {
                         on_its_way = None;
@@ -126,10 +128,11 @@ fn kill_again_and_again(seed: u64, rounds: u32) -> (usize, usize) {
                     Err(other) => panic!("{other:?}"),
                 }
             }
-            killer.join().unwrap()
+            killer.join().unwrap();
         });
         drop(daemon);
         all += acknowledged.len();
+        all_recorded += recorded.load(Ordering::Relaxed);
 
         let list = Store::new(Some(patterns.clone()), false).unwrap().list();
         assert_eq!(list.errors, Vec::<String>::new(), "round {round}");
@@ -148,36 +151,40 @@ fn kill_again_and_again(seed: u64, rounds: u32) -> (usize, usize) {
         let lines = lines(&logbook);
         let written: HashSet<&str> =
             lines.iter().filter_map(|line| line["asked"]["sha256"].as_str()).collect();
-        for (at, sha256) in acknowledged {
-            let long_ago = killed.saturating_duration_since(at) > RECORDED_WITHIN;
-            long_before += usize::from(long_ago);
-            assert!(
-                !long_ago || written.contains(&*sha256),
-                "round {round}: an upload is not in the session record"
-            );
+        for sha256 in &acknowledged[..recorded.into_inner()] {
+            assert!(written.contains(&**sha256), "round {round}: an upload is not in the session record");
         }
     }
-    (all, long_before)
+    (all, all_recorded)
+}
+
+/// Whether the daemon says that the session record has all that has happened.
+fn is_recorded(client: &mut Client) -> bool {
+    client
+        .get::<SessionList>("/v1/sessions")
+        .is_ok_and(|list| !list.problems.iter().any(|problem| problem.contains("the disk has not taken")))
 }
 
 #[test]
 fn a_kill_at_any_moment_leaves_whole_patterns_and_whole_lines() {
-    let (mut all, mut long_before) = (0, 0);
-    // On a busy machine few uploads are acknowledged long before a kill, so more rounds are needed.
+    let (mut all, mut recorded) = (0, 0);
+    // On a busy machine a kill leaves time for few uploads, so more rounds are needed.
     for more in 0..4 {
         // Eight at a time: they mostly sleep.
         let seeds = 8 * more..8 * (more + 1);
         let lanes: Vec<_> = seeds.map(|seed| thread::spawn(move || kill_again_and_again(seed, 25))).collect();
         for lane in lanes {
             let counts = lane.join().unwrap();
-            (all, long_before) = (all + counts.0, long_before + counts.1);
+            (all, recorded) = (all + counts.0, recorded + counts.1);
         }
-        if all > 200 && long_before > 20 {
+        if all > 200 && recorded > 20 {
             break;
         }
     }
-    eprintln!("{all} uploads were acknowledged, {long_before} of them long before the kill");
-    assert!(all > 200 && long_before > 20, "too few to tell: {all}, {long_before}");
+    eprintln!(
+        "{all} uploads were acknowledged, {recorded} of them were in the session record before the kill"
+    );
+    assert!(all > 200 && recorded > 20, "too few to tell: {all}, {recorded}");
 }
 
 /// A play is played to its end, an upload is refused in one line, and one log line says that the session record is not written.
@@ -229,6 +236,7 @@ fn a_full_disk_stops_no_play_and_damages_no_file() {
     // When there is space again, everything is complete and unchanged.
     let mut daemon = start(&dir, "");
     let _: Value = armed(&mut daemon).put("/v1/patterns/mine?replace=true", text("mine", 2, 5000)).unwrap();
+    daemon.wait_for_record();
     assert!(daemon.end().success());
     let lines = lines(&logbook);
     assert!(lines.iter().any(|line| line["command"] == "import" && line["answer"] == "ok"));
@@ -256,6 +264,7 @@ fn the_session_record_tells_a_session_from_start_to_end() {
     stream.write_all(b"POST /v1/stop HTTP/1.1\r\nHost: m\r\nContent-Length: 9\r\n\r\n{").unwrap();
     drop(stream);
     daemon.wait_for_log("the body broke off");
+    daemon.wait_for_record();
     assert!(daemon.end().success());
 
     let lines = lines(&dir.path().join("logbook"));

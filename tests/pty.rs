@@ -133,6 +133,16 @@ fn a_daemon_that_hangs_in_mid_play_leaves_a_board_that_returns_the_pins() {
     assert_returned(board, &[Cause::HostTimeout]);
 }
 
+/// Begins a play without end. A machine that stands still loses the board: then again.
+fn begin_endless(daemon: &Daemon) {
+    let request = json!({"pattern": "wave", "endless": true, "open_loop": true});
+    wait_until(|| {
+        let mut client = daemon.armed();
+        client.post::<serde_json::Value>("/v1/play", &request).is_ok()
+            && client.get::<Status>("/v1/status").unwrap().play.is_some()
+    });
+}
+
 /// A board is unplugged in mid-play and another plugged in at the same name: the daemon connects to it, disarmed.
 #[test]
 fn a_board_that_is_plugged_in_again_is_found_and_disarmed() {
@@ -141,15 +151,13 @@ fn a_board_that_is_plugged_in_again_is_found_and_disarmed() {
     let first = board();
     symlink(first.path(), &name).unwrap();
     let daemon = Daemon::on(&format!("serial:{}", name.display()));
-    let mut client = daemon.armed();
-    let _: serde_json::Value = client.post("/v1/play", &json!({"pattern": "wave", "endless": true})).unwrap();
+    begin_endless(&daemon);
     let until = |wanted: &dyn Fn(&Status) -> bool| {
         wait_until(|| wanted(&daemon.client().get("/v1/status").unwrap()));
     };
-    until(&|status| status.play.is_some());
     drop(first);
     until(&|status| !status.is_connected());
-    let receipt: Receipt = client.get("/v1/plays/last").unwrap();
+    let receipt: Receipt = daemon.client().get("/v1/plays/last").unwrap();
     assert_eq!(receipt.cause.as_ref(), Some(&EndCause::Unplugged));
     let bursts = receipt.bursts.unwrap();
     assert_eq!(bursts.planned, bursts.played + bursts.late + bursts.dropped + bursts.refused);
@@ -192,10 +200,8 @@ fn two_boards_that_swap_places_are_disarmed() {
     }
     let daemons = names.each_ref().map(|name| Daemon::on(&format!("serial:{}", name.display())));
     let boots = daemons.each_ref().map(|daemon| {
-        let mut client = daemon.armed();
-        let _: serde_json::Value =
-            client.post("/v1/play", &json!({"pattern": "wave", "endless": true, "open_loop": true})).unwrap();
-        let status: Status = client.get("/v1/status").unwrap();
+        begin_endless(daemon);
+        let status: Status = daemon.client().get("/v1/status").unwrap();
         status.device.unwrap().boot
     });
     sleep(Duration::from_millis(500));

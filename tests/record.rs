@@ -97,6 +97,7 @@ fn a_daemon_that_ends_on_a_full_disk_leaves_a_gap_that_the_next_one_tells() {
     daemon.limit_files(Some(fs::metadata(&days(&daemon)[0]).unwrap().len()));
     play(&mut client, &mut events, 2);
     end(&mut client);
+    daemon.wait_for_record();
     daemon.end();
     let daemon = daemon.again();
     let line = complaint(daemon.meissner().args(["session", "export", &started.id]));
@@ -162,6 +163,7 @@ fn lines_in_the_files_of_other_days_are_exported_and_replayed_in_order() {
     let mut events = client.events().unwrap();
     play(&mut client, &mut events, 5);
     end(&mut client);
+    daemon.wait_for_prediction();
     let before = document_of(&daemon, &started.id);
     let today = days(&daemon).remove(0);
     let text = fs::read_to_string(&today).unwrap();
@@ -201,6 +203,7 @@ fn a_forged_record_moves_no_cursor() {
     let mut events = client.events().unwrap();
     play(&mut client, &mut events, 1);
     end(&mut client);
+    daemon.wait_for_prediction();
     let today = days(&daemon).remove(0);
     let text = fs::read_to_string(&today).unwrap();
     let text = text.replace("\"pattern\":\"pin-60\"", &format!("\"pattern\":\"{ODD}\""));

@@ -47,13 +47,7 @@ fn recorded(daemon: &Daemon) -> (String, Vec<Receipt>) {
     let _: Status = client.post("/v1/stop", &json!({})).unwrap();
     receipts.push(client.get_within(TIMEOUT, &format!("{path}?wait=20")).unwrap());
     let _: Session = client.post("/v1/sessions/running/end", &json!({})).unwrap();
-    // The predicted responses come in the order of the plays. Wait for them, because a test that changes the record must not
-    // collide with one.
-    crate::harness::wait_until(|| {
-        let receipt: Value = client.get(&path).unwrap();
-        !(receipt["predicted_response"].is_null() && receipt["predicted_response_unknown"].is_null())
-    });
-    let _: Value = client.get("/v1/sessions").unwrap();
+    daemon.wait_for_prediction();
     write_pattern(&daemon.path("patterns/mine.toml"), "mine", &DRIVE.replace("40.0", "20.0"));
     (started.id, receipts)
 }

@@ -26,7 +26,7 @@ fn the_command_writes_the_files_that_it_lists_and_the_same_bytes_again() {
             .args(["report", "edge-45", "elsewhere/mine.toml"])
             .args(["--out", out])
             // The command searches, and test builds are not optimised.
-            .timeout(Duration::from_secs(200));
+            .timeout(Duration::from_secs(900));
         command
     };
     let said: Value = document(run("new/one").arg("--json"));

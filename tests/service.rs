@@ -187,24 +187,24 @@ fn a_reload_applies_what_can_change_and_names_the_rest() {
     };
     assert!(reload(PATIENT).contains("has not changed"));
     daemon.armed();
-    let line = reload("lead_ms = 400\nlease_ms = 4000\n");
+    let line = reload("lead_ms = 900\nlease_ms = 9000\n");
     assert!(line.contains("`lead_ms`") && line.contains("from the next `arm` on"), "{line}");
     // An answer to a later command shows that the settings have arrived.
     printed(daemon.meissner().args(["play", "wave", "--seconds", "0.3", "--wait"]));
-    assert_eq!((status().lead_ms, status().lease_ms), (500.0, 5000.0), "armed with these");
+    assert_eq!((status().lead_ms, status().lease_ms), (1000.0, 10_000.0), "armed with these");
     printed(daemon.meissner().arg("disarm"));
     daemon.armed();
-    assert_eq!((status().lead_ms, status().lease_ms), (400.0, 4000.0));
+    assert_eq!((status().lead_ms, status().lease_ms), (900.0, 9000.0));
     printed(daemon.meissner().args(["play", "wave", "--seconds", "0.3", "--wait"]));
 
     let line = reload("lead_ms = 4\n");
     assert!(line.contains("`lead_ms` is 4") && line.contains("stays as it was"), "{line}");
-    assert_eq!(status().lead_ms, 400.0);
-    let line = reload("lead_ms = 400\nlease_ms = 4000\n[mock]\nseed = 7\n");
+    assert_eq!(status().lead_ms, 900.0);
+    let line = reload("lead_ms = 900\nlease_ms = 9000\n[mock]\nseed = 7\n");
     assert!(line.contains("[mock] cannot change while the daemon runs"), "{line}");
 
     let other = daemon.path("other");
-    daemon.write_config(&format!("patterns_dir = {other:?}\nlead_ms = 400\nlease_ms = 4000\n"));
+    daemon.write_config(&format!("patterns_dir = {other:?}\nlead_ms = 900\nlease_ms = 9000\n"));
     daemon.signal(Signal::HUP);
     daemon.wait_for_log("`patterns_dir`: ");
     let file = daemon.path("mine.toml");

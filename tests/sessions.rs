@@ -1,7 +1,7 @@
 //! Sessions: one at a time, exclusive sessions, their owner's silence, their record, and failing disks.
 
 use crate::harness::{
-    Daemon, PATIENT, PROGRAM, TIMEOUT, complaint, document, ended, next, printed, problem, ran, refusal,
+    Daemon, PATIENT, PROGRAM, TIMEOUT, complaint, document, ended, next, printed, problem, refusal,
 };
 use meissner_api::{Event, PlayState, Session, SessionList, SessionStarted, Status};
 use meissner_client::Client;
@@ -30,7 +30,8 @@ pub(crate) fn owner(daemon: &Daemon, participant: &str, exclusive: bool) -> (Cli
 
 /// The exported session, and what the command says on stderr.
 pub(crate) fn exported(daemon: &Daemon, id: &str) -> (Value, String) {
-    let export = ran(daemon.meissner().args(["session", "export", id, "--json", "--incomplete"])).success();
+    let export =
+        daemon.meissner().args(["session", "export", id, "--json", "--incomplete"]).assert().success();
     let output = export.get_output();
     (serde_json::from_slice(&output.stdout).unwrap(), String::from_utf8(output.stderr.clone()).unwrap())
 }

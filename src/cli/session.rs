@@ -95,7 +95,8 @@ pub(super) fn run(asked: &Session) -> Result<ExitCode> {
         Session::Check(asked) => plan::run(asked),
         Session::Replay(asked) => replay::run(asked),
         Session::Show { id, options } => {
-            let session: api::Session = options.client()?.get(&path(id.as_deref()))?;
+            let session: api::Session =
+                options.client()?.get_within(export::TIMEOUT, &path(id.as_deref()))?;
             give(options.output.json, &session, || text::session(&session))
         }
     }
@@ -174,7 +175,7 @@ fn leave() -> Result<ExitCode> {
 }
 
 fn list(options: &ClientOptions) -> Result<ExitCode> {
-    let list: SessionList = options.client()?.get("/v1/sessions")?;
+    let list: SessionList = options.client()?.get_within(export::TIMEOUT, "/v1/sessions")?;
     export::warn_unreadable(list.unreadable, &list.problems);
     give(options.output.json, &list, || {
         let row = |session: &api::Session| {

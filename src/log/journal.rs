@@ -114,7 +114,7 @@ impl Visit for Line {
 mod tests {
     use super::*;
     use std::collections::BTreeMap;
-    use std::time::{Duration, Instant};
+    use std::time::Duration;
     use tracing_subscriber::layer::SubscriberExt;
 
     /// Parses a datagram as journald does.
@@ -202,11 +202,10 @@ mod tests {
     #[test]
     fn a_stuck_or_missing_journald_delays_nothing() {
         with_journald(|read, journald| {
-            let begun = Instant::now();
+            // Nobody reads: a log that waited would never go on.
             for line in 0..20_000 {
                 tracing::info!("{line}");
             }
-            assert!(begun.elapsed() < Duration::from_secs(5), "{:?}", begun.elapsed());
             assert_eq!(read()["MESSAGE"], "0");
             let path = journald.local_addr().unwrap().as_pathname().unwrap().to_owned();
             std::fs::remove_file(&path).unwrap();

@@ -107,7 +107,7 @@ fn a_line_says_when_who_and_what() {
             log.add(entry);
         }
     }
-    log.close(Duration::from_secs(10));
+    log.close(Duration::from_secs(300));
     log.add(started());
     let folder = dir.path().join("logbook");
     assert_eq!(fs::metadata(&folder).unwrap().permissions().mode() & 0o777, 0o750);
@@ -264,12 +264,14 @@ fn lines_are_synced_once_for_many_and_never_for_none() {
     let mut writer = writer(dir.path(), SMALL);
     writer.sync();
     assert_eq!((SYNCS.get(), writer.due()), (0, None));
-    let begun = Instant::now();
-    for monotonic_ns in 1..100 {
+    let before = Instant::now();
+    writer.write_next(stamp("2026-11-22T12:00:00Z", 1), started());
+    let due = writer.due();
+    assert!((before + SYNC_AFTER..=Instant::now() + SYNC_AFTER).contains(&due.unwrap()));
+    for monotonic_ns in 2..100 {
         writer.write_next(stamp("2026-11-22T12:00:00Z", monotonic_ns), started());
     }
-    let due = writer.due().unwrap() - begun;
-    assert!(SYNCS.get() == 0 && SYNC_AFTER <= due && due < Duration::from_secs(1), "{due:?}");
+    assert_eq!((SYNCS.get(), writer.due()), (0, due));
     writer.sync();
     assert_eq!((SYNCS.get(), writer.due()), (1, None));
     writer.finish();
@@ -290,16 +292,15 @@ fn a_full_queue_does_not_wait_and_is_told() {
     let dir = tempfile::tempdir().unwrap();
     let held = HELD.lock().unwrap();
     let log = SessionRecord::with(writer(dir.path(), STUCK), Arc::new(Users::default()), 8).unwrap();
-    let begun = Instant::now();
+    // The disk is stuck until the end of this test: an `add` that waited for it would never return.
     for entries in 100..120 {
         log.add(lost(entries));
     }
-    assert!(begun.elapsed() < Duration::from_secs(1));
     assert!(!log.wait_until_written(Duration::from_millis(50)), "the disk is stuck");
     drop(held);
-    assert!(log.wait_until_written(Duration::from_secs(60)));
+    assert!(log.wait_until_written(Duration::from_secs(300)));
     log.add(started());
-    log.close(Duration::from_secs(10));
+    log.close(Duration::from_secs(300));
     let file = only_file(&dir.path().join("logbook")).path();
     let text = fs::read_to_string(file).unwrap();
     let lines: Vec<Value> = text.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
@@ -314,7 +315,7 @@ fn a_full_queue_does_not_wait_and_is_told() {
 #[test]
 fn a_record_that_moves_loses_nothing() {
     let (first, second) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
-    let (users, timeout) = (Arc::new(Users::default()), Duration::from_secs(10));
+    let (users, timeout) = (Arc::new(Users::default()), Duration::from_secs(300));
     let log = SessionRecord::none();
     log.move_to(Some(location(first.path(), 1)), Arc::clone(&users), timeout).unwrap();
     let entries = |dir: &Path| {

@@ -31,6 +31,7 @@ pub struct Client {
     runtime: Runtime,
     connection: Option<Connection>,
     tokens: Tokens,
+    patience: Duration,
 }
 
 impl Client {
@@ -53,12 +54,23 @@ impl Client {
             Place::Network(_) => env::var("MEISSNER_TOKEN").ok().filter(|token| !token.is_empty()),
             Place::Socket(_) => None,
         };
-        Ok(Self { endpoint, runtime, connection: None, tokens: Tokens { access, session: None } })
+        Ok(Self {
+            endpoint,
+            runtime,
+            connection: None,
+            tokens: Tokens { access, session: None },
+            patience: Duration::ZERO,
+        })
     }
 
     /// Sends this token of a session with every request, or none. It shows the daemon that the session's owner is there.
     pub fn set_token(&mut self, token: Option<String>) {
         self.tokens.session = token;
+    }
+
+    /// Waits for each answer at least this long, as tests do on a machine that stands still for seconds.
+    pub fn set_patience(&mut self, patience: Duration) {
+        self.patience = patience;
     }
 
     /// Sends a `GET` and reads the JSON answer.
@@ -126,6 +138,7 @@ impl Client {
         body: Bytes,
         timeout: Duration,
     ) -> Result<T, ClientError> {
+        let timeout = timeout.max(self.patience);
         let idle = self.connection.is_some();
         let mut answer = self.exchange(&method, path, &body, timeout);
         // The daemon may have closed the idle connection just now. A `GET` changes nothing, so it is sent again.
@@ -154,7 +167,7 @@ impl Client {
         body: &Bytes,
         timeout: Duration,
     ) -> Result<(bool, Bytes), ClientError> {
-        let Self { endpoint, runtime, connection, tokens } = self;
+        let Self { endpoint, runtime, connection, tokens, .. } = self;
         let answer = runtime.block_on(async {
             let exchange = async {
                 // The daemon closes a connection that was idle for 10 minutes, or that another client needs.

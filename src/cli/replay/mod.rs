@@ -69,7 +69,8 @@ pub(super) struct Replay {
 
 pub(super) fn run(asked: &Replay) -> Result<ExitCode> {
     let mut client = asked.options.client()?;
-    let session: meissner_api::Session = client.get(&format!("/v1/sessions/{}", escape(&asked.id)))?;
+    let session: meissner_api::Session =
+        client.get_within(TIMEOUT, &format!("/v1/sessions/{}", escape(&asked.id)))?;
     if session.reason.is_none() {
         bail!("session {} still runs: end it first, then play it again", session.id);
     }

@@ -110,7 +110,7 @@ mod tests {
         );
         let engine = Arc::new(engine.with(record.clone(), Realtime::default(), PathBuf::new()));
         drop(LoggedRequest::new(&engine, "home", Peer::local(7, 0)));
-        record.close(Duration::from_secs(10));
+        record.close(Duration::from_secs(300));
         let mut files = fs::read_dir(folder).unwrap().map(|file| file.unwrap().path());
         let file = files.find(|file| file.extension().is_some()).unwrap();
         let line: Value = serde_json::from_str(&fs::read_to_string(file).unwrap()).unwrap();

@@ -306,6 +306,6 @@ mod tests {
         assert_eq!(play(), ("timeout".to_owned(), true));
         record.use_up_plays();
         assert_eq!(play(), ("too-many-plays".to_owned(), false));
-        record.close(Duration::from_secs(10));
+        record.close(Duration::from_secs(300));
     }
 }

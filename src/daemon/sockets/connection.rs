@@ -380,7 +380,7 @@ mod tests {
             // The client reads nothing, and the socket's buffer fills.
             let flood = vec![0; 1 << 22];
             // On a slow machine the first writes take a while.
-            let _ = tokio::time::timeout(2 * BLOCKED, connection.write_all(&flood)).await.unwrap_err();
+            let _ = tokio::time::timeout(10 * BLOCKED, connection.write_all(&flood)).await.unwrap_err();
             assert!(lazy());
             activity.evict();
             assert!(connection.write_all(&flood).await.is_err());

@@ -25,8 +25,11 @@ use std::path::Path as FilePath;
 use std::sync::Arc;
 use std::time::Duration;
 
-/// How long a reader of the record waits until the newest entries are written.
-const WRITTEN: Duration = Duration::from_secs(2);
+/// How long a reader of the record waits until the newest entries are written: disks have stood still for 6 s and recovered. Clients
+/// wait for 60 s.
+const WRITTEN: Duration = Duration::from_secs(50);
+/// How long the end of a session waits for the same: its answer is due within 5 s.
+const WRITTEN_AT_END: Duration = Duration::from_secs(2);
 
 pub(in crate::daemon::http) async fn start(
     State(app): State<App>,
@@ -79,7 +82,7 @@ pub(in crate::daemon::http) async fn end(
         let (record, id) = (app.engine.session_record(), ended.id.clone());
         // Wait for the disk: only then it is known which entries it did not take.
         let lost = blocking(move || {
-            let _ = record.wait_until_written(WRITTEN);
+            let _ = record.wait_until_written(WRITTEN_AT_END);
             record.lost_of(&id)
         });
         (ended.lost, ended.plays_lost) = lost.await?;
