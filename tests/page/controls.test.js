@@ -50,13 +50,14 @@ test("Home, and each field of a thing and of its touch, reach the daemon", async
   const home = async () => {
     const answer = page.waitForResponse((response) => response.url().endsWith("/v1/home"));
     await page.waitForSelector("#home:not([disabled])");
-    await page.click("#home");
+    await press(page, "#home");
     return (await answer).status();
   };
   assert.equal(await home(), 409);
   await answers(page, "#home", "level them by hand");
   // After a play telemetry says where the pins are.
-  await daemon.run("play", "pin-60", "--seconds", "0.3", "--wait");
+  await daemon.run("play", "pin-60", "--seconds", "0.3");
+  await get(daemon, "/v1/plays/1?wait=60");
   assert.equal(await home(), 200);
   await page.waitForFunction(() => [...document.querySelectorAll("header .say")].every((line) => line.hidden), WAIT);
   // What is chosen, fields with what a person types, and the keys of the object with their values.

@@ -51,6 +51,13 @@ async function rendered(page, daemon, condition = () => true) {
   }
 }
 
+// Waits until a live play's line tells a place beyond another one, within 0.3 mm, and returns the line and the place. Without an answer for a
+// second the line tells none.
+const at = async (page, id, ...beyond) => (await page.waitForFunction((id, x, y) => {
+  const found = /At ([\d.]+), ([\d.]+) mm, turned by 0°/.exec(document.getElementById(id).textContent);
+  return found && found[1] > x - 0.3 && found[2] > y - 0.3 && [...found];
+}, WAIT, id, ...beyond)).jsonValue();
+
 const openPaper = async (page) => {
   await page.$eval("#paper", (details) => (details.open = true));
   await page.waitForFunction(() => document.getElementById("thing").hidden, WAIT);
@@ -334,8 +341,7 @@ test("a thing is dragged live on its pad, and pressed and lifted (smoke)", async
   await live();
   assert.equal(await page.$$eval("#pad .live-shape .shape-dot", (dots) => dots.length), 1);
   await draw(page, [0, 0], [2, 3]);
-  const note = await text(page, "thing-live-note");
-  const [, right, up] = /At ([\d.]+), ([\d.]+) mm, turned by 0°/.exec(note);
+  const [note, right, up] = await at(page, "thing-live-note", 2, 3);
   assert.ok(Math.abs(right - 2) < 0.3 && Math.abs(up - 3) < 0.3, note);
   for (const key of ["ArrowLeft", "q", "q", " "]) await page.keyboard.press(key);
   await shows(page, "thing-live-note", "turned by 10°, lifted");
@@ -462,7 +468,7 @@ test("an emergency stop works while a play and a search run, and the search can 
   await view(page, "play");
   await page.$eval("#seconds", (input) => (input.value = "600"));
   await page.type("#search", "edge-45");
-  await page.click('li[data-name="edge-45"] button');
+  await press(page, 'li[data-name="edge-45"] button');
   await shows(page, "state-text", "Playing edge-45");
   await page.click("#estop");
   await shows(page, "estop-note", "All lines are off.");
@@ -515,8 +521,7 @@ test("a shape that is dragged plays live, and a window out of sight ends it (smo
   };
   await live();
   await draw(page, [0, 0], [1, 2]);
-  const note = await text(page, "live-note");
-  const [, right, up] = /At ([\d.]+), ([\d.]+) mm, turned by 0°/.exec(note);
+  const [note, right, up] = await at(page, "live-note", 0.5, 1);
   assert.ok(Number(right) > 0.5 && Number(up) > Number(right), note);
   for (const key of ["ArrowLeft", "q", "q"]) await page.keyboard.press(key);
   await shows(page, "live-note", "turned by 10°");

@@ -219,8 +219,8 @@ test("a pattern that another client has replaced is drawn before it plays, and n
   await drawn("60");
   // What others store comes when the view, or the window beside another one, is shown again. Items that are as before stay.
   await store(daemon, "later", 50);
-  await page.click('#views a[href="#device"]');
-  await page.click('#views a[href="#play"]');
+  await press(page, '#views a[href="#device"]');
+  await press(page, '#views a[href="#play"]');
   await page.waitForSelector('li[data-name="later"]');
   await store(daemon, "latest", 50);
   await page.evaluate(() => dispatchEvent(new Event("focus")));
@@ -245,11 +245,11 @@ test("changes that are not saved survive a reload, and go only after a question"
   const isOpen = () => page.$eval("#discard-dialog", (dialog) => dialog.open);
   await press(page, 'li[data-name="pin-60"] .choose');
   await shows(page, "discard-text", "What you have changed in edge-45 is not saved.");
-  await page.click('#discard-dialog [value="cancel"]');
+  await press(page, '#discard-dialog [value="cancel"]');
   assert.deepEqual([await text(page, "chosen-title"), await rows(page)], ["Pattern edge-45", edited]);
   await press(page, 'li[data-name="pin-60"] .choose');
   assert.equal(await isOpen(), true);
-  await page.click('#discard-dialog [value="discard"]');
+  await press(page, '#discard-dialog [value="discard"]');
   await shows(page, "chosen-title", "Pattern pin-60");
   await page.waitForSelector("#chosen-body:not([hidden])");
   // Without changes nothing is asked, and a reload chooses nothing.

@@ -20,27 +20,31 @@ test("a person arms, plays, stops in an emergency, and resets (smoke)", async ()
   await page.waitForSelector('li[data-name="edge-45"]:not([hidden]) .thumbnail');
   const found = await page.$$eval("#pattern-list li:not([hidden])", (items) => items.map((item) => item.dataset.name));
   assert.deepEqual(found, ["edge-45", "edge-45-paper", "edge-45-rendered"]);
-  await page.click('li[data-name="edge-45"] button');
+  await press(page, 'li[data-name="edge-45"] button');
   await shows(page, "state-text", "Playing edge-45");
   const moving = (await (await fetch(`${daemon.url}/v1/patterns/edge-45`)).json()).drives.map((drive) => drive.motor);
   // On a busy machine the state grows old at times; then nothing is drawn.
   await page.waitForFunction((moving) => [...document.querySelectorAll(".finger .hand")].every((hand, i) => (hand.getAttribute("visibility") === "visible") === moving.includes(i)), WAIT, moving);
   await page.click("#estop");
   await shows(page, "estop-note", "All lines are off.");
-  assert.deepEqual([(await daemon.status()).state, (await daemon.status()).estops], ["faulted", 1]);
+  // An order whose answer is late is sent again.
+  const first = await daemon.status();
+  assert.ok(first.state === "faulted" && first.estops >= 1, JSON.stringify(first));
   await shows(page, "state-text", "Stopped: estop");
   await shows(page, "receipt-summary", "edge-45: stopped (estop)");
   await page.waitForSelector("#reset:not([disabled])");
-  await page.click("#reset");
+  await press(page, "#reset");
   // The dialog leaves the emergency stop within reach.
   await page.click("#estop");
   await shows(page, "estop-note", "All lines are off.");
-  await page.click('#reset-dialog button[value="reset"]');
+  await press(page, '#reset-dialog button[value="reset"]');
   await answers(page, "#reset", "An emergency stop came after those that this reset knows of");
   await view(page, "device");
-  await shows(page, "daemon-facts", "Emergency stops since the start2");
-  await page.click("#reset");
-  await page.click('#reset-dialog button[value="reset"]');
+  const { estops } = await daemon.status();
+  assert.ok(estops > first.estops);
+  await shows(page, "daemon-facts", `Emergency stops since the start${estops}`);
+  await press(page, "#reset");
+  await press(page, '#reset-dialog button[value="reset"]');
   await shows(page, "state-text", "Disarmed");
   assert.deepEqual(page.complaints.filter((line) => !line.includes("409")), []);
 });
@@ -276,10 +280,10 @@ test("calibration plots show what the API says, and a person can calibrate", asy
   await press(page, "#calibrate");
   await shows(page, "calibrate-what", "Motor 7 is measured.");
   await page.select("#calibrate-motor", "");
-  await page.click("#calibrate-yes");
+  await press(page, "#calibrate-yes");
   assert.equal(await page.$eval("#calibrate-dialog", (dialog) => dialog.open), true, "nothing touches the pins must be ticked");
-  await page.click("#calibrate-clear");
-  await page.click("#calibrate-yes");
+  await press(page, "#calibrate-clear");
+  await press(page, "#calibrate-yes");
   await shows(page, "state-text", "Playing calibration");
   await shows(page, "touch", "Calibration: do not touch the pins.");
   await page.waitForSelector("#stop:not([disabled])");
@@ -298,9 +302,9 @@ test("a calibration that is damaged, refused or cut says so beside its button", 
   const start = async (before) => {
     await page.waitForSelector("#calibrate:not([disabled])");
     await press(page, "#calibrate");
-    await page.click("#calibrate-clear");
+    await press(page, "#calibrate-clear");
     await before?.();
-    await page.click("#calibrate-yes");
+    await press(page, "#calibrate-yes");
   };
   await start(() => daemon.run("disarm"));
   await answers(page, "#calibrate", "The motors are disarmed: press Arm first.");
@@ -347,7 +351,7 @@ test("late strokes are counted while a play runs", async () => {
       streams.at(-1).write(`event: late\ndata: ${JSON.stringify(data)}\n\n`);
     }
     await shows(page, "play-facts", "Late strokes that this window has heard of2");
-    await page.click("#stop");
+    await press(page, "#stop");
     await page.waitForFunction(() => !document.getElementById("play-facts").textContent, WAIT);
     assert.deepEqual(page.complaints, []);
   });
@@ -433,7 +437,7 @@ test("a token is asked for, kept for the window, and sent in no address", async 
   await page.waitForSelector("#sign-in:not([hidden])");
   const token = await daemon.run("token", "create", "--role", "observe", "--name", "page");
   await page.type("#token", token);
-  await page.click("#sign-in-form button");
+  await press(page, "#sign-in-form button");
   await shows(page, "state-text", "Disarmed");
   await page.reload();
   await shows(page, "state-text", "Disarmed");

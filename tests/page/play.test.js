@@ -253,7 +253,7 @@ test("the queue shows what runs and waits, a play can be removed, and a sequence
   await press(page, '#queue [data-play="2"] button');
   await page.waitForFunction(() => !document.querySelector('#queue [data-play="2"]'), WAIT);
   assert.deepEqual((await daemon.status()).queued.map((play) => play.id), [3]);
-  await page.click("#stop");
+  await press(page, "#stop");
   await shows(page, "queue-none", "No play runs or waits.");
   // A file that is wrong plays nothing, and says what is wrong.
   assert.equal(await page.$eval("#sequence-play", (button) => button.disabled), true);
@@ -277,7 +277,7 @@ test("the queue shows what runs and waits, a play can be removed, and a sequence
   await shows(page, "items-title", "Items of block-1");
   await shows(page, "items", "3. pin-60, 300 s: now");
   assert.equal(await page.$$eval("#timeline .item", (bars) => bars.length), 3);
-  await page.click("#stop");
+  await press(page, "#stop");
   await shows(page, "receipt-facts", "Items2 played, 1 cut");
   // The daemon refuses what is wrong within an item; a dropped file does not begin by itself.
   await drop(page, "#queue", "wrong.json", JSON.stringify({ items: [{ pattern: "no-such", seconds: 1 }] }));
@@ -314,7 +314,7 @@ test("the list plays one run without seconds, and says what waits", async () => 
   await answers(page, "#pin-play", "Queued as play 4.");
   await shows(page, "stop", "Stop, clear 2");
   await shows(page, "state-text", "; 2 wait");
-  await page.click("#stop");
+  await press(page, "#stop");
   await shows(page, "queue-none", "No play runs or waits.");
   assert.equal(await text(page, "stop"), "Stop play");
   assert.ok(!(await text(page, "state-text")).includes("wait"));
@@ -418,10 +418,10 @@ test("patterns of the site come first, are found by that word, and are removed a
   await choose(page, "zebra");
   await press(page, "#chosen-remove");
   await shows(page, "remove-text", "zebra");
-  await page.click('#remove-dialog button[value="cancel"]');
+  await press(page, '#remove-dialog button[value="cancel"]');
   assert.equal((await fetch(`${daemon.url}/v1/patterns/zebra`)).status, 200);
   await press(page, "#chosen-remove");
-  await page.click('#remove-dialog button[value="remove"]');
+  await press(page, '#remove-dialog button[value="remove"]');
   await page.waitForFunction(() => !document.querySelector('li[data-name="zebra"]') && document.querySelector('li[data-name="zinc"]'), WAIT);
   await shows(page, "chosen-none", "Choose a pattern");
   assert.equal((await fetch(`${daemon.url}/v1/patterns/zebra`)).status, 404);

@@ -20,8 +20,12 @@ const there = (page, selector) => page.waitForFunction((selector) => document.qu
 const rows = (page, table) => page.$$eval(`#${table} tbody tr`, (rows) => rows.map((row) => [...row.cells].map((cell) => cell.textContent)));
 
 async function type(page, id, value) {
-  await page.$eval(`#${id}`, (field) => (field.value = ""));
-  await page.type(`#${id}`, String(value));
+  // On a busy machine the state grows old at times; then the form is hidden and takes no keys.
+  do {
+    await page.waitForFunction((id) => document.getElementById(id).checkVisibility(), WAIT, id);
+    await page.$eval(`#${id}`, (field) => (field.value = ""));
+    await page.type(`#${id}`, String(value));
+  } while ((await page.$eval(`#${id}`, (field) => field.value)) !== String(value));
 }
 
 async function start(page, participant, { experiment = "edges", exclusive = false } = {}) {
@@ -88,14 +92,14 @@ test("a window starts a session, owns it, also after a reload, and ends it (smok
   await view(page, "record");
   await shows(page, "session-end-note", "A play runs or waits: stop it to end the session.");
   assert.equal(await page.$eval("#session-end", (button) => button.disabled), true);
-  await page.click("#stop");
+  await press(page, "#stop");
   await page.waitForSelector("#session-end:not([disabled])");
   await press(page, "#session-end");
   await there(page, "#session-form");
   await shows(page, "owner", "No session: plays belong to no participant");
   assert.equal((await rows(page, "sessions")).length, 1);
   // Its token is forgotten: the daemon would refuse every change with it.
-  await page.click("#disarm");
+  await press(page, "#disarm");
   await shows(page, "state-text", "Disarmed");
   await arm(page);
   // What the daemon says stands beside the button.
@@ -116,10 +120,10 @@ test("a session of another client is shown as such, and ended only after a quest
   await there(page, "#choice-title");
   await press(page, "#session-end");
   await shows(page, "session-dialog-text", "P01");
-  await page.click('#session-dialog [value="cancel"]');
+  await press(page, '#session-dialog [value="cancel"]');
   assert.equal((await daemon.status()).session.id, id);
   await press(page, "#session-end");
-  await page.click('#session-dialog [value="end"]');
+  await press(page, '#session-dialog [value="end"]');
   await shows(page, "session-note", "No session runs.");
   assert.equal((await daemon.status()).session, null);
 });
@@ -136,9 +140,9 @@ test("during an exclusive session of another client the page offers what reads, 
   await other(daemon, "POST", "/v1/arm", { assume_rest: true }, owner);
   await other(daemon, "POST", "/v1/play", { pattern: "pin-60", seconds: 600 }, owner);
   await shows(page, "state-text", "Playing pin-60");
-  await page.click("#stop");
+  await press(page, "#stop");
   await shows(page, "state-text", "Armed");
-  await page.click("#disarm");
+  await press(page, "#disarm");
   await shows(page, "state-text", "Disarmed");
   await other(daemon, "POST", "/v1/sessions/running/end", {}, owner);
   await there(page, "#session-form");

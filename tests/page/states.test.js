@@ -27,7 +27,9 @@ const labelled = (page, part) => page.waitForFunction((part) => document.querySe
 // Lists what the page says about touching, each with the number of preceding turns of the page's event loop, of 100 ms.
 const listen = (page) => page.evaluate(() => {
   const touch = document.getElementById("touch");
-  globalThis.said = [];
+  // Only the last one that listens is heard.
+  const said = [];
+  globalThis.said = said;
   let turns = 0;
   setInterval(() => (turns += 1), 100);
   const say = () => said.push([turns, touch.textContent]);
@@ -63,8 +65,15 @@ test("a state that is older than a second is not known, and an answer that was h
     await other(daemon, "/v1/disarm");
     await shows(page, "touch", "Safe to touch");
     await view(page, "device");
-    await listen(page);
-    network.hold();
+    // On a busy machine the state grows old before the network is held: then begin again.
+    for (;;) {
+      await shows(page, "touch", "Safe to touch");
+      await listen(page);
+      network.hold();
+      const heard = await page.evaluate(() => said);
+      if (heard.length === 1 && heard[0][1].startsWith("Safe")) break;
+      network.letGo();
+    }
     await other(daemon, "/v1/arm");
     await other(daemon, "/v1/play", { pattern: "pin-60", seconds: 600 });
     await shows(page, "touch", "The state is not known");
@@ -318,7 +327,8 @@ test("an emergency stop is sent again until the daemon says that the lines are o
     // The page shows this without a second press.
     await shows(page, "estop-note", "All lines are off.");
     const { state, estops } = await daemon.status();
-    assert.deepEqual([state, estops], ["faulted", 1]);
+    // An order whose answer is late is sent again.
+    assert.ok(state === "faulted" && estops >= 1, `${state}, ${estops}`);
   });
 });
 
@@ -357,7 +367,8 @@ test("E-STOP needs no other script, and is off until it works", async () => {
   };
   await proxied(daemon, through, async (url) => {
     const isFirst = (script) => script.endsWith("/estop.js");
-    for (const [others, count] of [["held", 1], ["gone", 2], ["wrong", 3]]) {
+    for (const others of ["held", "gone", "wrong"]) {
+      const { estops } = await daemon.status();
       fate = (script) => (isFirst(script) ? "" : others);
       const page = await blank();
       page.goto(url).catch(() => {});
@@ -365,7 +376,7 @@ test("E-STOP needs no other script, and is off until it works", async () => {
       await page.click("#estop");
       await shows(page, "estop-note", "All lines are off.");
       await shows(page, "state-text", "Stopped: estop");
-      assert.equal((await daemon.status()).estops, count);
+      assert.ok((await daemon.status()).estops > estops);
       await page.close();
     }
     for (const fault of ["held", "gone"]) {
