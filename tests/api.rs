@@ -35,7 +35,7 @@ fn the_status_is_complete_from_the_start() {
     assert_eq!(status["device"]["kind"], "mock");
     assert!(status["tick"].as_u64().unwrap() > 1 << 31);
     assert!(status["play"].is_null() && status["queued"].as_array().unwrap().is_empty());
-    assert_eq!((&status["lead_ms"], &status["lease_ms"]), (&1000.0.into(), &10_000.0.into()));
+    assert_eq!((&status["lead_ms"], &status["lease_ms"]), (&900.0.into(), &10_000.0.into()));
     assert_eq!(status["motors"].as_array().unwrap().len(), 24);
 }
 

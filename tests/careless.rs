@@ -104,6 +104,7 @@ fn a_flood_of_refusals_is_bounded_in_the_log_and_counted() {
     // The log allows 200 lines at once, and one a second.
     let most = 201 + begun.elapsed().as_secs() as usize;
     assert!((200..=most).contains(&lines("session-end by ")), "{}", lines("session-end by "));
-    assert_eq!(lines("estop by "), 20);
+    // The command repeats an e-stop that is not answered in time.
+    assert!(lines("estop by ") >= 20, "{log}");
     assert!(log.lines().any(|line| line.contains("were left out, of the kind: session-end by ")));
 }

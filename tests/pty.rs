@@ -136,10 +136,15 @@ fn a_daemon_that_hangs_in_mid_play_leaves_a_board_that_returns_the_pins() {
 /// Begins a play without end. A machine that stands still loses the board: then again.
 fn begin_endless(daemon: &Daemon) {
     let request = json!({"pattern": "wave", "endless": true, "open_loop": true});
+    let mut client = daemon.client();
     wait_until(|| {
-        let mut client = daemon.armed();
-        client.post::<serde_json::Value>("/v1/play", &request).is_ok()
-            && client.get::<Status>("/v1/status").unwrap().play.is_some()
+        if client.get::<Status>("/v1/status").unwrap().play.is_some() {
+            return true;
+        }
+        // Each is refused until the board has answered, and while the play begins.
+        let _: Result<Status, _> = client.post("/v1/arm", &json!({"assume_rest": true}));
+        let _: Result<serde_json::Value, _> = client.post("/v1/play", &request);
+        false
     });
 }
 

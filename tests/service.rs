@@ -32,7 +32,10 @@ impl Manager {
     /// Starts a program as a service manager does: without a terminal, with a notification socket.
     fn start_program(&self, program: &Path, watchdog: Option<Duration>) -> Daemon {
         let mut command = Command::new("sh");
-        command.args(["-c", "trap '' HUP; exec \"$0\" \"$@\""]).arg(program).stdin(Stdio::null());
+        command
+            .args(["-c", "trap '' HUP; exec \"$0\" \"$(900.0, 10_000.0)\""])
+            .arg(program)
+            .stdin(Stdio::null());
         command.env("NOTIFY_SOCKET", self.dir.path().join("notify")).env_remove("WATCHDOG_PID");
         match watchdog {
             Some(interval) => command.env("WATCHDOG_USEC", interval.as_micros().to_string()),
@@ -158,7 +161,7 @@ fn a_socket_that_is_handed_over_is_used_and_not_removed() {
         move || printed(meissner().args(["arm", "--assume-rest", "--socket"]).arg(path))
     });
     let mut command = Command::new("sh");
-    let script = "exec 3<&0 </dev/null; LISTEN_PID=$$ LISTEN_FDS=1 exec \"$0\" \"$@\"";
+    let script = "exec 3<&0 </dev/null; LISTEN_PID=$$ LISTEN_FDS=1 exec \"$0\" \"$(900.0, 10_000.0)\"";
     command.args(["-c", script, PROGRAM]).stdin(Stdio::from(OwnedFd::from(listener)));
     let mut daemon = Daemon::by(command);
     assert!(first.join().unwrap().starts_with("armed"), "it waits for the device");
@@ -187,24 +190,24 @@ fn a_reload_applies_what_can_change_and_names_the_rest() {
     };
     assert!(reload(PATIENT).contains("has not changed"));
     daemon.armed();
-    let line = reload("lead_ms = 900\nlease_ms = 9000\n");
+    let line = reload("lead_ms = 800\nlease_ms = 8000\n");
     assert!(line.contains("`lead_ms`") && line.contains("from the next `arm` on"), "{line}");
     // An answer to a later command shows that the settings have arrived.
     printed(daemon.meissner().args(["play", "wave", "--seconds", "0.3", "--wait"]));
-    assert_eq!((status().lead_ms, status().lease_ms), (1000.0, 10_000.0), "armed with these");
+    assert_eq!((status().lead_ms, status().lease_ms), (900.0, 10_000.0), "armed with these");
     printed(daemon.meissner().arg("disarm"));
     daemon.armed();
-    assert_eq!((status().lead_ms, status().lease_ms), (900.0, 9000.0));
+    assert_eq!((status().lead_ms, status().lease_ms), (800.0, 8000.0));
     printed(daemon.meissner().args(["play", "wave", "--seconds", "0.3", "--wait"]));
 
     let line = reload("lead_ms = 4\n");
     assert!(line.contains("`lead_ms` is 4") && line.contains("stays as it was"), "{line}");
-    assert_eq!(status().lead_ms, 900.0);
-    let line = reload("lead_ms = 900\nlease_ms = 9000\n[mock]\nseed = 7\n");
+    assert_eq!(status().lead_ms, 800.0);
+    let line = reload("lead_ms = 800\nlease_ms = 8000\n[mock]\nseed = 7\n");
     assert!(line.contains("[mock] cannot change while the daemon runs"), "{line}");
 
     let other = daemon.path("other");
-    daemon.write_config(&format!("patterns_dir = {other:?}\nlead_ms = 900\nlease_ms = 9000\n"));
+    daemon.write_config(&format!("patterns_dir = {other:?}\nlead_ms = 800\nlease_ms = 8000\n"));
     daemon.signal(Signal::HUP);
     daemon.wait_for_log("`patterns_dir`: ");
     let file = daemon.path("mine.toml");

@@ -13,7 +13,7 @@ use super::ending::on_signals;
 use super::output::{give, say};
 use super::progress::Progress;
 use super::{control, text};
-use crate::config::{Config, Listen, PatternsDir};
+use crate::config::{Config, Listen, MAX_LEASE_MS, PatternsDir};
 use crate::daemon::{Daemon, Hosted};
 use crate::doctor::device::ON_NO_BOARD;
 use crate::exposure::ParticipantLimits;
@@ -154,7 +154,8 @@ pub(super) fn run(asked: &Asked) -> Result<ExitCode> {
         logbook: None,
         // No limits: no finger lies on simulated pins.
         participant: ParticipantLimits::NONE,
-        settings: Settings::of(array),
+        // Simulated motors may stay armed while the machine stands still.
+        settings: Settings { lease_ms: MAX_LEASE_MS, ..Settings::of(array) },
         ..Config::default()
     };
     // Any free port.
