@@ -48,9 +48,9 @@ P = ParamSpec("P")
 T = TypeVar("T")
 _LONGEST_WAIT = 50.0
 _COMPILING = 60.0
+"""How long the daemon may take to compile a play of long motions, s."""
 _STORING = 60.0
 """How long a slow disk may take to keep a pattern, s."""
-"""How long the daemon may take to compile a play of long motions, s."""
 _SYNC_SAMPLES = 8
 _SYNC_AGE_NS = NS
 """How old the comparison of two PCs' clocks may be for an onset, ns."""
