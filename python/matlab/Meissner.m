@@ -280,12 +280,12 @@ classdef Meissner < handle
       asked = Meissner.options({'replace'}, varargin);
       query = '';
       if isfield(asked, 'replace') && asked.replace, query = '?replace=true'; end
-      stored = jsondecode(self.send('PUT', ['/v1/patterns/' name query], toml, 'application/toml', 20));
+      stored = jsondecode(self.send('PUT', ['/v1/patterns/' name query], toml, 'application/toml', 60));
     end
 
     function removed = remove_pattern(self, name)
       % Remove a stored pattern.
-      removed = jsondecode(self.send('DELETE', ['/v1/patterns/' name], '', '', 10));
+      removed = jsondecode(self.send('DELETE', ['/v1/patterns/' name], '', '', 60));
     end
 
     function id = session(self, varargin)

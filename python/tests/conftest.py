@@ -11,11 +11,12 @@ import pytest
 
 import meissner
 from network import Network
+from patience import LEAD, kept
 
 
 @pytest.fixture(scope="session")
 def shared_daemon() -> Iterator[meissner.Daemon]:
-    with meissner.Daemon() as daemon:
+    with meissner.Daemon(LEAD) as daemon:
         yield daemon
 
 
@@ -36,7 +37,7 @@ def daemon(shared_daemon: meissner.Daemon) -> Iterator[meissner.Daemon]:
 def m(daemon: meissner.Daemon) -> Iterator[meissner.Client]:
     """An armed client. A stall of a busy machine is no silence."""
     with meissner.connect(daemon.socket) as client:
-        client.arm(assume_rest=True, checked="a test", silence=60.0)
+        kept(lambda: client.arm(assume_rest=True, checked="a test", silence=60.0))
         yield client
 
 

@@ -14,6 +14,7 @@ from meissner import errors
 from meissner._endpoint import endpoints
 from meissner.aio import AsyncClient
 from network import Network
+from patience import kept
 
 HZ = 85_000
 
@@ -30,12 +31,15 @@ def run(socket: str, work: Callable[[AsyncClient], Awaitable[None]]) -> None:
 
 
 def test_plays_and_sequences(daemon: meissner.Daemon) -> None:
-    async def work(m: AsyncClient) -> None:
-        at = m.now() + 1.0
+    async def ordered(m: AsyncClient) -> None:
+        at = m.now() + 2.0
         play = await m.play("pin-60", seconds=0.1, at=at)
-        assert (await play.refresh()).state in ("queued", "running")
+        state = (await play.refresh()).state
         assert (await play.wait()).state == "done"
+        assert state in ("queued", "running")
         assert abs(play.onset.monotonic - at) <= play.onset.monotonic_uncertainty + 0.5 / HZ + 200e-6
+
+    async def work(m: AsyncClient) -> None:
         pair = await m.sequence(["pin-60", "pin-60"], seconds=0.05, soa=0.1)
         await pair.wait()
         ticks = [item.onset.tick for item in pair.items if item.onset]
@@ -49,6 +53,7 @@ def test_plays_and_sequences(daemon: meissner.Daemon) -> None:
         with pytest.raises(errors.NotFound):
             await m.play("no-such")
 
+    kept(lambda: run(daemon.socket, ordered))
     run(daemon.socket, work)
     with meissner.connect(daemon.socket) as watcher:
         watcher.wait_until_idle()
@@ -74,13 +79,23 @@ def test_events(daemon: meissner.Daemon) -> None:
 
 
 def test_a_session_survives_a_break() -> None:
+    async def stays_the_owner(m: AsyncClient, other: meissner.Client) -> bool:
+        async with m.session("P07", exclusive=True, seed=1) as session:
+            await asyncio.sleep(4.5)
+            try:
+                other.play("pin-60", 0.05).wait(check=False)
+            except errors.SessionExclusive:
+                assert session.heartbeat_problem is None
+                return True
+            return False
+
     async def work(m: AsyncClient) -> None:
         with meissner.connect(m.core.endpoint.socket) as other:
-            async with m.session("P07", exclusive=True, seed=1) as session:
-                await asyncio.sleep(4.5)
-                with pytest.raises(errors.SessionExclusive):
-                    other.play("pin-60", 0.05)
-                assert session.heartbeat_problem is None
+            # A machine that stands still is silent, too. Without signs of life every round fails.
+            for left in (2, 1, 0):
+                if await stays_the_owner(m, other):
+                    break
+                assert left
             session = await m.session("P08")
             assert other.status().raw["session"]["id"] == session.id
             await session.end()
@@ -157,7 +172,7 @@ def test_a_daemon_that_goes_leaves_a_warning_and_no_wrong_error() -> None:
                 await m.arm(assume_rest=True, checked="a test")
                 session = await m.session("P07")
                 daemon.close()
-                deadline = time.monotonic() + 10
+                deadline = time.monotonic() + 120
                 while session.heartbeat_problem is None and time.monotonic() < deadline:
                     await asyncio.sleep(0.01)
                 assert session.heartbeat_problem is not None

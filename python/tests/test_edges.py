@@ -8,6 +8,7 @@ import pytest
 
 import meissner
 from meissner import bids, errors
+from patience import kept
 
 DELAY_S = 2.0
 """What a busy machine may miss."""
@@ -44,7 +45,7 @@ def test_an_edge_stops_a_play(m: meissner.Client) -> None:
 
 
 def test_mistakes_are_named(m: meissner.Client) -> None:
-    onset = m.play("pin-60", seconds=0.1).wait(check=False).onset
+    onset = kept(lambda: m.play("pin-60", seconds=0.1).wait()).onset
     with pytest.raises(errors.TooSoon, match="at least"):
         m.play("pin-60", seconds=0.2, on_edge=0.001)
     with pytest.raises(ValueError, match="not both"):

@@ -15,6 +15,7 @@ from pathlib import Path
 import pytest
 
 import meissner
+from patience import run_kept
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 README = Path(__file__).parents[1] / "README.md"
@@ -27,10 +28,7 @@ ELSEWHERE = {"psychopy.md": "psychopy/tests/test_routine.py"}
 
 def run(name: str, folder: Path, **environment: str) -> str:
     """Runs an example in a folder of its own, and returns what it prints."""
-    command = [sys.executable, str(EXAMPLES / name)]
-    ended = subprocess.run(
-        command, cwd=folder, env={**os.environ, **environment}, capture_output=True, text=True, check=False
-    )
+    ended = run_kept([sys.executable, str(EXAMPLES / name)], folder, environment)
     assert ended.returncode == 0, ended.stderr
     return ended.stdout
 
@@ -56,7 +54,7 @@ def test_live_edge(tmp_path: Path) -> None:
     assert 0 < int(found[2]) <= int(found[1]) <= 101
     command = [sys.executable, str(EXAMPLES / "live_edge.py"), "-"]
     hand = "-3,0,0\n0.5,1.0,10\n3,0,20\n"
-    ended = subprocess.run(command, cwd=tmp_path, input=hand, capture_output=True, text=True, check=False)
+    ended = run_kept(command, tmp_path, {}, hand)
     assert ended.returncode == 0, ended.stderr
     assert re.fullmatch(poses, ended.stdout)
 
@@ -140,10 +138,7 @@ def run_blocks(found: list[str], folder: Path, **environment: str) -> None:
     assert found
     for number, block in enumerate(found):
         (folder / f"block{number}.py").write_text(block, encoding="utf-8")
-        command = [sys.executable, f"block{number}.py"]
-        ended = subprocess.run(
-            command, cwd=folder, env={**os.environ, **environment}, capture_output=True, text=True, check=False
-        )
+        ended = run_kept([sys.executable, f"block{number}.py"], folder, environment)
         assert ended.returncode == 0, block + ended.stderr
 
 

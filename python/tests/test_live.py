@@ -7,7 +7,6 @@ import itertools
 import json
 import os
 import signal
-import socket
 import subprocess
 import threading
 import time
@@ -24,6 +23,7 @@ from meissner import _transport, errors
 from meissner._endpoint import endpoints
 from meissner.program import find_program
 from network import Network
+from patience import kept
 
 HZ = 85_000
 PATTERN = """format = 1
@@ -37,19 +37,26 @@ amplitude_um = 40.0
 
 
 def test_a_play_has_its_times_on_every_clock(m: meissner.Client) -> None:
-    at, wall = m.now() + 1.0, time.time()
-    play = m.play("edge-45", seconds=0.3, at=at, scale=0.8, trigger=5, trial=3, labels={"block": 1})
-    assert repr(play) == f"<play {play.id}: edge-45, accepted>"
-    with pytest.raises(errors.NotKnownYet, match="no receipt yet"):
-        _ = play.onset
-    assert play.refresh().state in ("queued", "running")
-    with pytest.raises(errors.NotKnownYet, match="call `wait"):
-        _ = play.offset
-    receipt = play.wait(timeout=200)
+
+    def ordered() -> tuple[meissner.Play, float, float, meissner.Receipt]:
+        at, wall = m.now() + 2.0, time.time()
+        play = m.play("edge-45", seconds=0.3, at=at, scale=0.8, trigger=5, trial=3, labels={"block": 1})
+        assert repr(play) == f"<play {play.id}: edge-45, accepted>"
+        with pytest.raises(errors.NotKnownYet, match="no receipt yet"):
+            _ = play.onset
+        if play.refresh().is_over:
+            play.wait()  # It may have missed its onset.
+            pytest.fail("the receipt of a play that waits says that it is over")
+        assert play.receipt.state in ("queued", "running")
+        with pytest.raises(errors.NotKnownYet, match="call `wait"):
+            _ = play.offset
+        return play, at, wall, play.wait(timeout=200)
+
+    play, at, wall, receipt = kept(ordered)
     onset, offset = play.onset, play.offset
     # Half a tick, what the daemon states about its device's clock, and what it took the clock for when the play was ordered.
     assert abs(onset.monotonic - at) <= onset.monotonic_uncertainty + 0.5 / HZ + 200e-6
-    assert abs(onset.wall - wall - 1.0) < 60
+    assert abs(onset.wall - wall - 2.0) < 60
     assert 0 < onset.monotonic_uncertainty <= onset.wall_uncertainty
     assert onset.tick_hz == HZ
     assert offset.tick - onset.tick == round(receipt.raw["duration_ms"]["played"] * HZ / 1000)
@@ -62,18 +69,27 @@ def test_a_play_has_its_times_on_every_clock(m: meissner.Client) -> None:
 
 
 def test_a_play_after_an_instant_is_exact_to_the_tick(m: meissner.Client) -> None:
-    first = m.play("pin-60", 0.05)
-    first.wait()
-    second = m.play("pin-60", 0.05, at=first.onset.later(1.0))
-    second.wait()
-    assert second.onset.tick - first.onset.tick == HZ
-    assert second.onset.boot == first.onset.boot
+    def ordered() -> tuple[meissner.Instant, meissner.Instant]:
+        first = m.play("pin-60", 0.05)
+        first.wait()
+        second = m.play("pin-60", 0.05, at=first.onset.later(2.0))
+        second.wait()
+        return first.onset, second.onset
+
+    first, second = kept(ordered)
+    assert second.tick - first.tick == 2 * HZ
+    assert second.boot == first.boot
 
 
 def test_the_onsets_of_a_sequence_are_exact_to_the_tick(m: meissner.Client) -> None:
     items: list[meissner.SequenceItem] = ["pin-60", {"pattern": "edge-45", "scale": 0.5, "trigger": 7}, "pin-60"]
-    play = m.sequence(items, seconds=0.05, isi=0.1, at=m.now() + 1.0, trial=1, labels={"a": "b"})
-    play.wait()
+
+    def ordered() -> meissner.Play:
+        play = m.sequence(items, seconds=0.05, isi=0.1, at=m.now() + 2.0, trial=1, labels={"a": "b"})
+        play.wait()
+        return play
+
+    play = kept(ordered)
     ticks = [item.onset.tick for item in play.items if item.onset]
     assert [later - earlier for earlier, later in itertools.pairwise(ticks)] == [round(0.15 * HZ)] * 2
     assert [item.state for item in play.items] == ["played"] * 3
@@ -211,7 +227,10 @@ def test_a_session_belongs_to_its_owner(m: meissner.Client, daemon: meissner.Dae
 
 
 def test_an_owner_in_a_rest_break_stays_the_owner() -> None:
-    """The daemon gives a session free after two seconds of silence; the break lasts more than twice as long."""
+    """The daemon gives a session free after two seconds of silence; the break lasts more than twice as long.
+
+    A machine that stands still is silent, too: one round of three without that is enough, and without signs of life there is none.
+    """
     with meissner.demo(config="session_silence_s = 2\n") as m, meissner.connect(m.status().raw["socket"]) as other:
         m.play("pin-60", 0.1).wait()
         assert m.home().state == "armed"
@@ -224,15 +243,24 @@ def test_an_owner_in_a_rest_break_stays_the_owner() -> None:
                 if event.name == "session-ended":
                     return
 
-        listener = threading.Thread(target=listen)
-        listener.start()
-        with m.session("P07", exclusive=True):
-            assert not released.wait(4.5)
-            with pytest.raises(errors.SessionExclusive):
-                other.play("pin-60", 0.05)
-            m.play("pin-60", 0.1).wait()
-        listener.join(10)
-        assert not listener.is_alive()
+        def stays_the_owner() -> bool:
+            released.clear()
+            listener = threading.Thread(target=listen)
+            listener.start()
+            with m.session("P07", exclusive=True):
+                is_released = released.wait(4.5)
+                if not is_released:
+                    try:
+                        other.play("pin-60", 0.05).wait(check=False)
+                        is_released = released.wait(120)
+                        assert is_released, "somebody else has played in an exclusive session"
+                    except errors.SessionExclusive:
+                        m.play("pin-60", 0.1).wait()
+            listener.join(120)
+            assert not listener.is_alive()
+            return not is_released
+
+        assert any(stays_the_owner() for _ in range(3))
 
 
 def test_events_tell_what_happens(m: meissner.Client) -> None:
@@ -273,6 +301,7 @@ def test_events_whose_connection_is_silent_are_asked_for_again(
     asyncio.run(work())
 
 
+@pytest.mark.filterwarnings("ignore:.*fork.*:DeprecationWarning")
 def test_a_forked_child_has_connections_of_its_own(network: Network) -> None:
     """Each would read the other's answers."""
     with meissner.connect(network.url) as m:
@@ -366,13 +395,17 @@ def test_with_jitter_and_a_skewed_clock_no_onset_errs_by_more_than_stated(networ
         m.synchronise()
         assert not core.clock.is_shared
         m.arm(assume_rest=True, checked="a test")
-        plays = []
-        for _ in range(2):
+
+        def ten() -> list[tuple[float, meissner.Instant]]:
+            m.stop()  # What a try before has left.
+            m.wait_until_idle()
             first = m.now() + 5.0
             ordered = [(at, m.play("pin-60", 0.02, at=at)) for at in (first + 0.1 * n for n in range(10))]
-            for at, play in ordered:
+            for _, play in ordered:
                 play.wait()
-                plays.append((at, play.onset))
+            return [(at, play.onset) for at, play in ordered]
+
+        plays = kept(ten) + kept(ten)
         ticks_ns = []
         for at, onset in plays:
             truth = client_at(onset.host_ns)
@@ -413,14 +446,13 @@ def test_a_daemon_that_was_restarted_is_noticed(tmp_path: Path) -> None:
 def test_numbers_may_be_those_of_numpy(m: meissner.Client) -> None:
     given: dict[str, Any] = {
         "seconds": numpy.float32(0.1),
-        "at": numpy.float64(m.now() + 0.5),
         "scale": numpy.float32(0.5),
         "trigger": numpy.int64(5),
         "trial": numpy.int32(3),
         "strict": numpy.bool_(True),
         "hold": numpy.float32(0.5),
     }
-    receipt = m.play("pin-60", **given).wait()
+    receipt = kept(lambda: m.play("pin-60", at=numpy.float64(m.now() + 2.0), **given).wait())
     assert (receipt.raw["trial"], receipt.raw["scale"], receipt.raw["trigger"]["code"]) == (3, 0.5, 5)
     item: meissner.SequenceItem = {"pattern": "pin-60", "scale": numpy.float32(0.5), "trigger": numpy.uint8(2)}
     items = m.sequence([item, item], seconds=numpy.float32(0.05), isi=numpy.float64(0.1)).wait().items
@@ -470,7 +502,7 @@ def test_a_daemon_that_goes_leaves_a_warning_and_no_wrong_error() -> None:
             session = m.session("P07", exclusive=True)
             os.kill(daemon.pid, signal.SIGKILL)
             daemon._process.wait()
-            deadline = time.monotonic() + 10
+            deadline = time.monotonic() + 120
             while session.heartbeat_problem is None and time.monotonic() < deadline:
                 time.sleep(0.01)
             assert session.heartbeat_problem is not None
@@ -481,9 +513,9 @@ def test_a_daemon_that_goes_leaves_a_warning_and_no_wrong_error() -> None:
 
 
 def test_over_tcp_with_tokens() -> None:
-    with socket.create_server(("127.0.0.1", 0)) as free:
-        url = f"127.0.0.1:{free.getsockname()[1]}"
-    with meissner.Daemon(f'listen = "{url}"\nlisten_token = "always"\n') as daemon:
+    with meissner.Daemon('listen = "127.0.0.1:0"\nlisten_token = "always"\n') as daemon:
+        with meissner.connect(daemon.socket) as watcher:
+            url = watcher.status().raw["network"]["address"]
 
         def token(role: str) -> str:
             command = [

@@ -154,18 +154,24 @@ def test_a_marker_orders_a_play(m: meissner.Client) -> None:
     lines: list[str] = []
     trigger = lsl.Trigger(f"{NAME}-in", {"go": "pin-60", "bad": "no-such-pattern"}, seconds=0.05, delay=4.0)
     with lsl.Bridge(m, name=f"{NAME}-out", telemetry_hz=0, trigger=trigger, report=lines.append) as bridge:
-        assert outlet.wait_for_consumers(20)
+        assert outlet.wait_for_consumers(200)
         inlet = open_inlet(f"{NAME}-out-markers")
-        sent = pylsl.local_clock()
-        for text in ("other", "bad", "go"):
-            outlet.push_sample([text], sent)
-        (text, at), _ = pull(inlet, 2)
-        assert text == "onset/pin-60"
+        # A machine that stands still misses the onset, and sends no marker of it: so mark again.
+        tries, sample = 0, None
+        while not sample and tries < 5:
+            tries += 1
+            sent = pylsl.local_clock()
+            for text in ("other", "bad", "go"):
+                outlet.push_sample([text], sent)
+            sample, at = inlet.pull_sample(timeout=40)
+        assert sample == ["onset/pin-60"]
+        pull(inlet, 1)
         # Half a tick, the correction of LSL's clock on one machine, and what the daemon states.
         assert abs(at - sent - 4.0) <= bridge.markers[0].uncertainty + 0.002
         assert m.receipt().raw["id"] == bridge.markers[0].play
-    assert len(lines) == 1
-    assert lines[0].startswith("no play on the marker bad: ")
+    refused = [line for line in lines if "too-soon" not in line]
+    assert len(refused) == tries
+    assert all(line.startswith("no play on the marker bad: ") for line in refused)
 
 
 def test_a_bridge_that_ends_too_soon_says_so_at_once_and_at_the_end(m: meissner.Client) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import re
 import shutil
 import subprocess
@@ -14,26 +13,31 @@ import pytest
 
 import meissner
 from network import Network
+from patience import run_kept
 
 OCTAVE = shutil.which("octave-cli")
 MATLAB = Path(__file__).parents[1] / "matlab"
-pytestmark = pytest.mark.skipif(
-    OCTAVE is None or shutil.which("curl") is None, reason="Octave or curl is not installed"
-)
+
+
+def why_not() -> str:
+    """What these tests lack; empty: nothing."""
+    if OCTAVE is None or shutil.which("curl") is None:
+        return "Octave or curl is not installed"
+    command = [OCTAVE, "--norc", "--quiet", "--eval", "exit(~exist('jsondecode'))"]
+    has_json = subprocess.run(command, capture_output=True, check=False).returncode == 0
+    return "" if has_json else "Octave has no `jsondecode`, which came with Octave 7"
+
+
+WHY_NOT = why_not()
+pytestmark = pytest.mark.skipif(bool(WHY_NOT), reason=WHY_NOT)
 
 
 def octave(script: str, folder: Path, network: Network) -> str:
     """Runs a script, and returns what it prints."""
     assert OCTAVE is not None
     (folder / "script_of_the_test.m").write_text(script, encoding="utf-8")
-    ended = subprocess.run(
-        [OCTAVE, "--norc", "--quiet", "script_of_the_test.m"],
-        cwd=folder,
-        env={**os.environ, "MEISSNER_URL": network.url},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    command = [OCTAVE, "--norc", "--quiet", "script_of_the_test.m"]
+    ended = run_kept(command, folder, {"MEISSNER_URL": network.url})
     assert ended.returncode == 0, ended.stdout + ended.stderr
     return ended.stdout
 

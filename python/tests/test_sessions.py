@@ -291,6 +291,7 @@ def test_a_session_that_resumes_goes_on_after_an_error(
         assert lost.plays == []
 
 
+@pytest.mark.filterwarnings("ignore:.*fork.*:DeprecationWarning")
 def test_a_forked_child_does_not_take_over_a_session(
     daemon: meissner.Daemon, m: meissner.Client, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -390,7 +390,7 @@ def outcome(
     """
     receipt, cause = None, updates.cause
     try:
-        answer = yield _http.get(f"/v1/plays/{updates.play_id}?wait=1.000", timeout=3.0)
+        answer = yield _http.get(f"/v1/plays/{updates.play_id}?wait=10.000", timeout=20.0)
         receipt = core.receipt(answer.json())
     except MeissnerError as error:
         detail = f"the daemon has ended live play {updates.play_id} ({cause}), and gives no receipt: {error}"

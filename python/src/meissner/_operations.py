@@ -49,6 +49,8 @@ T = TypeVar("T")
 _LONGEST_WAIT = 50.0
 _COMPILING = 60.0
 """How long the daemon may take to compile a play of long motions, s."""
+_STORING = 60.0
+"""How long a slow disk may take to keep a pattern, s."""
 _SYNC_SAMPLES = 8
 _SYNC_AGE_NS = NS
 """How old the comparison of two PCs' clocks may be for an onset, ns."""
@@ -559,14 +561,14 @@ def store_pattern(core: Core, name: str, toml: str | os.PathLike[str], *, replac
     if isinstance(toml, os.PathLike):
         toml = text_of(toml).replace("\r\n", "\n")
     path = f"/v1/patterns/{quote(name, safe='')}" + ("?replace=true" if replace else "")
-    request = Request("PUT", path, toml.encode(), {"Content-Type": "application/toml"}, timeout=20.0)
+    request = Request("PUT", path, toml.encode(), {"Content-Type": "application/toml"}, timeout=_STORING)
     raw: dict[str, Any] = yield from document(core, request)
     return raw
 
 
 def remove_pattern(core: Core, name: str) -> Op[None]:
     """Remove a pattern that was stored."""
-    yield from document(core, Request("DELETE", f"/v1/patterns/{quote(name, safe='')}"))
+    yield from document(core, Request("DELETE", f"/v1/patterns/{quote(name, safe='')}", timeout=_STORING))
 
 
 def leave(core: Core) -> Op[None]:

@@ -312,7 +312,7 @@ class Daemon:
             raise
 
     def _wait_until_it_listens(self) -> None:
-        deadline = time.monotonic() + 30.0
+        deadline = time.monotonic() + 120.0
         while True:
             self.check()
             with socket.socket(socket.AF_UNIX) as trial:
@@ -321,7 +321,7 @@ class Daemon:
                     return
                 except OSError as error:
                     if time.monotonic() > deadline:
-                        raise ProgramError(f"the daemon does not listen after 30 s: {error}") from error
+                        raise ProgramError(f"the daemon does not listen after 120 s: {error}") from error
             time.sleep(0.01)
 
     @property
