@@ -32,10 +32,7 @@ impl Manager {
     /// Starts a program as a service manager does: without a terminal, with a notification socket.
     fn start_program(&self, program: &Path, watchdog: Option<Duration>) -> Daemon {
         let mut command = Command::new("sh");
-        command
-            .args(["-c", "trap '' HUP; exec \"$0\" \"$(900.0, 10_000.0)\""])
-            .arg(program)
-            .stdin(Stdio::null());
+        command.args(["-c", "trap '' HUP; exec \"$0\" \"$@\""]).arg(program).stdin(Stdio::null());
         command.env("NOTIFY_SOCKET", self.dir.path().join("notify")).env_remove("WATCHDOG_PID");
         match watchdog {
             Some(interval) => command.env("WATCHDOG_USEC", interval.as_micros().to_string()),
@@ -161,7 +158,7 @@ fn a_socket_that_is_handed_over_is_used_and_not_removed() {
         move || printed(meissner().args(["arm", "--assume-rest", "--socket"]).arg(path))
     });
     let mut command = Command::new("sh");
-    let script = "exec 3<&0 </dev/null; LISTEN_PID=$$ LISTEN_FDS=1 exec \"$0\" \"$(900.0, 10_000.0)\"";
+    let script = "exec 3<&0 </dev/null; LISTEN_PID=$$ LISTEN_FDS=1 exec \"$0\" \"$@\"";
     command.args(["-c", script, PROGRAM]).stdin(Stdio::from(OwnedFd::from(listener)));
     let mut daemon = Daemon::by(command);
     assert!(first.join().unwrap().starts_with("armed"), "it waits for the device");
