@@ -381,7 +381,7 @@ mod tests {
             let flood = vec![0; 1 << 22];
             let is_blocked = async {
                 while !lazy() {
-                    tokio::time::sleep(BLOCKED / 10).await;
+                    sleep(BLOCKED / 10).await;
                 }
             };
             tokio::select! {
