@@ -65,7 +65,8 @@ def check(nwb: Any, play: meissner.Play, pair: meissner.Play) -> None:
     ]
     assert ticks[2] - ticks[1] == 17_000
     # Both times are estimates.
-    assert times[2] - times[1] == pytest.approx(0.2, abs=pair.onset.monotonic_uncertainty + 1e-3)
+    uncertainty = sum(item.onset.monotonic_uncertainty for item in pair.items if item.onset)
+    assert times[2] - times[1] == pytest.approx(0.2, abs=uncertainty + 1e-4)
     onset = nwb.session_start_time + datetime.timedelta(seconds=float(times[0]))
     assert onset.timestamp() == pytest.approx(play.onset.wall, abs=0.1)
     assert table["duration"][0] == pytest.approx((play.offset.tick - play.onset.tick) / 85_000, abs=1e-6)

@@ -14,15 +14,11 @@ use crate::session_record::json;
 use anyhow::{Context, Result, bail};
 use csv::Writer;
 use meissner_api::{Fit, Labels, PlayAnswer, RecordedPlay, Session, SessionPlays};
-use meissner_client::{Client, escape};
+use meissner_client::{Client, DISK_TIMEOUT, escape};
 use std::collections::BTreeSet;
 use std::mem;
 use std::path::Path;
 use std::process::ExitCode;
-use std::time::Duration;
-
-/// How long to wait while the daemon reads its record.
-pub(super) const TIMEOUT: Duration = Duration::from_secs(60);
 
 /// A column: its name, and its field in the row of a play.
 type Column = (&'static str, fn(&Session, &RecordedPlay) -> String);
@@ -187,7 +183,7 @@ fn read(client: &mut Client, id: &str) -> Result<SessionPlays> {
     loop {
         let from = all.as_ref().map_or(0, |all| all.plays.len());
         let path = format!("/v1/sessions/{}/plays?from={from}", escape(id));
-        let next: SessionPlays = client.get_within(TIMEOUT, &path)?;
+        let next: SessionPlays = client.get_within(DISK_TIMEOUT, &path)?;
         let more = next.more && !next.plays.is_empty();
         match &mut all {
             None => all = Some(next),

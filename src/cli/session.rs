@@ -9,7 +9,7 @@ use super::{export, plan, replay, session_token, text};
 use anyhow::{Result, bail};
 use clap::Subcommand;
 use meissner_api::{self as api, Code, SessionList, SessionRequest, SessionStarted};
-use meissner_client::{ClientError, escape};
+use meissner_client::{ClientError, DISK_TIMEOUT, escape};
 use serde_json::json;
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -95,8 +95,7 @@ pub(super) fn run(asked: &Session) -> Result<ExitCode> {
         Session::Check(asked) => plan::run(asked),
         Session::Replay(asked) => replay::run(asked),
         Session::Show { id, options } => {
-            let session: api::Session =
-                options.client()?.get_within(export::TIMEOUT, &path(id.as_deref()))?;
+            let session: api::Session = options.client()?.get_within(DISK_TIMEOUT, &path(id.as_deref()))?;
             give(options.output.json, &session, || text::session(&session))
         }
     }
@@ -175,7 +174,7 @@ fn leave() -> Result<ExitCode> {
 }
 
 fn list(options: &ClientOptions) -> Result<ExitCode> {
-    let list: SessionList = options.client()?.get_within(export::TIMEOUT, "/v1/sessions")?;
+    let list: SessionList = options.client()?.get_within(DISK_TIMEOUT, "/v1/sessions")?;
     export::warn_unreadable(list.unreadable, &list.problems);
     give(options.output.json, &list, || {
         let row = |session: &api::Session| {

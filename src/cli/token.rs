@@ -3,13 +3,12 @@
 //! `create` prints the token alone on stdout, so that a script can keep it; the daemon does not show it again.
 
 use super::arguments::{ClientOptions, choice};
-use super::export::TIMEOUT;
 use super::output::give;
 use super::text;
 use anyhow::Result;
 use clap::Subcommand;
 use meissner_api::{Role, TokenCreated, TokenInfo, TokenList, TokenRequest};
-use meissner_client::escape;
+use meissner_client::{DISK_TIMEOUT, escape};
 use std::io::{self, Write};
 use std::process::ExitCode;
 
@@ -41,7 +40,8 @@ pub(super) fn run(asked: &Token) -> Result<ExitCode> {
     match asked {
         Token::Create { role, name, options } => {
             let request = TokenRequest { role: *role, name: name.clone() };
-            let created: TokenCreated = options.client()?.post_within(TIMEOUT, "/v1/tokens", &request)?;
+            let created: TokenCreated =
+                options.client()?.post_within(DISK_TIMEOUT, "/v1/tokens", &request)?;
             if !options.output.json {
                 let TokenInfo { id, role, .. } = &created.info;
                 // If stderr is closed, no one can read the message.

@@ -21,8 +21,9 @@ pub const HOME_TIMEOUT: Duration = Duration::from_secs(600);
 const LIVE_TIMEOUT: Duration = Duration::from_secs(30);
 /// Timeout of [`Client::play`] and [`Client::sequence`]: the daemon compiles the whole play before it answers.
 const COMPILE_TIMEOUT: Duration = Duration::from_secs(60);
-/// Timeout of [`Client::put`] and [`Client::delete`]: the daemon answers once the store is on its disk, which may be slow.
-const STORE_TIMEOUT: Duration = Duration::from_secs(60);
+/// Timeout of [`Client::put`], [`Client::delete`], and what else waits for the daemon's disk, which may be slow: the session record, and
+/// a new token.
+pub const DISK_TIMEOUT: Duration = Duration::from_secs(60);
 
 /// A client of one daemon.
 #[derive(Debug)]
@@ -120,7 +121,7 @@ impl Client {
     /// # Errors
     /// See [`ClientError`].
     pub fn put<T: DeserializeOwned>(&mut self, path: &str, text: String) -> Result<T, ClientError> {
-        self.call(Method::PUT, path, text.into(), STORE_TIMEOUT)
+        self.call(Method::PUT, path, text.into(), DISK_TIMEOUT)
     }
 
     /// Sends a `DELETE` and reads the JSON answer.
@@ -128,7 +129,7 @@ impl Client {
     /// # Errors
     /// See [`ClientError`].
     pub fn delete<T: DeserializeOwned>(&mut self, path: &str) -> Result<T, ClientError> {
-        self.call(Method::DELETE, path, Bytes::new(), STORE_TIMEOUT)
+        self.call(Method::DELETE, path, Bytes::new(), DISK_TIMEOUT)
     }
 
     fn call<T: DeserializeOwned>(

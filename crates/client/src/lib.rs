@@ -41,7 +41,7 @@ mod estop;
 mod events;
 mod live;
 
-pub use client::{Client, HOME_TIMEOUT};
+pub use client::{Client, DISK_TIMEOUT, HOME_TIMEOUT};
 pub use connection::{ANSWER_TIMEOUT, escape};
 pub use endpoint::{
     Endpoint, MAX_SOCKET_PATH, Place, SERVICE_SOCKET, default_socket, estop_socket, is_installed, make_dir,

@@ -15,7 +15,7 @@ mod rows;
 
 use super::arguments::{ClientOptions, positive};
 use super::ending::Ending;
-use super::export::{TIMEOUT, lacks};
+use super::export::lacks;
 use super::output::{give, say, say_json};
 use super::text;
 use anyhow::{Context, Result, anyhow, bail};
@@ -23,7 +23,7 @@ use clap::Args;
 use compare::{MAX_LISTED, Onset, Skipped, Summary, compare};
 use meissner_api::{ArrayDetails, Code, PlayAccepted, Receipt, RecordedPlay, SessionPlays, Status};
 use meissner_array::units::TickRate;
-use meissner_client::{Client, ClientError, escape};
+use meissner_client::{Client, ClientError, DISK_TIMEOUT, escape};
 use plan::{Order, Planner, Recorded, Skip, Step, rate};
 use rows::Rows;
 use serde_json::json;
@@ -70,7 +70,7 @@ pub(super) struct Replay {
 pub(super) fn run(asked: &Replay) -> Result<ExitCode> {
     let mut client = asked.options.client()?;
     let session: meissner_api::Session =
-        client.get_within(TIMEOUT, &format!("/v1/sessions/{}", escape(&asked.id)))?;
+        client.get_within(DISK_TIMEOUT, &format!("/v1/sessions/{}", escape(&asked.id)))?;
     if session.reason.is_none() {
         bail!("session {} still runs: end it first, then play it again", session.id);
     }
@@ -97,7 +97,7 @@ fn missing(asked: &Replay, id: &str) -> Result<Option<String>> {
         return Ok(None);
     }
     let beyond = format!("/v1/sessions/{}/plays?from=1000000000", escape(id));
-    let none: SessionPlays = asked.options.client()?.get_within(TIMEOUT, &beyond)?;
+    let none: SessionPlays = asked.options.client()?.get_within(DISK_TIMEOUT, &beyond)?;
     Ok(lacks(&none))
 }
 
@@ -350,7 +350,7 @@ impl Player {
         let Some(UnderWay { ids, .. }) = self.under_way.front() else { return Ok(()) };
         let mut receipts = Vec::new();
         for id in ids {
-            let within = Duration::from_secs_f64(WAIT_S) + TIMEOUT;
+            let within = Duration::from_secs_f64(WAIT_S) + DISK_TIMEOUT;
             let receipt: Receipt =
                 self.client.get_within(within, &format!("/v1/plays/{id}?wait={WAIT_S}"))?;
             if !receipt.state.is_over() {

@@ -3,10 +3,10 @@
 //! Bound: three pages of rows in memory, and the items of one sequence.
 
 use super::plan::Recorded;
-use crate::cli::export::{TIMEOUT, warn_incomplete};
+use crate::cli::export::warn_incomplete;
 use anyhow::Result;
 use meissner_api::{RecordedPlay, SessionPlays};
-use meissner_client::{Client, ClientError, escape};
+use meissner_client::{Client, ClientError, DISK_TIMEOUT, escape};
 use std::collections::VecDeque;
 use std::sync::mpsc::{Receiver, sync_channel};
 use std::thread;
@@ -27,7 +27,7 @@ impl Rows {
         let work = move || {
             let mut from = 0;
             loop {
-                let page: Result<SessionPlays, _> = client.get_within(TIMEOUT, &format!("{path}{from}"));
+                let page: Result<SessionPlays, _> = client.get_within(DISK_TIMEOUT, &format!("{path}{from}"));
                 let more = page.as_ref().is_ok_and(|page| page.more && !page.plays.is_empty());
                 from += page.as_ref().map_or(0, |page| page.plays.len());
                 // An error means that the replay has ended.

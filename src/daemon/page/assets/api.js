@@ -3,8 +3,8 @@
 const ANSWER_MS = 6000;
 // A play is compiled as a whole before its answer.
 const COMPILE_MS = 60000;
-// What is stored is on the disk before its answer, and a disk may be slow.
-export const STORE_MS = 60000;
+// How long an answer may take that waits for the daemon's disk.
+export const DISK_MS = 60000;
 
 // `known`: the status, or null if none is fresh. `last`: the last one, of any age. `poll`: requests it.
 export const { headers, known, last, poll } = globalThis.meissner;
@@ -94,7 +94,7 @@ export function orderIn(session, path, body) {
 
 // Stores a TOML file.
 export function put(path, text) {
-  return answer("PUT", path, text, STORE_MS, "application/toml");
+  return answer("PUT", path, text, DISK_MS, "application/toml");
 }
 
 // Calls `each` for every event, and `linked(true)` or `linked(false, problem)` when the stream begins or ends. It connects again by

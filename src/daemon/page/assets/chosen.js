@@ -2,7 +2,7 @@
 // another name. The window keeps what is changed and not saved: a reload shows it again, and another pattern takes its place only after a
 // question.
 
-import { call, known, order, poll, put, STORE_MS } from "./api.js";
+import { call, DISK_MS, known, order, poll, put } from "./api.js";
 import { array } from "./array.js";
 import { element, facts, open, ordered, orders, refuse, restored, say } from "./control.js";
 import { Drives } from "./drives.js";
@@ -308,7 +308,7 @@ export class Chosen {
   async #remove() {
     const removed = this.#removed;
     await this.#check(removed);
-    await call("DELETE", `/v1/patterns/${encodeURIComponent(removed.name)}`, undefined, STORE_MS);
+    await call("DELETE", `/v1/patterns/${encodeURIComponent(removed.name)}`, undefined, DISK_MS);
     if (this.#first === removed) {
       sessionStorage.removeItem(KEPT);
       this.choose(null);

@@ -1,10 +1,7 @@
 // The files of a recorded session: CSV with the columns of `meissner session export`, and JSON with the keys of its `--json`. The test
 // of the page compares both with the command's files.
 
-import { exact } from "./api.js";
-
-// The daemon reads its record for an answer.
-export const READ_MS = 60000;
+import { DISK_MS, exact } from "./api.js";
 
 // A column: its name, and its value in a play's row. Null: not known.
 const of = (name) => [name, ({ play }) => play[name]];
@@ -53,7 +50,7 @@ function field(value) {
 export async function readSession(id) {
   const plays = [];
   for (;;) {
-    const part = await exact(`/v1/sessions/${encodeURIComponent(id)}/plays?from=${plays.length}`, READ_MS);
+    const part = await exact(`/v1/sessions/${encodeURIComponent(id)}/plays?from=${plays.length}`, DISK_MS);
     plays.push(...part.plays);
     if (!part.more || !part.plays.length) return { ...part, plays };
   }

@@ -2,10 +2,10 @@
 //
 // A session may have thousands of plays. The daemon answers with some of them, and the table has a page of these.
 
-import { call } from "./api.js";
+import { call, DISK_MS } from "./api.js";
 import { element, facts, refuse, say, write } from "./control.js";
 import { bindExperiment } from "./experiment.js";
-import { csv, json, READ_MS, readSession } from "./export.js";
+import { csv, json, readSession } from "./export.js";
 import { number, right } from "./number.js";
 import { bindSession } from "./session.js";
 import { part } from "./views.js";
@@ -26,7 +26,7 @@ let rows = null;
 const when = (instant) => instant.slice(0, 19).replace("T", " ");
 
 async function load() {
-  const { sessions: all, unreadable } = await call("GET", "/v1/sessions", undefined, READ_MS);
+  const { sessions: all, unreadable } = await call("GET", "/v1/sessions", undefined, DISK_MS);
   sessions = all.reverse();
   write($("sessions-problem"), unreadable ? `${unreadable} lines of the session record cannot be read.` : "");
   list();
@@ -78,7 +78,7 @@ async function turn(id, from) {
   if (!isThere) {
     let found;
     try {
-      found = await call("GET", `/v1/sessions/${encodeURIComponent(id)}/plays?from=${from}`, undefined, READ_MS);
+      found = await call("GET", `/v1/sessions/${encodeURIComponent(id)}/plays?from=${from}`, undefined, DISK_MS);
     } catch (error) {
       if (mine !== wanted) return;
       wanted = shown;
