@@ -158,6 +158,13 @@ export const answers = (page, control, part) => page.waitForFunction((control, p
   return line && !line.hidden && line.textContent.includes(part);
 }, WAIT, control, part);
 
+// Counts the emergency stops that a page sends from now on. It sends one again whose answer is late, and the daemon gets it twice.
+export function stopsOf(page) {
+  const stops = { sent: 0 };
+  page.on("request", (request) => (stops.sent += Number(new URL(request.url()).pathname === "/v1/estop")));
+  return stops;
+}
+
 // Clicks where the header does not cover it. On a busy machine the state grows old at times; then controls are off or hidden, and take no click.
 // It clicks again only as long as the control has got none, so nothing is ordered twice.
 export async function press(page, selector) {
