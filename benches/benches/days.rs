@@ -148,7 +148,7 @@ fn ended(simulation: &mut Simulation, id: u64, seconds: f64) -> Option<Outcome> 
 
 /// Resets and disarms, as a person does before a pause.
 fn recover(simulation: &mut Simulation) {
-    for command in [Command::Reset { estops_seen: u64::MAX }, Command::Disarm] {
+    for command in [Command::Reset { estops_seen: u64::MAX, keep: true }, Command::Disarm] {
         simulation.send(command);
         simulation.run(300 * MS);
     }

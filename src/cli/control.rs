@@ -153,9 +153,9 @@ pub(super) fn estop(options: &ClientOptions) -> Result<ExitCode> {
     }
 }
 
-pub(super) fn reset(options: &ClientOptions, force: bool) -> Result<ExitCode> {
+pub(super) fn reset(options: &ClientOptions, force: bool, keep: bool) -> Result<ExitCode> {
     let mut client = options.client()?;
-    let status = match client.post("/v1/reset", &ResetRequest { force, estops_seen: None }) {
+    let status = match client.post("/v1/reset", &ResetRequest { force, keep, estops_seen: None }) {
         // On a terminal a person can decide.
         Err(ClientError::Problem(problem))
             if problem.code == Code::RecentEStop.parts().0 && io::stdin().is_terminal() =>
@@ -163,7 +163,7 @@ pub(super) fn reset(options: &ClientOptions, force: bool) -> Result<ExitCode> {
             // The person's decision covers only the stops so far, not one that comes while they read.
             let Status { estops, .. } = client.get("/v1/status")?;
             ask(&problem.detail, "Is it safe to reset? [yes/no] ", "not reset: find out why first")?;
-            client.post("/v1/reset", &ResetRequest { force: true, estops_seen: Some(estops) })
+            client.post("/v1/reset", &ResetRequest { force: true, keep, estops_seen: Some(estops) })
         }
         answer => answer,
     };

@@ -142,11 +142,14 @@ enum Command {
     },
     /// Turn all lines off at once; they stay off until `reset`
     Estop(ClientOptions),
-    /// Leave an emergency stop or a fault; the motors are disarmed
+    /// Leave an emergency stop or a fault: pins that stand above rest return to it, and the motors are disarmed
     Reset {
         /// Reset although another terminal has ordered an emergency stop since the last reset
         #[arg(long)]
         force: bool,
+        /// Leave pins where they stand, until `arm`
+        #[arg(long)]
+        keep: bool,
         #[command(flatten)]
         options: ClientOptions,
     },
@@ -348,7 +351,7 @@ fn run(command: Command) -> Result<ExitCode> {
         Command::Stop { play: Some(id), options } => control::withdraw(&options, id),
         Command::Stop { play: None, options } => control::command(&options, "stop"),
         Command::Estop(options) => control::estop(&options),
-        Command::Reset { force, options } => control::reset(&options, force),
+        Command::Reset { force, keep, options } => control::reset(&options, force, keep),
         Command::Arm { assume_rest, checked, silence: silence_s, unattended, options } => {
             control::arm(&options, ArmRequest { assume_rest, checked, silence_s, unattended })
         }

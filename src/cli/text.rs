@@ -52,16 +52,20 @@ pub fn number(number: Option<f64>, digits: usize) -> String {
     number.map_or_else(|| "-".to_owned(), |number| format!("{number:.digits$}"))
 }
 
-/// State and cause.
+/// State and cause, and pins that stand above rest.
 pub(super) fn state(status: &Status) -> String {
     let Status { state, cause, lease_ms, .. } = status;
-    match cause.as_str() {
+    let mut text = match cause.as_str() {
         _ if state == NO_DEVICE => "no device".to_owned(),
         cause if cause == EndCause::HostTimeout.text() => {
             format!("{state}: the PC was silent for more than {lease_ms} ms")
         }
         cause => format!("{state} ({cause})"),
+    };
+    if let Some(standing) = &status.standing {
+        text = format!("{text}; {}", standing.text());
     }
+    text
 }
 
 /// How far pins may be from rest by dead reckoning: the largest estimate, and the number of motors that have one.

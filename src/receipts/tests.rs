@@ -55,6 +55,7 @@ fn snapshot(connected: bool, state: State, play: Option<(u64, f64)>) -> Snapshot
         source: PerMotor::all(Array::paper(), ErrorSource::None),
         sensor_faults: PerMotor::all(Array::paper(), None),
         movements: PerMotor::all(Array::paper(), Movement::default()),
+        standing: None,
         pins_seen: true,
         line_bytes_per_s: None,
         traffic: Traffic::default(),

@@ -114,7 +114,7 @@ pub use session::{
 };
 pub use status::{
     ArmedStatus, ClockSample, DeviceInfo, MotorStatus, NO_DEVICE, ParticipantStatus, PinMovement,
-    PlayAccepted, QueuedPlay, Realtime, RunningPlay, SensorFault, Status,
+    PlayAccepted, QueuedPlay, Realtime, RunningPlay, SensorFault, StandingPins, Status,
 };
 pub use target::{
     RemovedTarget, StoredTarget, TargetDetails, TargetFile, TargetList, TargetMotion, TargetPopulation,

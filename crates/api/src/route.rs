@@ -384,7 +384,8 @@ impl Route {
             },
             Self::Reset => Operation {
                 summary: "Clear a latched emergency stop or fault",
-                description: "The motors stay disarmed. If another terminal has ordered an emergency stop since the last reset, a person \
+                description: "Pins that stand above rest (`standing` in the status) return to it, unless `keep` says that they must not \
+                              move; then the answer comes. The motors stay disarmed. If another terminal has ordered an emergency stop since the last reset, a person \
                               must confirm with `force`. A client is a process, or the commands of one terminal session.",
                 body: Body::OptionalJson("ResetRequest"),
                 errors: &[

@@ -114,6 +114,27 @@ pub struct PinMovement {
     pub hz: f64,
 }
 
+/// Pins that an emergency stop, a fault, a lost link or a restart of the device has left above rest. A device that knows where its
+/// pins are returns them at the next `reset` or `arm`.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+#[schema(examples(json!({"height_um": 200.0, "age_s": 12.5})))]
+pub struct StandingPins {
+    /// Height of the highest one, µm above rest. It may be lower if the device could not say when it stopped.
+    #[schema(minimum = 0.0)]
+    pub height_um: f64,
+    /// For how long the daemon knows of them, s.
+    #[schema(minimum = 0.0)]
+    pub age_s: f64,
+}
+
+impl StandingPins {
+    /// As a clause.
+    #[must_use]
+    pub fn text(&self) -> String {
+        format!("pins stand up to {:.0} um above rest, for {:.0} s", self.height_um, self.age_s)
+    }
+}
+
 /// Why the daemon does not trust the telemetry of a motor: `jumps` (the signal moves where the motor rests), `gain` (it shows far
 /// less or more travel than bursts make), `scatter` (equal bursts differ too much) or `limit` (corrections at their limit
 /// have not helped).
@@ -147,7 +168,8 @@ impl SensorFault {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct MotorStatus {
     /// Estimated offset of the pin from rest, µm, positive upwards. By the lower stop and by dead reckoning: root mean square to
-    /// expect; by dead reckoning at most the distance of the end stops.
+    /// expect; by dead reckoning at most the distance of the end stops. The height of a pin that stands above rest (`standing`) is
+    /// part of it.
     pub rest_error_um: f32,
     /// Where the estimate comes from: `none`, `telemetry`, `dead-reckoning` or `lower-stop`.
     pub source: ErrorSource,
@@ -159,8 +181,8 @@ pub struct MotorStatus {
     #[serde(default)]
     #[schema(required)]
     pub sensor_fault: Option<SensorFault>,
-    /// What the pin does now, whatever the play: renewed ten times a second while pins move. Null if that is not known: without a
-    /// device, after an emergency stop, while the position of the pins is unknown, or from an older daemon.
+    /// What the pin does now, whatever the play: renewed ten times a second while pins move. After an emergency stop it stands where it
+    /// was. Null if that is not known: without a device, while the position of the pins is unknown, or from an older daemon.
     #[serde(default)]
     #[schema(required)]
     pub now: Option<PinMovement>,
@@ -243,6 +265,7 @@ pub struct ArmedStatus {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 #[schema(examples(json!({
     "state": "armed", "cause": "request", "armed": {"by": "ada (uid 1000, pid 4711)", "silence_s": 10.0, "left_s": 7.4}, "estops": 0, "position": "known",
+    "standing": null,
     "device": {
         "kind": "mock", "firmware": "0.1.0", "build": "6d656973", "boot": 305419896, "simulated": true, "telemetry": true, "trigger_input": true
     },
@@ -293,6 +316,10 @@ pub struct Status {
     pub estops: u64,
     /// Whether the device knows where its pins are: `known` or `unknown`.
     pub position: String,
+    /// Pins that stand above rest while nothing drives them; null: none that the daemon knows of.
+    #[serde(default)]
+    #[schema(required)]
+    pub standing: Option<StandingPins>,
     /// The connected device; null without one.
     #[schema(required)]
     pub device: Option<DeviceInfo>,

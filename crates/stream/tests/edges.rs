@@ -136,7 +136,7 @@ fn edges_during_an_emergency_stop_mark_and_start_nothing() {
     rig.mock.take_trace();
     let latched = edge_in(&mut rig, 10);
     rig.run_ms(200);
-    rig.send(Command::Reset { estops_seen: u64::MAX });
+    rig.send(Command::Reset { estops_seen: u64::MAX, keep: true });
     rig.run_ms(200);
     let disarmed = edge_in(&mut rig, 10);
     rig.run_ms(200);

@@ -228,7 +228,7 @@ fn lost(outcome: &Outcome) -> u64 {
 fn recovers(player: &mut Player<'_>) -> Result<(), String> {
     player.events.clear();
     if player.is_latched() || player.estopped {
-        player.rig.send(Command::Reset { estops_seen: u64::MAX });
+        player.rig.send(Command::Reset { estops_seen: u64::MAX, keep: true });
         player.run(100 * MS);
     }
     if player.rig.mock.controller().state() != State::Armed {

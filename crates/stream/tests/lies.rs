@@ -41,7 +41,7 @@ fn assert_recovers(rig: &mut Rig, what: &str) {
     }
     if rig.mock.controller().state() == State::Faulted {
         // An e-stop that the link could not take back stays for the operator.
-        rig.send(Command::Reset { estops_seen: u64::MAX });
+        rig.send(Command::Reset { estops_seen: u64::MAX, keep: true });
         rig.run_ms(100);
     }
     let ticket = rig.send(Command::Arm { assume_rest: true });

@@ -141,7 +141,7 @@ fn an_emergency_stop_in_a_seek_is_answered_and_the_next_arm_seeks_again() {
         (Some(Err(CommandError::Faulted)), Some(Ok(())))
     );
     assert!(!last_snapshot(&events).position_known);
-    rig.send(Command::Reset { estops_seen: u64::MAX });
+    rig.send(Command::Reset { estops_seen: u64::MAX, keep: true });
     rig.run_ms(50);
     // Also without a pause.
     let arm = rig.send(Command::Arm { assume_rest: false });
@@ -228,7 +228,7 @@ fn pins_are_at_rest_when_a_seek_is_over_and_not_before() {
     rig.run_ms(300);
     let after = last_snapshot_now(&mut rig);
     assert_eq!((after.state, after.rest_error_um), (State::Faulted, before));
-    rig.send(Command::Reset { estops_seen: u64::MAX });
+    rig.send(Command::Reset { estops_seen: u64::MAX, keep: true });
     rig.run_ms(50);
     rig.send(Command::Arm { assume_rest: false });
     rig.run_ms(200);
@@ -244,7 +244,7 @@ fn a_seek_that_was_not_carried_out_does_not_save_the_next_one() {
     rig.send(Command::EStop);
     rig.run_ms(50);
     assert_eq!(answer(&rig.take_events(), home), Some(Err(CommandError::Faulted)));
-    rig.send(Command::Reset { estops_seen: u64::MAX });
+    rig.send(Command::Reset { estops_seen: u64::MAX, keep: true });
     rig.run_ms(50);
     rig.send(Command::Arm { assume_rest: false });
     rig.run_ms(30);

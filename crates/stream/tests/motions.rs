@@ -162,7 +162,7 @@ fn whatever_cuts_a_ramp_or_a_hold_brings_the_pin_down() {
             let mut net = before.net[9] + cut.net[9] + bursts_on_the_lines(&rig.mock.take_trace()).net[9];
             if matches!(by, By::EStop) {
                 assert_eq!(i64::from(rig.mock.controller().outstanding(9)), net, "{what}");
-                rig.send(Command::Reset { estops_seen: u64::MAX });
+                rig.send(Command::Reset { estops_seen: u64::MAX, keep: true });
                 rig.run_ms(20);
                 rig.send(Command::Arm { assume_rest: false });
                 rig.run_ms(50);

@@ -250,7 +250,7 @@ fn an_e_stop_with_the_lead_full_leaves_no_line_high_and_arming_returns_the_pins(
         assert_eq!((outcome.end, outcome.cause.clone()), (End::Stopped, Some(EndCause::EStop)));
         rig::assert_closed(&outcome);
         let outstanding: u16 = (0..24).map(|motor| rig.mock.controller().outstanding(motor)).sum();
-        rig.send(Command::Reset { estops_seen: u64::MAX });
+        rig.send(Command::Reset { estops_seen: u64::MAX, keep: true });
         rig.run_ms(20);
         rig.send(Command::Arm { assume_rest: false });
         rig.run_ms(100);
@@ -352,7 +352,7 @@ fn the_streamer_allocates_nothing_while_it_plays() {
             }
             2000 => Some(Command::Stop),
             2500 => Some(Command::EStop),
-            3000 => Some(Command::Reset { estops_seen: u64::MAX }),
+            3000 => Some(Command::Reset { estops_seen: u64::MAX, keep: true }),
             3500 => Some(Command::Arm { assume_rest: false }),
             _ => None,
         };
@@ -471,7 +471,7 @@ proptest! {
                     estopped = true;
                     tickets.push(rig.send(Command::EStop));
                 }
-                Op::Reset => tickets.push(rig.send(Command::Reset { estops_seen: u64::MAX })),
+                Op::Reset => tickets.push(rig.send(Command::Reset { estops_seen: u64::MAX, keep: true })),
                 Op::Arm => tickets.push(rig.send(Command::Arm { assume_rest: false })),
                 Op::Disarm => tickets.push(rig.send(Command::Disarm)),
                 Op::Stall(ms) => rig.stall(ms * MS),
@@ -482,7 +482,7 @@ proptest! {
         }
         rig.set_line(Line::default());
         rig.run_ms(300);
-        tickets.push(rig.send(Command::Reset { estops_seen: u64::MAX }));
+        tickets.push(rig.send(Command::Reset { estops_seen: u64::MAX, keep: true }));
         rig.run_ms(50);
         tickets.push(rig.send(Command::Arm { assume_rest: false }));
         rig.run_ms(200);

@@ -36,6 +36,8 @@ mod races;
 mod sequences;
 /// A session and a controller over a line that loses: one verdict per stroke.
 mod session;
+/// Pins that a cut has left above rest.
+mod standing;
 mod streaming;
 
 /// Lets `assert_no_alloc` see every allocation of the tests.

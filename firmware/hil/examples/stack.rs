@@ -36,7 +36,7 @@ fn main() {
         rig.run_to(rig.now() + 200 * MS).unwrap();
         rig.order(Command::EStop);
         rig.run_to(rig.now() + 20 * MS).unwrap();
-        rig.order(Command::Reset { estops_seen: u64::MAX });
+        rig.order(Command::Reset { estops_seen: u64::MAX, keep: true });
         rig.run_to(rig.now() + 20 * MS).unwrap();
         rig.order(Command::Arm { assume_rest: false });
         rig.run_to(rig.now() + 100 * MS).unwrap();

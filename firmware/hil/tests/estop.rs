@@ -110,7 +110,7 @@ fn latency(rig: &mut Rig, name: &str, traffic: Traffic, channel: Channel, random
     let off = chip.pins.led.last().unwrap().to;
     assert!(from < off && off < from + 100 * MS, "{name}: LED off at {off}, packet at {from}");
     assert!(chip.pins.still_high().is_none(), "{name}: lines go on long after the e-stop was sent");
-    rig.order(Command::Reset { estops_seen: u64::MAX });
+    rig.order(Command::Reset { estops_seen: u64::MAX, keep: true });
     reach(rig, State::Disarmed);
     rig.order(Command::Arm { assume_rest: true });
     reach(rig, State::Armed);

@@ -49,7 +49,7 @@ fn counts_of(late: u64, seed: u64) {
         if counted != least && counted != most {
             wrong.push(format!("e-stop {number}: {counted} counted, {least} to {most} begun"));
         }
-        rig.order(Command::Reset { estops_seen: u64::MAX });
+        rig.order(Command::Reset { estops_seen: u64::MAX, keep: true });
         rig.run_to(rig.now() + 10 * MS).unwrap();
         rig.order(Command::Arm { assume_rest: false });
         rig.run_to(rig.now() + 60 * MS).unwrap();
@@ -84,7 +84,7 @@ fn an_e_stop_just_behind_a_packet_of_the_other_pipe_is_not_missed() {
         let chip = rig.chip().unwrap();
         let cycles = chip.pins.led.last().unwrap().to - chip.e_stopped[0];
         longest = longest.max(cycles);
-        rig.order(Command::Reset { estops_seen: u64::MAX });
+        rig.order(Command::Reset { estops_seen: u64::MAX, keep: true });
         rig.run_to(rig.now() + 30 * MS).unwrap();
         rig.order(Command::Arm { assume_rest: true });
         rig.run_to(rig.now() + 30 * MS).unwrap();

@@ -111,7 +111,7 @@ fn an_emergency_stop_cuts_a_seek_and_the_next_one_is_whole() {
     rig.run_to(rig.now() + 40 * MS).unwrap();
     rig.order(Command::EStop);
     rig.run_to(rig.now() + 100 * MS).unwrap();
-    rig.order(Command::Reset { estops_seen: u64::MAX });
+    rig.order(Command::Reset { estops_seen: u64::MAX, keep: true });
     rig.run_to(rig.now() + 20 * MS).unwrap();
     arm(&mut rig);
     let (judged, _) = judged(rig);

@@ -66,7 +66,7 @@ fn least(rig: &mut Rig, number: u64, beside: Beside) -> u64 {
     let left = rig.chip().unwrap().read("SLACK_MIN", 4).unwrap();
     if beside == Beside::EStops {
         assert_eq!((status.state, status.cause), (State::Faulted, Cause::EStop), "pattern {number}");
-        rig.order(Command::Reset { estops_seen: u64::MAX });
+        rig.order(Command::Reset { estops_seen: u64::MAX, keep: true });
         rig.run_to(rig.now() + 10 * MS).unwrap();
         rig.order(Command::Arm { assume_rest: false });
         // The return of all pins.

@@ -55,7 +55,7 @@ fn fail((name, writes): Failure, phase: u64) -> u64 {
     assert_eq!((status.state, status.cause), (State::Faulted, Cause::Output), "{name}");
     assert!(!status.position_known, "{name}");
     // A reset does not help: the pads stay low.
-    rig.order(Command::Reset { estops_seen: u64::MAX });
+    rig.order(Command::Reset { estops_seen: u64::MAX, keep: true });
     rig.run_to(rig.now() + 20 * MS).unwrap();
     assert_eq!(rig.tap().status().unwrap().state, State::Faulted, "{name}");
     let chip = rig.chip().unwrap();

@@ -274,9 +274,9 @@ def estop(core: Core) -> Op[Status]:
     return _take_status(core, answer)
 
 
-def reset(core: Core, *, force: bool = False) -> Op[Status]:
-    """Clear a latched emergency stop or fault. The motors stay disarmed."""
-    return (yield from _command(core, "/v1/reset", {"force": force or None}))
+def reset(core: Core, *, force: bool = False, keep: bool = False) -> Op[Status]:
+    """Clear a latched emergency stop or fault. Pins that stand above rest return to it, unless `keep`. The motors stay disarmed."""
+    return (yield from _command(core, "/v1/reset", {"force": force or None, "keep": keep or None}))
 
 
 def home(core: Core) -> Op[Status]:

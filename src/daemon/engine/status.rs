@@ -5,8 +5,7 @@
 use crate::daemon::engine::Engine;
 use crate::exposure::Now;
 use crate::receipts::{DeviceState, board_status};
-use firmware_protocol::message::State;
-use meissner_api::{ClockSample, MotorStatus, PinMovement, QueuedPlay, Session, Status};
+use meissner_api::{ClockSample, MotorStatus, PinMovement, QueuedPlay, Session, StandingPins, Status};
 use meissner_stream::queues::Snapshot;
 use meissner_stream::time::HostInstant;
 use std::fmt::Write as _;
@@ -39,6 +38,7 @@ impl Engine {
             armed: daemon.armed.status(),
             estops: self.estops.switch.newest(),
             position: position.to_owned(),
+            standing: snapshot.and_then(|at| standing(at, now)),
             device: receipts.device(),
             array: daemon.settings.array.name().to_owned(),
             device_identity: daemon.calibration.identity.clone(),
@@ -104,6 +104,9 @@ impl Engine {
             (None, None) => format!("no device yet: looking for `{}`", self.wanted),
         };
         // Writing to a string does not fail.
+        if let Some(standing) = receipts.snapshot().and_then(|at| standing(at, HostInstant::now())) {
+            let _ = write!(line, "; {}", standing.text());
+        }
         if let Some(play) = receipts.running() {
             let _ = write!(line, "; plays {} (play {})", play.pattern, play.id);
         }
@@ -119,13 +122,23 @@ impl Engine {
     }
 }
 
-/// What a pin does, unless nothing tells: after an emergency stop the lines are off, and the pin stands where it was.
+fn tenths(number: f64) -> f64 {
+    (10.0 * number).round() / 10.0
+}
+
+/// The pins that stand above rest, and since when.
+fn standing(at: &Snapshot, now: HostInstant) -> Option<StandingPins> {
+    let (pulses, since) = at.standing?;
+    let height_um = tenths(f64::from(pulses) * at.settings.array.motor().um_per_pulse);
+    Some(StandingPins { height_um, age_s: tenths(now.since(since).as_secs_f64()) })
+}
+
+/// What a pin does, unless nothing tells.
 fn movement(at: &Snapshot, motor: u8) -> Option<PinMovement> {
-    if !at.connected || !at.position_known || at.state == State::Faulted {
+    if !at.connected || !at.position_known {
         return None;
     }
     let of = at.movements.get(usize::from(motor))?;
-    let tenths = |number: f64| (10.0 * number).round() / 10.0;
     let um_per_pulse = at.settings.array.motor().um_per_pulse;
     let [low, high] = [of.low, of.high].map(|pulses| f64::from(pulses) * um_per_pulse);
     let (height_um, swing_um) = (tenths(f64::midpoint(low, high)), tenths(high - low));

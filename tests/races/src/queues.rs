@@ -123,7 +123,7 @@ fn reset_first() {
         before.expect("the reset has come")
     });
     let resets = spawn(move || {
-        commands.send(request(1, Command::Reset { estops_seen: 0 })).expect("there is room");
+        commands.send(request(1, Command::Reset { estops_seen: 0, keep: true })).expect("there is room");
         own.request()
     });
     let _ = other.request();

@@ -97,7 +97,7 @@ fn request(commands: &mut CommandQueue, until: Instant) -> u64 {
     let mut sent = 0;
     while Instant::now() < until {
         let command = match sent % 3 {
-            0 => Command::Reset { estops_seen: switch.newest() },
+            0 => Command::Reset { estops_seen: switch.newest(), keep: true },
             1 => Command::Arm { assume_rest: true },
             _ => Command::Disarm,
         };

@@ -3,7 +3,7 @@
 //! The streamer reports strokes and telemetry to [`PositionControl`] and asks it for corrections. Per motor, `estimator` tracks
 //! the shaft from delayed, quantised, averaged telemetry with gaps; `telemetry_monitor` detects sensor faults; `burst_controller`
 //! decides the count of each burst as late as the link allows. `replacement` keeps the strokes that the device has been asked to
-//! withdraw, until it answers. A motor with a sensor fault plays on in open loop. So does one that settles so slowly, and is driven so
+//! withdraw, until it answers. `standing` keeps how high pins stand that a cut has left above rest. A motor with a sensor fault plays on in open loop. So does one that settles so slowly, and is driven so
 //! fast, that the estimator cannot hold all bursts under way: status shows `dead-reckoning` as the source of its error. Without
 //! telemetry the loop uses dead reckoning: it corrects what the gains of a calibrated motor predict, and the estimated error of the
 //! rest position grows, up to the end stops. `bound` gives the least error of any such loop.
@@ -16,6 +16,7 @@ mod burst_controller;
 mod estimator;
 mod queued;
 mod replacement;
+mod standing;
 mod telemetry_monitor;
 
 pub(super) use burst_controller::{BurstController, Times};
@@ -27,6 +28,7 @@ use crate::settings::Settings;
 pub use bound::rest_bound_um;
 use firmware_protocol::array::MotorSet;
 use firmware_protocol::batch::Amendment;
+use firmware_protocol::message::State;
 use firmware_protocol::stroke::Direction;
 use firmware_protocol::tick::Tick;
 use meissner_api::ErrorSource;
@@ -35,6 +37,7 @@ use meissner_array::per_motor::PerMotor;
 use meissner_array::spec::Array;
 use meissner_array::strokes::{Burst, Step};
 use replacement::Replacement;
+use standing::Standing;
 
 /// Without telemetry a stroke counts as played so long after it begins, ms: the device's verdict has come by then.
 const REPORTED_MS: u64 = 50;
@@ -79,6 +82,8 @@ pub(super) struct PositionControl {
     seen: bool,
     /// The first status of a device at rest since the last sample.
     unseen_since: Option<Tick>,
+    /// Pins that a cut may have left above rest.
+    standing: Standing,
 }
 
 impl PositionControl {
@@ -98,6 +103,7 @@ impl PositionControl {
             valid_from: None,
             seen: false,
             unseen_since: None,
+            standing: Standing::none(array),
         };
         control.configure(settings);
         control
@@ -121,6 +127,9 @@ impl PositionControl {
         if now.is_none() {
             (self.seen, self.unseen_since) = (false, None);
         }
+        // Without a link the device may have played all that it had.
+        let until = if now.is_some() { begun_by } else { Tick(u64::MAX) };
+        self.standing.bound(|motor| self.motors[usize::from(motor)].highest(until));
         self.motors.iter_mut().for_each(|motor| motor.remember(begun_by));
         // The strokes that are remembered may have been cut: their planned ends do not count.
         let over = self.account.over.clone();
@@ -136,6 +145,55 @@ impl PositionControl {
         self.valid_from = None;
     }
 
+    /// The device has cut its moves at a tick, and had so many return pulses outstanding then.
+    pub(super) fn was_cut(&mut self, cut: Cutting, outstanding: u32) {
+        let Self { standing, motors, .. } = self;
+        standing.cut(cut, outstanding, |motor| motors[usize::from(motor)].height_at(cut.at));
+    }
+
+    /// The device does nothing and has so many return pulses outstanding. It knows where its pins are, or not.
+    pub(super) fn stands(&mut self, outstanding: u32, position_known: bool, tick: Tick) {
+        if position_known && outstanding == 0 {
+            self.returned(tick);
+        } else if outstanding > 0 {
+            self.standing.bound_by(outstanding, self.array.layout().max_up_pulses());
+        }
+    }
+
+    /// A move up of this motor was cut.
+    pub(super) fn move_was_cut(&mut self, motor: u8, pulses: u16) {
+        self.standing.raise(motor, pulses);
+    }
+
+    /// The device has brought all pins down.
+    fn returned(&mut self, tick: Tick) {
+        if self.standing.end() {
+            self.motors.iter_mut().for_each(|motor| motor.returned(tick));
+        }
+    }
+
+    /// The highest pin that a cut may have left above rest, pulses; 0: none.
+    pub(super) fn highest_standing(&self) -> u16 {
+        self.standing.highest()
+    }
+
+    /// Pins that stand are taken as at rest, and nobody has looked: from here on their height is an error of their rest position.
+    pub(super) fn leave_standing(&mut self) {
+        for (motor, &pulses) in self.motors.iter_mut().zip(self.standing.heights()) {
+            motor.stay_up(pulses);
+        }
+        self.standing.clear();
+    }
+
+    /// The largest distance from rest by dead reckoning, µm, if pins that stand count as at rest.
+    pub(super) fn unchecked_um(&self, now: Tick) -> f32 {
+        let um_per_pulse = self.array.motor().um_per_pulse as f32;
+        let of = |(motor, pulses): (u8, &u16)| {
+            self.dead_reckoning_um(now, [motor].into_iter()) + f32::from(*pulses) * um_per_pulse
+        };
+        (0..).zip(self.standing.heights()).map(of).fold(0.0, f32::max)
+    }
+
     /// A command was sent that cuts the play, at a tick unknown until the answer.
     pub(super) fn will_be_cut(&mut self) {
         self.valid_from = None;
@@ -143,6 +201,7 @@ impl PositionControl {
 
     /// At `tick` the device takes strokes: after a cut the pins have stopped, and telemetry shows where.
     pub(super) fn at_rest(&mut self, tick: Tick) {
+        self.returned(tick);
         self.valid_from = self.valid_from.or(Some(tick + self.array.motor().settled_ticks()));
         let since = *self.unseen_since.get_or_insert(tick);
         self.seen &= tick - since <= self.array.rate().per_s();
@@ -180,6 +239,7 @@ impl PositionControl {
     /// The operator says that all pins are at rest.
     pub(super) fn assume_rest(&mut self) {
         self.motors.iter_mut().for_each(BurstController::assume_rest);
+        self.standing.clear();
     }
 
     /// The operator arms: clears the sensor faults.
@@ -473,19 +533,34 @@ impl PositionControl {
 
     /// Estimated rest error of each shaft, µm, and its source. By the lower stop and by dead reckoning: root
     /// mean square to expect; by dead reckoning at most the distance of the end stops, because no shaft can be farther off.
+    /// The height of a pin that a cut has left above rest is part of it, unless telemetry shows it.
     pub(super) fn rest_error_um(&self, now: Tick) -> RestErrors {
+        let um_per_pulse = self.array.motor().um_per_pulse as f32;
         let mut errors = RestErrors::none(self.array);
-        for (motor, (um, source)) in self.motors.iter().zip(errors.um.iter_mut().zip(&mut errors.source)) {
+        let of = self.motors.iter().zip(self.standing.heights());
+        for ((motor, &pulses), (um, source)) in of.zip(errors.um.iter_mut().zip(&mut errors.source)) {
             (*um, *source) = self.error_um(motor, now);
+            if pulses > 0 && *source != ErrorSource::Telemetry {
+                (*um, *source) = (*um + f32::from(pulses) * um_per_pulse, ErrorSource::DeadReckoning);
+            }
         }
         errors
     }
 
-    /// What each pin does now: how far and how often it moved in the last [`SPAN_MS`], as planned.
-    pub(super) fn movements(&self, now: Tick) -> PerMotor<Movement> {
+    /// What each pin does now: how far and how often it moved in the last [`SPAN_MS`], as planned. The device's state says whether
+    /// pins that a cut has left above rest stand or are on their way down.
+    pub(super) fn movements(&self, now: Tick, state: State) -> PerMotor<Movement> {
         let rate = self.array.rate();
         let span = [Tick(now.0.saturating_sub(rate.of_ms(SPAN_MS))), now];
-        PerMotor::from_fn(self.array, |motor| self.motors[usize::from(motor)].movement(span, rate))
+        PerMotor::from_fn(self.array, |motor| {
+            let index = usize::from(motor);
+            let (moved, high) = (self.motors[index].movement(span, rate), self.standing.heights()[index]);
+            match state {
+                State::Disarmed if high == 0 => moved,
+                State::Disarmed | State::Faulted => Movement { low: high, high, hz: 0.0 },
+                State::Armed | State::Returning => Movement { high: high.max(moved.high), ..moved },
+            }
+        })
     }
 
     /// Whether a pin may have moved in the last [`SPAN_MS`]. Moves that are still queued do not count.

@@ -84,6 +84,25 @@ impl Queued {
         self.level == 0
     }
 
+    /// The level before it, pulses above rest.
+    pub(super) const fn level_before(&self) -> u16 {
+        let way = self.planned.saturating_sub(self.surplus);
+        match self.burst.direction {
+            Direction::Up => self.level.saturating_sub(way),
+            Direction::Down => self.level.saturating_add(way),
+        }
+    }
+
+    /// The level at a tick that is not before its beginning: a correction is no height.
+    pub(super) fn level_at(&self, tick: Tick) -> u16 {
+        let played = u16::try_from(tick - self.burst.start).unwrap_or(u16::MAX);
+        match self.burst.direction {
+            _ if played >= self.burst.pulses => self.level,
+            Direction::Up => self.level_before().saturating_add(played).min(self.level),
+            Direction::Down => self.level_before().saturating_sub(played).max(self.level),
+        }
+    }
+
     /// It begins at another level than planned: it goes to its own all the same.
     pub(super) fn begin_at(&mut self, level: u16) {
         self.burst.direction = if self.level > level { Direction::Up } else { Direction::Down };

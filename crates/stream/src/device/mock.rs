@@ -10,7 +10,7 @@
 use firmware_protocol::board::{Measures, Reset, SelfTest};
 use firmware_protocol::controller::{BLOCK, Controller, HORIZON, Identity, Run};
 use firmware_protocol::frame::MAX_FRAME;
-use firmware_protocol::message::{DeviceHello, State};
+use firmware_protocol::message::{Cause, DeviceHello, State};
 use firmware_protocol::stroke::Lines;
 use firmware_protocol::tick::Tick;
 use meissner_array::simulated::{
@@ -193,6 +193,12 @@ impl Mock {
         self.to_controller.clear();
         self.to_host.clear();
         self.controller.link_lost(self.now);
+    }
+
+    /// The device finds a fault of its own: all lines go off after this tick.
+    pub fn fault(&mut self, cause: Cause) {
+        self.controller.fault(self.now, cause);
+        self.play(1, false);
     }
 
     /// A rising edge of the trigger input comes at this tick, or in the last tick played if that is later. Returns whether there was

@@ -53,10 +53,13 @@ pub enum Command {
     Stop,
     /// Switch all lines off and latch; works without a device too.
     EStop,
-    /// Leave the latched state: disarmed. Refused if an emergency stop was executed that its client does not know.
+    /// Leave the latched state: disarmed. Pins that stand above rest are returned before the answer comes. Refused if an emergency stop
+    /// was executed that its client does not know.
     Reset {
         /// The newest emergency stop when the client's order was checked ([`super::EStopSwitch::newest`]).
         estops_seen: u64,
+        /// Leave pins where they stand: the next `arm` returns them.
+        keep: bool,
     },
     /// Enable the motors.
     Arm {

@@ -194,6 +194,8 @@ pub struct Snapshot {
     pub sensor_faults: PerMotor<Option<SensorFault>>,
     /// What each pin did in the 0.2 s before `tick`.
     pub movements: PerMotor<Movement>,
+    /// The height in pulses of the highest pin that a cut has left above rest, and since when; `None`: all have come back.
+    pub standing: Option<(u16, HostInstant)>,
     /// Telemetry shows all pins, or did until the last cut: a device sends none while it is disarmed.
     pub pins_seen: bool,
     /// Measured capacity of the line, bytes/s; `None` before the link probe.

@@ -84,7 +84,20 @@ impl Streamer {
                 self.emergency_stop(now, ticket, emit);
                 return;
             }
-            Command::Reset { estops_seen } => self.reset(estops_seen),
+            Command::Reset { estops_seen, keep: true } => self.reset(estops_seen),
+            Command::Reset { estops_seen, keep: false } => match self.reset(estops_seen) {
+                Ok(_) if self.operations.is_full() => Err(CommandError::Returning),
+                Ok(op) if self.is_connected() => {
+                    // The answer comes when the pins are back.
+                    self.homing.begin_reset(ticket, emit);
+                    if let Some(op) = op {
+                        self.queue_op(given, 0, op, emit);
+                    }
+                    self.reports.hasten(now);
+                    return;
+                }
+                taken => taken,
+            },
             Command::Arm { assume_rest: false } => self.arm(now, Rest::Known),
             Command::Arm { assume_rest: true } => self.arm(now, Rest::Checked),
             Command::ArmUnchecked => self.arm(now, Rest::Unchecked),
@@ -339,15 +352,17 @@ impl Streamer {
 
     fn arm(&mut self, now: HostInstant, rest: Rest) -> OpResult {
         self.ready()?;
-        let assume_rest = rest != Rest::Known;
+        let is_known = self.known.status().is_some_and(|(status, _)| status.position_known);
+        // Nobody has looked: what the device knows to be above rest it returns.
+        let assume_rest = rest == Rest::Checked || (rest == Rest::Unchecked && !is_known);
         // An operation begins a new epoch: do not send one between a play and its strokes for nothing.
         match self.state() {
             State::Armed if self.operations.wants_armed() => {
-                if assume_rest {
+                if rest != Rest::Known {
                     if !self.plays.is_empty() || self.homing.is_moving() {
                         return Err(CommandError::Playing);
                     }
-                    self.take_rest(now, rest)?;
+                    self.take_rest(now, rest, is_known)?;
                 }
                 return Ok(None);
             }
@@ -355,27 +370,35 @@ impl Streamer {
                 return Err(CommandError::Returning);
             }
             State::Returning => return Ok(None),
+            _ if self.homing.is_resetting() => return Err(CommandError::Returning),
             _ if self.operations.wants_armed() => return Err(CommandError::Returning),
             _ => {}
         }
-        self.take_rest(now, rest)?;
+        self.take_rest(now, rest, is_known)?;
         self.operations.want_armed(true);
         self.apply_settings();
         self.control.clear_faults();
+        let seeks = !is_known || self.homing.needs_seek(now);
+        Ok(Some(self.arm_op(assume_rest, seeks)))
+    }
+
+    /// Arms with the settings in use; on an array with a lower stop it may seek that.
+    pub(super) fn arm_op(&self, assume_rest: bool, seeks: bool) -> Op {
         let host_timeout = self.rate().ms_in_ticks(self.settings.lease_ms).round() as u32;
-        let is_known = self.known.status().is_some_and(|(status, _)| status.position_known);
         let lower_stop = self.settings.lower_stop.map(|stop| {
-            let seek = if !is_known || self.homing.needs_seek(now) { self.settings.seek_pulses() } else { 0 };
+            let seek = if seeks { self.settings.seek_pulses() } else { 0 };
             LowerStop { pulses_per_s: stop.pulses_per_s, seek }
         });
-        Ok(Some(Op::Arm { assume_rest, host_timeout, limits: self.settings.limits, lower_stop }))
+        Op::Arm { assume_rest, host_timeout, limits: self.settings.limits, lower_stop }
     }
 
     /// Takes pins as at rest, because a client says so. If telemetry shows all pins, nothing changes: should it not come back,
     /// the estimate from before stays. Without telemetry, only a look at the pins ends the estimate; until then it sums up over
-    /// all that is played.
-    fn take_rest(&mut self, now: HostInstant, rest: Rest) -> Result<(), CommandError> {
-        if rest == Rest::Known || self.control.sees_all() {
+    /// all that is played, and over all heights that cuts have left and that no device returns any more.
+    fn take_rest(&mut self, now: HostInstant, rest: Rest, is_known: bool) -> Result<(), CommandError> {
+        // A device that knows where its pins are returns those that stand.
+        let left = if is_known { 0 } else { self.control.highest_standing() };
+        if rest == Rest::Known || (self.control.sees_all() && left == 0) {
             return Ok(());
         }
         if rest == Rest::Checked {
@@ -388,18 +411,19 @@ impl Streamer {
         }
         let tick = self.tick_at(now).unwrap_or_default();
         self.control.reckon_to(tick);
-        let reckoned_um = self.control.dead_reckoning_um(tick, self.array().numbers());
-        // An emergency stop leaves pins up: one of them may have all of these pulses. A lower stop brings them home.
-        let up = self
-            .known
-            .status()
-            .filter(|_| self.settings.lower_stop.is_none())
-            .map_or(0, |(at, _)| at.outstanding);
-        let um = reckoned_um.max(up as f32 * self.array().motor().um_per_pulse as f32);
-        if um <= LEVEL_CHECK_UM {
-            return Ok(());
+        let um = if left == 0 || self.settings.lower_stop.is_some() {
+            // A lower stop brings home what stands.
+            self.control.dead_reckoning_um(tick, self.array().numbers())
+        } else {
+            self.control.unchecked_um(tick)
+        };
+        if um > LEVEL_CHECK_UM {
+            return Err(CommandError::LevelNotChecked { um: um.round() as u32 });
         }
-        Err(CommandError::LevelNotChecked { um: um.round() as u32 })
+        if left > 0 {
+            self.control.leave_standing();
+        }
+        Ok(())
     }
 
     /// Applies the settings configured last.
@@ -414,6 +438,7 @@ impl Streamer {
         self.cut_all(EndCause::EStop);
         self.homing.end(Err(CommandError::Returning), emit);
         self.homing.end_seek(Err(CommandError::Faulted), emit);
+        self.homing.end_reset(Err(CommandError::Faulted), emit);
         self.reports.hasten(now);
         if self.operations.overtake(now, ticket, self.session.is_some(), emit) {
             self.send_next_op();

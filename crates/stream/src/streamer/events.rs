@@ -72,6 +72,7 @@ impl Streamer {
                     }
                     if cuts_play(&done.op) {
                         self.cut_control(now);
+                        self.note_standing(now);
                     }
                     let (tick, result) =
                         (self.tick_at(now).unwrap_or_default(), result.map_err(CommandError::Device));
@@ -98,7 +99,12 @@ impl Streamer {
             }
             Event::Onset { tick, counters } => self.onset(tick, counters, emit),
             Event::Cut { cut, at } => {
-                self.cut_at(Cutting { at, returned: cut.return_ticks.map(|ticks| at + u64::from(ticks)) });
+                let cutting = Cutting { at, returned: cut.return_ticks.map(|ticks| at + u64::from(ticks)) };
+                self.cut_at(cutting);
+                // A return that is over by now leaves nothing.
+                if self.state() != State::Armed || cutting.returned.is_none() {
+                    self.control.was_cut(cutting, cut.outstanding);
+                }
                 // A report from before the device was armed again does not concern the present play.
                 if !matches!(cut.cause, Cause::Stop | Cause::Request) && self.state() != State::Armed {
                     self.cut_all(end_cause(cut.cause));
@@ -110,7 +116,13 @@ impl Streamer {
                 if self.state() != State::Armed || self.control.is_idle() {
                     self.cut_control(now);
                 }
-                self.homing.undo_move(self.tick_at(now).unwrap_or_default(), &mut self.control);
+                if let Some((motor, pulses)) =
+                    self.homing.undo_move(self.tick_at(now).unwrap_or_default(), &mut self.control)
+                    && cutting.returned.is_none()
+                {
+                    self.control.move_was_cut(motor, pulses);
+                }
+                self.note_standing(now);
                 self.reports.hasten(now);
             }
             Event::StrokeRefused { motor, up, reason } => {
@@ -183,6 +195,7 @@ impl Streamer {
             self.control.at_rest(tick);
         }
         if !changed {
+            self.note_standing(now);
             return;
         }
         self.reports.hasten(now);
@@ -199,6 +212,19 @@ impl Streamer {
             self.cut_control(now);
             self.homing.end(Err(CommandError::Disarmed), emit);
         }
+        self.note_standing(now);
+    }
+
+    /// Notes which pins stand above rest while the device does nothing, and since when.
+    fn note_standing(&mut self, now: HostInstant) {
+        if let Some((status, tick)) = self.known.status()
+            && matches!(status.state, State::Disarmed | State::Faulted)
+            && self.operations.is_empty()
+        {
+            self.control.stands(status.outstanding, status.position_known, tick);
+        }
+        self.standing_since =
+            (self.control.highest_standing() > 0).then(|| self.standing_since.unwrap_or(now));
     }
 
     fn verdict(&mut self, now: HostInstant, step: &Step, verdict: Verdict, emit: &mut dyn Emit) {

@@ -7,6 +7,9 @@
 //! gains predict; the scatter stays. A motor without either does not move. On an array with a lower stop none of this is needed:
 //! one seek drives all pins down to the stop ([`Op::Seek`]).
 //!
+//! After a reset it also returns the pins that stand above rest: the device arms, which returns them, and disarms at once, so that
+//! it takes no moves.
+//!
 //! Invariant: the answer is an error unless every pin is home.
 
 use crate::control::PositionControl;
@@ -14,7 +17,7 @@ use crate::queues::{CommandError, Emit};
 use crate::streamer::answer;
 use crate::time::HostInstant;
 use firmware_protocol::limits::Refusal;
-use firmware_protocol::message::{Op, State, Status};
+use firmware_protocol::message::{Cause, Op, State, Status};
 use firmware_protocol::stroke::Direction;
 use firmware_protocol::tick::Tick;
 use meissner_array::spec::Array;
@@ -58,11 +61,22 @@ struct Seek {
     homes: bool,
 }
 
+/// A reset that returns the pins.
+#[derive(Clone, Copy, Debug)]
+struct AfterReset {
+    /// The request that waits for the end.
+    ticket: u64,
+    /// The arm is ordered, and the disarm.
+    arms: bool,
+    disarms: bool,
+}
+
 /// What brings pins home on one device: see the module.
 #[derive(Debug, Default)]
 pub(super) struct Homing {
     rounds: Option<Rounds>,
     seek: Option<Seek>,
+    after_reset: Option<AfterReset>,
     /// When the last seek of this connection was over.
     last_seek: Option<HostInstant>,
     /// The last move, if it went up: motor, pulses, its end.
@@ -115,6 +129,43 @@ impl Homing {
         if let Some(rounds) = self.rounds.take() {
             answer(rounds.ticket, result, emit);
         }
+    }
+
+    /// A reset is ordered; `ticket` waits until the pins are back.
+    pub(super) fn begin_reset(&mut self, ticket: u64, emit: &mut dyn Emit) {
+        self.end_reset(Err(CommandError::Returning), emit);
+        self.after_reset = Some(AfterReset { ticket, arms: false, disarms: false });
+    }
+
+    /// Answers the request that waits for the end of a reset, if there is one.
+    pub(super) fn end_reset(&mut self, result: Result<(), CommandError>, emit: &mut dyn Emit) {
+        if let Some(reset) = self.after_reset.take() {
+            answer(reset.ticket, result, emit);
+        }
+    }
+
+    /// Whether a reset returns pins.
+    pub(super) const fn is_resetting(&self) -> bool {
+        self.after_reset.is_some()
+    }
+
+    /// The next operation after a reset, with none under way; `arm` is what returns the pins.
+    pub(super) fn step_reset(&mut self, status: &Status, arm: Op, emit: &mut dyn Emit) -> Option<Op> {
+        let reset = self.after_reset.as_mut()?;
+        match status.state {
+            State::Disarmed if status.outstanding > 0 && status.position_known && !reset.arms => {
+                reset.arms = true;
+                return Some(arm);
+            }
+            State::Armed | State::Returning if reset.arms && !reset.disarms => {
+                reset.disarms = true;
+                return Some(Op::Disarm(Cause::Request));
+            }
+            State::Returning => {}
+            State::Faulted => self.end_reset(Err(CommandError::Faulted), emit),
+            State::Disarmed | State::Armed => self.end_reset(Ok(()), emit),
+        }
+        None
     }
 
     /// Whether the last seek is so long ago that something may have moved pins since.
@@ -180,17 +231,18 @@ impl Homing {
         }
     }
 
-    /// The device was cut: it takes back a move upwards that was under way at `tick`.
-    pub(super) fn undo_move(&mut self, tick: Tick, control: &mut PositionControl) {
-        if let Some((motor, pulses, over)) = self.last_move.take().filter(|&(_, _, over)| tick < over) {
-            control.moved(motor, Direction::Down, pulses, tick, over + u64::from(pulses));
-        }
+    /// The device was cut: it takes back a move upwards that was under way at `tick`. Returns the motor and the pulses of such a move.
+    pub(super) fn undo_move(&mut self, tick: Tick, control: &mut PositionControl) -> Option<(u8, u16)> {
+        let (motor, pulses, over) = self.last_move.take().filter(|&(_, _, over)| tick < over)?;
+        control.moved(motor, Direction::Down, pulses, tick, over + u64::from(pulses));
+        Some((motor, pulses))
     }
 
     /// The device is gone.
     pub(super) fn disconnected(&mut self, emit: &mut dyn Emit) {
         self.end(Err(CommandError::NoDevice), emit);
         self.end_seek(Err(CommandError::NoDevice), emit);
+        self.end_reset(Err(CommandError::NoDevice), emit);
         self.last_seek = None;
     }
 

@@ -6,7 +6,7 @@
 
 use crate::control::PositionControl;
 use firmware_protocol::board::Board;
-use firmware_protocol::message::{DeviceHello, Status};
+use firmware_protocol::message::{DeviceHello, State, Status};
 use firmware_protocol::tick::Tick;
 
 /// See the module.
@@ -73,6 +73,10 @@ impl Known {
             self.reckoned_boot = self.boot;
             return true;
         };
+        if before.position_known && (status.state, status.position_known) == (State::Faulted, false) {
+            // The outputs have failed: pins may have moved by anything.
+            control.lose_rest();
+        }
         let key = |of: &Status| (of.state, of.cause, of.position_known, of.outstanding);
         key(&before) != key(&status)
     }

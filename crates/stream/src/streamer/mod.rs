@@ -67,6 +67,8 @@ pub struct Streamer {
     disconnect_reason: Option<EndCause>,
     plays: VecDeque<Active>,
     control: PositionControl,
+    /// Since when pins stand above rest that a cut has left there.
+    standing_since: Option<HostInstant>,
     /// Strokes are sent up to this tick.
     fed_until: Tick,
     /// The next stroke waits for credits.
@@ -91,6 +93,7 @@ impl Streamer {
             disconnect_reason: None,
             plays: VecDeque::with_capacity(2 * MAX_QUEUED_PLAYS + 2),
             control: PositionControl::new(&settings),
+            standing_since: None,
             fed_until: Tick(0),
             short_of_credits: false,
             homing: Homing::default(),
@@ -140,6 +143,8 @@ impl Streamer {
         self.homing.disconnected(emit);
         self.known.closed();
         self.control.cut(lost, None);
+        self.standing_since =
+            (self.control.highest_standing() > 0).then(|| self.standing_since.unwrap_or(now));
         (self.fed_until, self.short_of_credits) = (Tick(0), false);
         self.operations.close(now, true, emit);
         self.reports.hasten(now);
@@ -185,6 +190,13 @@ impl Streamer {
         self.send_next_op();
         if self.operations.expire(now, self.session.as_mut(), emit) {
             self.cut_all(EndCause::NotArmed);
+        }
+        if self.homing.is_resetting()
+            && self.operations.is_empty()
+            && let Some((status, _)) = self.known.status()
+            && let Some(op) = self.homing.step_reset(&status, self.arm_op(false, false), emit)
+        {
+            self.queue_op(now, 0, op, emit);
         }
         if let Some(tick) = self.tick_at(now) {
             if self.state() == State::Armed
@@ -276,7 +288,8 @@ impl Streamer {
             rest_error_um: rest.um,
             source: rest.source,
             sensor_faults: self.control.faults(),
-            movements: self.control.movements(tick),
+            movements: self.control.movements(tick, status.map_or(State::Disarmed, |status| status.state)),
+            standing: self.standing_since.map(|since| (self.control.highest_standing(), since)),
             pins_seen: self.control.sees_all(),
             line_bytes_per_s: self.session.as_ref().and_then(Session::capacity),
             traffic: self.session.as_ref().map(Session::traffic).unwrap_or_default(),
@@ -306,6 +319,7 @@ impl Streamer {
         let quiet = self.plays.is_empty()
             && self.operations.is_empty()
             && !self.homing.is_moving()
+            && !self.homing.is_resetting()
             && !self.operations.is_closing()
             && self.state() != State::Returning;
         let session = self.session.as_ref();

@@ -250,7 +250,7 @@ impl Player {
     /// A person resets, arms and plays again.
     fn recover(&mut self, pattern: &str) -> Result<(), String> {
         if self.estopped || self.state()? == State::Faulted {
-            self.rig.order(Command::Reset { estops_seen: u64::MAX });
+            self.rig.order(Command::Reset { estops_seen: u64::MAX, keep: true });
             self.run(50 * MS)?;
         }
         if self.state()? != State::Armed {

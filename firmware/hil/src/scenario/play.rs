@@ -94,7 +94,7 @@ impl Runner<'_> {
             }
             Act::Stop => Command::Stop,
             Act::Estop => Command::EStop,
-            Act::Reset => Command::Reset { estops_seen: u64::MAX },
+            Act::Reset => Command::Reset { estops_seen: u64::MAX, keep: true },
             Act::Disarm => Command::Disarm,
             other => return self.happen(number, other),
         };

@@ -104,7 +104,9 @@ pub(in crate::daemon::http) async fn reset(
                           person may reset with `meissner reset --force`, or \"force\": true";
             return Err(Problem::new(Code::RecentEStop, detail).into());
         }
-        let status = carry_out(&app, Command::Reset { estops_seen }, TIMEOUT).await?;
+        let keep = request.keep;
+        let timeout = if keep { TIMEOUT } else { app.engine.home_timeout() };
+        let status = carry_out(&app, Command::Reset { estops_seen, keep }, timeout).await?;
         app.engine.estops.reset(guard);
         Ok(status)
     }

@@ -238,9 +238,10 @@ export function bindControls() {
   button("stop", () => command("stop"));
   button("home", () => command("home", undefined, HOME_MS));
   button("arm", () => {
-    const isKnown = last().position === "known";
+    const { position, standing } = last();
+    const isKnown = position === "known";
     $("arm-text").textContent = isKnown
-      ? "The device knows where its pins are. Take the finger off the pins."
+      ? `${standing ? `Pins stand up to ${Math.ceil(standing.height_um)} µm above rest: the device returns them first.` : "The device knows where its pins are."} Take the finger off the pins.`
       : "The device does not know where its pins are. Look at them: all must be at rest.";
     $("arm-rest").hidden = $("arm-who").hidden = isKnown;
     $("arm-checked").required = $("arm-name").required = !isKnown;

@@ -92,16 +92,18 @@
   const WORDS = { disarmed: "Disarmed", armed: "Armed", returning: "Returning", faulted: "Stopped", "no-device": "No device" };
   function touch(status) {
     if (!status) return NOT_KNOWN;
+    const standing = status.standing ? `Pins stand up to ${Math.ceil(status.standing.height_um)} µm above rest, for ${Math.round(status.standing.age_s)} s. ` : "";
     if (status.play) return status.play.pattern === "calibration" ? "Calibration: do not touch the pins." : "Pins vibrate.";
     switch (status.state) {
       case "disarmed":
-        return status.position === "known" ? "Safe to touch: the motors are off." : "The motors are off, but the place of the pins is not known: look at them first.";
+        if (status.position !== "known") return `${standing}The motors are off, but the place of the pins is not known: look at them first.`;
+        return standing ? `${standing}The motors are off. Arm returns the pins.` : "Safe to touch: the motors are off.";
       case "armed":
         return "The motors are on: a play may begin at any moment.";
       case "returning":
         return "Pins move to rest. Do not touch.";
       case "faulted":
-        return isTold(status) ? "All lines are off. Find out why before you reset." : "The stop is latched, but no device answers: whether the lines are off is not known.";
+        return isTold(status) ? `${standing}All lines are off. Find out why before you reset.` : "The stop is latched, but no device answers: whether the lines are off is not known.";
       case "no-device":
         return "No device is connected: the pins are not under control.";
       default:

@@ -61,8 +61,11 @@ pub(crate) struct BurstController {
     trail: Trail,
     /// The bursts that have begun since the pin was last at rest.
     bursts: Bursts,
-    /// The last bursts that had begun when the queue was last cut.
+    /// The last bursts that had begun when the queue was last cut, and the level before them, pulses above rest.
     cut: heapless::Deque<Queued, CUT>,
+    cut_level: u16,
+    /// Bursts before this tick are no part of the last cut: the pin was at rest since.
+    rested: Tick,
     /// How many bursts at the front of `queue` the estimator knows as begun.
     begun: usize,
     /// How many bursts at the front of `queue` have a final count.
@@ -101,6 +104,8 @@ impl BurstController {
             trail: Trail::new(),
             bursts: Bursts::default(),
             cut: heapless::Deque::new(),
+            cut_level: 0,
+            rested: Tick(0),
             begun: 0,
             finalised: 0,
             pending: [0; 2],
@@ -307,7 +312,7 @@ impl BurstController {
 
     /// Remembers the last bursts that have begun by `tick`, when the device has cut them or shortly after.
     pub(crate) fn remember(&mut self, tick: Tick) {
-        if self.queue.is_empty() {
+        if self.queue.is_empty() && self.level == 0 {
             return;
         }
         self.cut.clear();
@@ -316,6 +321,28 @@ impl BurstController {
             // Cannot fail: there is room for as many.
             let _ = self.cut.push_front(*queued);
         }
+        self.cut_level = self.cut.front().map_or(self.level, Queued::level_before);
+    }
+
+    /// The highest level that the pin may have had since bursts last left the queue and until `tick`, pulses above rest.
+    pub(crate) fn highest(&self, tick: Tick) -> u16 {
+        let begun = self.queue.iter().take_while(|queued| queued.burst.start < tick);
+        begun.map(|queued| queued.level).fold(self.level, u16::max)
+    }
+
+    /// The level at the tick of a cut, pulses above rest, before [`Self::cut`] or after it.
+    pub(crate) fn height_at(&self, tick: Tick) -> u16 {
+        let begun = |queued: &&Queued| queued.burst.start < tick;
+        if !self.queue.is_empty() || self.level > 0 {
+            return self.queue.iter().rev().find(begun).map_or(self.level, |last| last.level_at(tick));
+        }
+        let cut = self.cut.iter().rev().filter(|queued| queued.burst.start >= self.rested);
+        cut.into_iter().find(begun).map_or(self.cut_level, |last| last.level_at(tick))
+    }
+
+    /// The pin is at rest at `tick`, after a cut.
+    pub(crate) fn returned(&mut self, tick: Tick) {
+        (self.cut_level, self.rested) = (0, tick);
     }
 
     /// When the last pulse is over of the bursts that began at `from` or later and before `until`. If the device cut

@@ -50,6 +50,18 @@ impl BurstController {
         self.scattered = um * um;
     }
 
+    /// The pin stands so many pulses above rest, and counts as at rest from here on.
+    pub(crate) fn stay_up(&mut self, pulses: u16) {
+        if pulses == 0 {
+            return;
+        }
+        let um = f64::from(pulses) * self.um_per_pulse();
+        let (up, unsure) = (self.rest_um() + um, (self.estimator.scatter() * um).powi(2));
+        self.estimator.rest_at(up, self.estimator.variance() + unsure);
+        self.landing[0] += um;
+        self.scattered += unsure;
+    }
+
     /// Ends dead reckoning, because something has shown where the pin is.
     pub(super) fn forget_reckoned(&mut self) {
         (self.scattered, self.reckoned_travel_um, self.reckoned_um) = (0.0, 0.0, [0.0; 2]);
