@@ -235,6 +235,11 @@ impl OnTime {
         room
     }
 
+    /// Lets time pass. A caller that does so in each block never counts for long: at most a bucket ends at a time.
+    pub fn pass(&mut self, now: Tick) {
+        self.pulses.charged(now);
+    }
+
     /// Counts a burst that no limit may refuse.
     pub fn count(&mut self, now: Tick, motor: usize, pulses: u32) {
         self.pulses.charged(now)[motor] += pulses;
@@ -329,6 +334,11 @@ impl Pushing {
     #[must_use]
     pub fn room(&mut self, now: Tick, motor: usize) -> u32 {
         self.limit.saturating_sub(self.pulses.charged(now)[motor])
+    }
+
+    /// Lets time pass, as [`OnTime::pass`].
+    pub fn pass(&mut self, now: Tick) {
+        self.pulses.charged(now);
     }
 
     /// Counts pulses that no limit may refuse.

@@ -3,7 +3,7 @@
 use crate::bench::{Bench, FIRMWARE, MOCK, MOTORS, ONSET, SHELLS, SOON, burst, stroke, to};
 use crate::taking::{bursts, end, plain};
 use firmware_protocol::array::MotorSet;
-use firmware_protocol::batch::{BATCH_BYTES, Packer, Stroke};
+use firmware_protocol::batch::{Amendment, BATCH_BYTES, Packer, Stroke};
 use firmware_protocol::controller::{BLOCK, POOL};
 use firmware_protocol::message::{Counters, HostMessage, Op, Report, Withdraw};
 use firmware_protocol::moves::Move;
@@ -362,30 +362,54 @@ fn an_e_stop_between_the_pieces_of_a_replacement_loses_no_count() {
     }
 }
 
-/// Searching a long queue takes as long as searching many short ones, so lines are rendered between two searches.
+/// The blocks, with a piece of work in each, until the counters are so.
+fn blocks_until(bench: &mut Bench, count: impl Fn(Counters) -> bool) -> usize {
+    let taken = (1..500).find(|_| {
+        bench.run(BLOCK.into());
+        count(bench.device.counters())
+    });
+    taken.expect("the frame is taken")
+}
+
+/// A search of a long queue goes on in the next piece after 128 moves, so lines are rendered meanwhile.
 #[test]
-fn long_queues_are_searched_one_at_a_time() {
-    let mut bench = Bench::armed(FIRMWARE);
-    let old: Vec<Vec<Stroke>> = (1..4).map(|motor| train(motor, bench.soon(), 140, PULSES)).collect();
-    for strokes in old.iter().flat_map(|old| old.chunks(32)) {
-        bench.strokes(strokes);
+fn long_queues_are_searched_in_pieces() {
+    let queued = || {
+        let mut bench = Bench::armed(FIRMWARE);
+        let old: Vec<Vec<Stroke>> = (1..4).map(|motor| train(motor, bench.soon(), 140, PULSES)).collect();
+        for strokes in old.iter().flat_map(|old| old.chunks(32)) {
+            bench.strokes(strokes);
+        }
+        bench.in_pieces = true;
+        (bench, moves(&old[0]))
+    };
+    let (mut bench, old) = queued();
+    let withdraw = Withdraw { motors: MotorSet::from_bits(0b1110), generation: 0 };
+    bench.bytes(&bench.replacement(None, withdraw, old[278].tick.0, &[]));
+    // Three times 278 moves.
+    let blocks = [2, 4, 6].map(|moves| blocks_until(&mut bench, |counters| counters.replaced == moves));
+    assert_eq!((blocks[1], blocks[2]), (2, 2));
+    // The last amendment is for no move. Those in order of time go on where the one before has come to.
+    for (in_order, pieces) in [(true, 14..20), (false, 90..120)] {
+        let (mut bench, mut old) = queued();
+        if !in_order {
+            old.reverse();
+        }
+        let ends = if in_order { &old[229..] } else { &old[..51] };
+        let mut packer = Packer::<BATCH_BYTES>::new(ends[0].tick);
+        let none = Move { tick: ends[50].tick + 1, ..ends[50] };
+        for to in ends.iter().chain([&none]) {
+            packer.amendment(&Amendment { motor: 1, tick: to.tick, pulses: PULSES - 1 }).expect("room");
+        }
+        let (epoch, base) = (bench.epoch, ends[0].tick.wire());
+        bench.send(&HostMessage::Amend { epoch, generation: 1, base, items: packer.bytes() });
+        let blocks = blocks_until(&mut bench, |counters| counters.amendments_ignored == 1);
+        assert!(pieces.contains(&blocks), "{in_order}: {blocks}");
+        bench.in_pieces = false;
+        bench.run(15_000);
+        let Counters { amended, amendments_ignored, .. } = bench.device.counters();
+        assert_eq!((amended, amendments_ignored), (51, 1), "{in_order}");
     }
-    bench.in_pieces = true;
-    let last = old[0][139].up.0;
-    bench.bytes(&bench.replacement(
-        None,
-        Withdraw { motors: MotorSet::from_bits(0b1110), generation: 0 },
-        last,
-        &[],
-    ));
-    let mut replaced: Vec<u64> = (0..8)
-        .map(|_| {
-            bench.run(BLOCK.into());
-            bench.device.counters().replaced
-        })
-        .collect();
-    replaced.dedup();
-    assert_eq!(replaced, [0, 2, 4, 6]);
 }
 
 #[test]

@@ -49,9 +49,12 @@ impl Allowance {
         self.pushing.allows_all(now, pulses)
     }
 
-    /// The next block begins.
-    pub(super) fn next_block(&mut self) {
+    /// The next block begins at `now`. What counts no longer is dropped here, and not when a move begins: after a rest that would be the
+    /// pulses of a whole second at once.
+    pub(super) fn next_block(&mut self, now: Tick) {
         self.density.next_block();
+        self.on_time.pass(now);
+        self.pushing.pass(now);
     }
 
     /// One more move up begins in this block.

@@ -54,7 +54,7 @@ impl Player {
     #[inline(never)]
     fn next_block(&mut self, now: u32, reporting: &mut Reporting) {
         self.changes.open(now);
-        self.allowance.next_block();
+        self.allowance.next_block(self.rendered);
         if now.wrapping_sub(self.hold_checked) >= HOLD_CHECKS {
             self.hold_checked = now;
             self.end_holds();

@@ -166,11 +166,6 @@ impl Player {
         self.queues.is_empty()
     }
 
-    /// Number of moves of `motor` that wait.
-    pub(super) fn len(&self, motor: u8) -> u16 {
-        self.queues.len(motor.into())
-    }
-
     /// Slots that the host may fill. Each refused move takes one until the host has seen its report: so there is always a place for the next
     /// report.
     pub(super) fn credits(&self, reporting: &Reporting) -> u16 {

@@ -12,6 +12,7 @@ use crate::controller::reporting::Reporting;
 use crate::limits::{self, Refusal};
 use crate::moves::Move;
 use crate::tick::Tick;
+use core::task::{Poll, ready};
 
 impl Player {
     /// Judges a move by itself. `Ok(false)` if it is late.
@@ -80,23 +81,37 @@ impl Player {
     }
 
     /// Withdraws the moves of `motor` from `from` on, and returns their number. `None`, and all of them stay, if one of them has begun, or
-    /// if the moves of `next` come too shortly after those before them.
-    pub(in crate::controller) fn withdraw(&mut self, motor: u8, from: Tick, next: &[Move]) -> Option<u16> {
+    /// if the moves of `next` come too shortly after those before them. Pending: it has searched past as many moves as it may, `steps`; the next
+    /// call goes on.
+    pub(in crate::controller) fn withdraw(
+        &mut self,
+        motor: u8,
+        from: Tick,
+        next: &[Move],
+        steps: &mut u16,
+    ) -> Poll<Option<u16>> {
         let motor = usize::from(motor);
-        let moves = self.queues.withdraw(motor, from, next, self.least_apart, self.rendered)?;
+        let withdrawn = self.queues.withdraw(motor, from, next, self.least_apart, self.rendered, steps);
+        let Poll::Ready(Some(moves)) = withdrawn else { return withdrawn };
         let is_low = !self.lines.pulsing().contains(motor as u8);
         if self.queues.first(motor).is_none() && self.motors[motor].is_still() && is_low {
             // The line waits for the withdrawn move no longer, nor do the drivers. One whose burst has just been ended is still to fall.
             self.changes.forget(motor);
         }
-        Some(moves)
+        Poll::Ready(Some(moves))
     }
 
-    /// Changes the number of pulses of a move that is not rendered yet. `None` if the amendment is ignored.
-    pub(in crate::controller) fn amend(&mut self, generation: u16, item: &Amendment) -> Option<()> {
-        let motor = usize::from(item.motor);
+    /// Changes the number of pulses of a move that is not rendered yet. Returns `false` if the amendment is ignored. Pending: as in
+    /// [`Self::withdraw`].
+    pub(in crate::controller) fn amend(
+        &mut self,
+        generation: u16,
+        item: &Amendment,
+        steps: &mut u16,
+    ) -> Poll<bool> {
         let (now, has_stop) = (self.rendered, self.has_stop());
-        let (waiting, next) = self.queues.find(motor, item.tick, now)?;
+        let found = ready!(self.queues.find(item.motor.into(), item.tick, now, steps));
+        let Some((waiting, next)) = found else { return Poll::Ready(false) };
         let planned = waiting.level.abs_diff(waiting.from);
         let is_up = waiting.level > waiting.from;
         let most = if is_up { self.layout.max_up_pulses() } else { self.layout.max_down_pulses() };
@@ -108,11 +123,10 @@ impl Player {
             // With a stop, what goes down further than planned would push.
             && (is_up || !has_stop || item.pulses <= planned);
         let newest = waiting.generation.is_none_or(|old| newer(generation, old));
-        if !fits || !newest {
-            return None;
+        if fits && newest {
+            waiting.generation = Some(generation);
+            waiting.correction = item.pulses.cast_signed() - planned.cast_signed();
         }
-        waiting.generation = Some(generation);
-        waiting.correction = item.pulses.cast_signed() - planned.cast_signed();
-        Some(())
+        Poll::Ready(fits && newest)
     }
 }

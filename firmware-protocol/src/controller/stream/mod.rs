@@ -17,6 +17,7 @@ use crate::controller::session::Session;
 use crate::limits::Refusal;
 use crate::moves::Move;
 use crate::tick::Tick;
+use core::task::{Poll, ready};
 pub use reorder::REORDER_WINDOW;
 use reorder::ReorderBuffer;
 pub(super) use taking::Next;
@@ -139,17 +140,24 @@ impl Stream {
 
     /// Withdraws the moves of `motor` from `from` on, if none of them has begun and `next`, the move or stroke that takes their place, can be
     /// queued. Otherwise all of them stay, and the motor's new moves are not taken until the next withdrawal. Returns whether it has
-    /// withdrawn them.
-    fn withdraw(&mut self, motor: u8, from: Tick, next: &[Move], parts: &mut Parts<'_>) -> bool {
+    /// withdrawn them. Pending: it has searched past as many moves as it may, `steps`; the next call goes on.
+    fn withdraw(
+        &mut self,
+        motor: u8,
+        from: Tick,
+        next: &[Move],
+        steps: &mut u16,
+        parts: &mut Parts<'_>,
+    ) -> Poll<bool> {
         let usable = parts.armed && next.iter().all(|to| parts.judge(to) == Ok(true));
-        let withdrawn = if usable { parts.player.withdraw(motor, from, next) } else { None };
+        let withdrawn = if usable { ready!(parts.player.withdraw(motor, from, next, steps)) } else { None };
         let Some(moves) = withdrawn else {
             self.kept.insert(motor);
-            return false;
+            return Poll::Ready(false);
         };
         self.kept.remove(motor);
         parts.reporting.count().replaced += u64::from(moves);
-        true
+        Poll::Ready(true)
     }
 
     /// The host has made an amendment of this generation.

@@ -13,17 +13,18 @@ use crate::message::{Mark, MarkKind, Report, Withdraw};
 use crate::moves::Move;
 use crate::tick::Tick;
 use core::hash::{Hash, Hasher};
+use core::task::{Poll, ready};
 
 /// Most moves unpacked at a time, besides those of the last item.
 const UNPACKED: usize = MAX_FIRST_BATCH / 2;
 /// Most moves taken at a time, and one more if the last is half of a stroke.
 const MOVES: usize = 10;
-/// The same for a frame that withdraws, because each move may search the queue of a motor. The piece ends sooner once the queues searched
-/// have [`SEARCHED`] moves.
+/// The same for a frame that withdraws, because each move may search the queue of a motor.
 const REPLACING: usize = 6;
-const SEARCHED: u16 = 128;
 /// Most amendments taken at a time: each searches the queue of its motor.
 const AMENDMENTS: usize = 4;
+/// Most queued moves that searches pass at a time. A search that is not over goes on in the next piece.
+const SEARCHED: u16 = 128;
 
 /// The head of the next frame of the ordered stream.
 #[derive(Clone, Copy, Debug, Hash)]
@@ -243,13 +244,15 @@ impl Stream {
     /// Takes at most `most` moves. Each is counted at once, because an e-stop may end the frame between two pieces. A motor's moves are
     /// withdrawn in the moment in which the first move that replaces them is queued.
     fn take_moves(&mut self, seq: u16, most: usize, parts: &mut Parts<'_>) {
-        let (mut searched, mut done) = (0, 0);
-        while done < most && searched < SEARCHED {
+        let (mut steps, mut done) = (SEARCHED, 0);
+        while done < most {
             let at = self.taking.taken;
             let Some(first) = self.taking.moves.get(at) else {
                 // What is left to withdraw is replaced by nothing.
                 let Some(motor) = self.taking.withdraw.lowest() else { break };
-                searched += self.take_withdrawal(motor, &[], parts);
+                if self.take_withdrawal(motor, &[], &mut steps, parts).is_pending() {
+                    return;
+                }
                 done += 1;
                 continue;
             };
@@ -257,8 +260,10 @@ impl Stream {
             // The two moves of a stroke are taken or left together.
             let both = self.taking.moves.get(at + 1).filter(|next| next.joined).map(|next| [first, next.of]);
             let moves = both.as_ref().map_or(core::slice::from_ref(&first), |both| both.as_slice());
-            if self.taking.withdraw.contains(first.motor) {
-                searched += self.take_withdrawal(first.motor, moves, parts);
+            if self.taking.withdraw.contains(first.motor)
+                && self.take_withdrawal(first.motor, moves, &mut steps, parts).is_pending()
+            {
+                return;
             }
             let count = moves.len();
             // A shift of 64 bits is a function call on the chip.
@@ -300,30 +305,40 @@ impl Stream {
         }
     }
 
-    /// Withdraws from one motor what `next`, a move or stroke, replaces. Returns the length of its queue.
-    fn take_withdrawal(&mut self, motor: u8, next: &[Move], parts: &mut Parts<'_>) -> u16 {
-        let len = parts.player.len(motor);
+    /// Withdraws from one motor what `next`, a move or stroke, replaces. Pending: as in [`Self::withdraw`].
+    fn take_withdrawal(
+        &mut self,
+        motor: u8,
+        next: &[Move],
+        steps: &mut u16,
+        parts: &mut Parts<'_>,
+    ) -> Poll<()> {
+        let withdrawn = ready!(self.withdraw(motor, self.taking.from, next, steps, parts));
         self.taking.withdraw.remove(motor);
-        if !self.withdraw(motor, self.taking.from, next, parts) {
+        if !withdrawn {
             self.taking.kept.insert(motor);
             let ready = parts.player.ready();
             self.taking.missed.get_or_insert(ready);
         }
-        len
+        Poll::Ready(())
     }
 
     fn take_amendments(&mut self, parts: &mut Parts<'_>) -> bool {
         let Some((generation, mut read, mut at)) = self.taking.amending.take() else { return false };
+        let mut steps = SEARCHED;
         for _ in 0..AMENDMENTS {
             let items = &self.taking.items;
             let mut left = Amendments::new(at, items.get(read..).unwrap_or_default());
             let Some(item) = left.next() else { return true };
-            (read, at) = (items.len() - left.rest().len(), left.at());
+            let next = (items.len() - left.rest().len(), left.at());
             self.note_generation(generation);
-            let item = item.ok().filter(|_| parts.armed);
-            if item.and_then(|item| parts.player.amend(generation, &item)).is_none() {
-                parts.reporting.count().amendments_ignored += 1;
-            }
+            let amended = match item {
+                Ok(item) if parts.armed => parts.player.amend(generation, &item, &mut steps),
+                _ => Poll::Ready(false),
+            };
+            let Poll::Ready(amended) = amended else { break };
+            (read, at) = next;
+            parts.reporting.count().amendments_ignored += u64::from(!amended);
         }
         self.taking.amending = Some((generation, read, at));
         true
