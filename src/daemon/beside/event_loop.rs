@@ -17,11 +17,15 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tokio::io::Interest;
 use tokio::io::unix::AsyncFd;
+use tokio::sync::Notify;
 
 /// How long after a play's end the loop wakes the streamer: by then the device has measured the last bursts.
 const MEASURED_AFTER: Duration = Duration::from_millis(300);
 /// How long after that the streamer has read the measurements.
 const READ_AFTER: Duration = Duration::from_millis(50);
+
+/// The least time between two events that more entries of the session record are lost.
+const LOSSES_APART: Duration = Duration::from_secs(1);
 
 /// A play that waits for its prediction.
 struct Due {
@@ -47,7 +51,9 @@ impl Engine {
     ) -> io::Result<()> {
         let readable = readable(&events)?;
         let mut due: Vec<Due> = Vec::new();
+        let mut told = (None, 0, Instant::now());
         loop {
+            let record = self.session_record().changed();
             let next = due.iter().map(|due| due.at).min();
             let wait = async {
                 match next {
@@ -58,6 +64,7 @@ impl Engine {
             tokio::select! {
                 ready = readable.readable() => ready?.clear_ready(),
                 () = self.changed.notified() => {}
+                () = changed(record) => {}
                 () = wait => {}
             }
             {
@@ -93,6 +100,7 @@ impl Engine {
                     self.log(&event);
                 }
             }
+            self.tell_record(&mut told);
             status.update(&self);
             let now = Instant::now();
             for due in due.iter_mut().filter(|due| due.at <= now) {
@@ -104,6 +112,19 @@ impl Engine {
                 }
             }
             due.retain(|due| due.at > now);
+        }
+    }
+
+    /// Publishes that the session record cannot be written, can again, or has lost entries: what was `told` last, and when it may be
+    /// told again that more are lost.
+    fn tell_record(&self, told: &mut (Option<String>, u64, Instant)) {
+        let mut state = self.lock();
+        let record = &state.publisher.session_record;
+        let (problem, lost) = (record.problem(), record.lost());
+        let is_more = problem.is_none() && lost > told.1 && Instant::now() >= told.2;
+        if problem != told.0 || is_more {
+            *told = (problem.clone(), lost, Instant::now() + LOSSES_APART);
+            state.publish(&Event::RecordProblem { problem, lost });
         }
     }
 
@@ -125,6 +146,14 @@ impl Engine {
             move || closing.lock().commands.is_closing(),
             move |prediction| report.lock().set_prediction(id, prediction),
         );
+    }
+}
+
+/// Waits until this is notified.
+async fn changed(record: Option<Arc<Notify>>) {
+    match record {
+        Some(changed) => changed.notified().await,
+        None => std::future::pending().await,
     }
 }
 
