@@ -94,9 +94,16 @@ pub(super) fn counted(dir: &Path) -> (u64, u64) {
 
 /// The number of the first entry that a file's numbered lines hold or report as missing; none if they have no numbers.
 fn first(path: &Path) -> io::Result<Option<u64>> {
-    let mut start = Vec::new();
-    open_regular(path)?.take(2 * MAX_LINE as u64).read_to_end(&mut start)?;
-    Ok(start.split(|&byte| byte == b'\n').find_map(|line| lines::first_number(&lines::head(line)?, line)))
+    let mut number = None;
+    for most in [END, 2 * MAX_LINE as u64] {
+        let mut start = Vec::new();
+        open_regular(path)?.take(most).read_to_end(&mut start)?;
+        number = start.split(|&byte| byte == b'\n').find_map(|line| lines::first_number(&lines::head(line)?, line));
+        if number.is_some() {
+            break;
+        }
+    }
+    Ok(number)
 }
 
 /// The number of a file's last numbered line; none if its lines have no numbers.

@@ -261,11 +261,26 @@ impl Writer {
         }
     }
 
-    /// Finds out whether somebody has removed, cut or replaced the file since the last line.
+    /// Finds out whether somebody has removed, cut or replaced files.
     pub(super) fn check(&mut self) {
-        if self.open.as_ref().is_some_and(|open| !open.is_as_left()) && !self.waits_for_retry() {
-            self.tell();
+        if !self.open.as_ref().is_some_and(Open::is_as_left) {
+            if self.open.is_some() && !self.waits_for_retry() {
+                self.tell();
+            }
+        } else if let Ok(found) = Found::in_dir(&self.location.dir) {
+            self.look_for_gaps(found);
         }
+    }
+
+    /// Looks for gaps in the numbers before those of this daemon.
+    fn look_for_gaps(&self, found: Found) {
+        let newest = self.newest();
+        self.account.set_gaps(found.gaps(newest.saturating_sub(self.account.settled())));
+    }
+
+    /// The number of the newest line.
+    fn newest(&self) -> u64 {
+        self.account.settled().wrapping_add(self.ahead.unwrap_or(0))
     }
 
     /// Notes that the entries up to this one did not fit into the queue.
@@ -292,7 +307,7 @@ impl Writer {
             Ok(true) => {
                 self.account.written(number, tag);
                 // Perhaps nothing waits for it any more.
-                drop(told.map(|told| told.send(())));
+                let _ = told.map(|told| told.send(()));
             }
             lost => {
                 self.account.lose(tag);
@@ -491,14 +506,15 @@ impl Writer {
         if let Some(parent) = dir.parent().filter(|_| make_parents) {
             DirBuilder::new().recursive(true).mode(0o700).create(parent).map_err(at(parent))?;
         }
-        let lock = self.lock.insert(lock(dir)?);
+        let lock = lock(dir)?;
         let is_first = self.ahead.is_none();
+        let (open, cut) = open(dir, &lock, day)?;
         let found = Found::in_dir(dir).map_err(at(dir))?;
         let Found { written, counted, removed, .. } = found;
         let settled = self.account.settled();
-        if let Some(ahead) = self.ahead {
-            let newest = settled.wrapping_add(ahead);
-            self.account.set_gaps(found.gaps(newest.saturating_sub(settled)));
+        if !is_first {
+            let newest = self.newest();
+            self.look_for_gaps(found);
             if let gone @ 1.. = newest.saturating_sub(written).min(settled) {
                 let dir = dir.display();
                 warn!("{dir}: {gone} entries are gone: somebody has removed, cut or replaced a file");
@@ -511,7 +527,7 @@ impl Writer {
             self.removal.removed = removed;
             self.account.set_gaps(found.gaps(counted));
         }
-        let (open, cut) = open(dir, lock, day)?;
+        self.lock = Some(lock);
         if cut > 0 {
             warn!("{}: cut off {cut} bytes of a line that was never finished", open.path.display());
         }

@@ -52,9 +52,10 @@ impl Engine {
         let readable = readable(&events)?;
         let mut due: Vec<Due> = Vec::new();
         let mut told = (None, 0, Instant::now());
+        let mut untold: Option<Instant> = None;
         loop {
             let record = self.session_record().changed();
-            let next = due.iter().map(|due| due.at).min();
+            let next = due.iter().map(|due| due.at).chain(untold).min();
             let wait = async {
                 match next {
                     Some(at) => tokio::time::sleep_until(at.into()).await,
@@ -100,7 +101,7 @@ impl Engine {
                     self.log(&event);
                 }
             }
-            self.tell_record(&mut told);
+            untold = self.tell_record(&mut told);
             status.update(&self);
             let now = Instant::now();
             for due in due.iter_mut().filter(|due| due.at <= now) {
@@ -116,16 +117,18 @@ impl Engine {
     }
 
     /// Publishes that the session record cannot be written, can again, or has lost entries: what was `told` last, and when it may be
-    /// told again that more are lost.
-    fn tell_record(&self, told: &mut (Option<String>, u64, Instant)) {
+    /// told again that more are lost. Returns that instant if there is more to tell.
+    fn tell_record(&self, told: &mut (Option<String>, u64, Instant)) -> Option<Instant> {
         let mut state = self.lock();
         let record = &state.publisher.session_record;
         let (problem, lost) = (record.problem(), record.lost());
-        let is_more = problem.is_none() && lost > told.1 && Instant::now() >= told.2;
-        if problem != told.0 || is_more {
-            *told = (problem.clone(), lost, Instant::now() + LOSSES_APART);
-            state.publish(&Event::RecordProblem { problem, lost });
+        let is_more = problem.is_none() && lost > told.1;
+        if problem == told.0 && !(is_more && Instant::now() >= told.2) {
+            return is_more.then_some(told.2);
         }
+        *told = (problem.clone(), lost, Instant::now() + LOSSES_APART);
+        state.publish(&Event::RecordProblem { problem, lost });
+        None
     }
 
     /// Counts the ordered strokes of an endless play up to its end, outside the lock.
