@@ -102,6 +102,31 @@ fn every_key_has_a_description_and_every_number_its_unit_and_range() {
     assert!(numbers > 60, "{numbers}");
 }
 
+/// The keys of a schema, as often as a value may have them.
+fn keys(schema: &Value, schemas: &Value) -> Vec<String> {
+    let named = schema["$ref"].as_str().and_then(|path| path.rsplit('/').next());
+    let own = schema["properties"].as_object().into_iter().flat_map(|keys| keys.keys().cloned());
+    let parts = schema["allOf"].as_array().into_iter().flatten().flat_map(|part| keys(part, schemas));
+    named.map_or_else(|| own.chain(parts).collect(), |name| keys(&schemas[name], schemas))
+}
+
+/// A part of a value that is written into it must not have its keys.
+#[test]
+fn no_answer_and_no_event_has_a_key_twice() {
+    let document = openapi::document();
+    let schemas = &document["components"]["schemas"];
+    let mut joined = 0;
+    walk(schemas, "", &mut |schema, way| {
+        if schema["allOf"].is_array() {
+            joined += 1;
+            let keys = keys(schema, schemas);
+            let unique: BTreeSet<_> = keys.iter().collect();
+            assert_eq!(unique.len(), keys.len(), "{way}: {keys:?}");
+        }
+    });
+    assert!(joined > 3, "{joined}");
+}
+
 #[test]
 fn ranges_are_those_that_the_daemon_checks() {
     use meissner_array::pattern::{FREQUENCY_HZ, MAX_DRIVES, MAX_SECONDS};

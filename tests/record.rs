@@ -1,13 +1,16 @@
 //! The session record under faults: full and read-only disks, kills, clock jumps, and the messages of commands.
 
-use crate::harness::{Daemon, PATIENT, TIMEOUT, complaint, document, ended, printed, wait_until};
+use crate::harness::{
+    Daemon, PATIENT, TIMEOUT, complaint, document, ended, next, printed, problem, wait_until,
+};
 use crate::sessions::{exported, owner};
-use meissner_api::{Session, SessionList, Status};
+use meissner_api::{DoctorReport, Event, Level, Receipt, Session, SessionList, Status};
 use meissner_client::{Client, Events};
 use rustix::process::Signal;
 use serde_json::{Value, json};
 use std::fs;
-use std::path::PathBuf;
+use std::fs::File;
+use std::path::{Path, PathBuf};
 
 /// The daily files.
 fn days(daemon: &Daemon) -> Vec<PathBuf> {
@@ -132,8 +135,8 @@ fn a_read_only_directory_and_a_killed_daemon_are_told() {
     play(&mut client, &mut events, 1);
     let session = end(&mut client);
     assert_eq!((session.plays, session.plays_lost), (1, 1));
-    let listed = printed(daemon.meissner().args(["session", "list"]));
-    assert!(listed.contains("1 of 1 plays"), "{listed}");
+    let (listed, warning) = list(&daemon, 1);
+    assert!(listed.contains("1 of 1 plays") && warning.contains("cannot be written"), "{listed}{warning}");
     let line = complaint(daemon.meissner().args(["session", "export", &started.id]));
     assert!(line.contains("1 of 1 plays are missing"), "{line}");
 
@@ -230,4 +233,260 @@ fn a_forged_record_moves_no_cursor() {
         }
     }
     wait_until(|| daemon.client().get::<Status>("/v1/status").is_ok());
+}
+
+/// What `session list` says on stdout and stderr, if it exits with this code.
+fn list(daemon: &Daemon, code: i32) -> (String, String) {
+    let output = daemon.meissner().args(["session", "list"]).assert().code(code).get_output().clone();
+    (String::from_utf8(output.stdout).unwrap(), String::from_utf8(output.stderr).unwrap())
+}
+
+fn status(client: &mut Client) -> Status {
+    client.get("/v1/status").unwrap()
+}
+
+fn warnings(client: &mut Client) -> String {
+    client.get::<Receipt>("/v1/plays/last").unwrap().warnings.join("; ")
+}
+
+/// Something that happens to the record's directory, or to the file of the day.
+type Damage = fn(&Daemon, &Path, &Path);
+
+#[test]
+fn an_answer_that_cannot_be_recorded_is_refused_and_everybody_is_told() {
+    let kinds: [(Damage, Damage); 3] = [
+        // A file in the directory's place.
+        (
+            |_, folder, _| {
+                fs::rename(folder, folder.with_extension("away")).unwrap();
+                fs::write(folder, "").unwrap();
+            },
+            |_, folder, _| {
+                fs::remove_file(folder).unwrap();
+                fs::rename(folder.with_extension("away"), folder).unwrap();
+            },
+        ),
+        // A directory in the file's place.
+        (
+            |_, _, day| {
+                fs::rename(day, day.with_extension("away")).unwrap();
+                fs::create_dir(day).unwrap();
+            },
+            |_, _, day| {
+                fs::remove_dir(day).unwrap();
+                fs::rename(day.with_extension("away"), day).unwrap();
+            },
+        ),
+        // A full disk.
+        (
+            |daemon, _, day| daemon.limit_files(Some(fs::metadata(day).unwrap().len())),
+            |daemon, _, _| daemon.limit_files(None),
+        ),
+    ];
+    for (damage, repair) in kinds {
+        let daemon = Daemon::start();
+        let (mut client, started) = owner(&daemon, "P07", false);
+        let mut events = client.events().unwrap();
+        play(&mut client, &mut events, 1);
+        daemon.wait_for_prediction();
+        assert_eq!(warnings(&mut client), "");
+        let day = days(&daemon).remove(0);
+        let folder = day.parent().unwrap();
+        damage(&daemon, folder, &day);
+        let answer =
+            |client: &mut Client| client.post::<Value>("/v1/plays/1/answer", &json!({"response": "left"}));
+        // It is not taken as answered, either.
+        for _ in 0..2 {
+            let refused = problem(answer(&mut client));
+            let says = "the answer to play 1 is not recorded: the session record cannot be written: ";
+            assert!(refused.code == "store" && refused.detail.starts_with(says), "{refused:?}");
+        }
+        let line = complaint(daemon.meissner().args(["answer", "1", "left"]));
+        assert!(line.contains("the answer to play 1 is not recorded"), "{line}");
+        let told = next(&mut events, |event| match event {
+            Event::RecordProblem { problem, .. } => problem,
+            _ => None,
+        });
+        assert!(told.contains("cannot be written"), "{told}");
+        assert!(warnings(&mut client).contains("the session record cannot be written"));
+        let now = status(&mut client);
+        assert!(now.logbook_problem.is_some() && now.session.is_some_and(|session| session.lost >= 2));
+        // A play meanwhile tells it, too.
+        let _: Value = client.post("/v1/play", &json!({"pattern": "pin-60", "seconds": 0.05})).unwrap();
+        assert!(ended(&mut events).warnings.join("; ").contains("the session record cannot be written"));
+        repair(&daemon, folder, &day);
+        wait_until(|| answer(&mut client).is_ok());
+        assert_eq!(problem(answer(&mut client)).code, "exists");
+        next(&mut events, |event| match event {
+            Event::RecordProblem { problem: None, lost: 2.. } => Some(()),
+            _ => None,
+        });
+        assert!(warnings(&mut client).contains("entries of this session"));
+        let over = end(&mut client);
+        assert!(over.lost >= 2 && over.plays_lost == 1, "{over:?}");
+        let (document, _) = exported(&daemon, &started.id);
+        assert_eq!(document["plays"][0]["answer"]["response"], "left");
+    }
+}
+
+#[test]
+fn lines_that_somebody_takes_away_are_told_at_the_next_call() {
+    let kinds: [fn(&Path, &Path); 7] = [
+        |folder, _| fs::remove_dir_all(folder).unwrap(),
+        |folder, _| fs::rename(folder, folder.with_extension("away")).unwrap(),
+        |_, day| fs::remove_file(day).unwrap(),
+        |_, day| fs::rename(day, day.with_extension("away")).unwrap(),
+        |_, day| {
+            fs::write(day.with_extension("other"), "{\"event\":\"other\",\"number\":1}\n").unwrap();
+            fs::rename(day.with_extension("other"), day).unwrap();
+        },
+        |_, day| drop(File::create(day).unwrap()),
+        |_, day| {
+            let file = File::options().write(true).open(day).unwrap();
+            file.set_len(file.metadata().unwrap().len() / 2).unwrap();
+        },
+    ];
+    let mut daemon = Daemon::start();
+    let mut ids = Vec::new();
+    for (kind, damage) in kinds.iter().enumerate() {
+        let (mut client, started) = owner(&daemon, "P07", false);
+        let mut events = client.events().unwrap();
+        play(&mut client, &mut events, 2);
+        daemon.wait_for_prediction();
+        let before = status(&mut client).logbook_lost;
+        let day = days(&daemon).remove(0);
+        damage(day.parent().unwrap(), &day);
+        // The answer itself has a line.
+        let id = client.get::<Receipt>("/v1/plays/last").unwrap().id;
+        let _: Value =
+            client.post(&format!("/v1/plays/{id}/answer"), &json!({"response": "left"})).unwrap();
+        next(&mut events, |event| match event {
+            Event::RecordProblem { lost, .. } if lost > before => Some(()),
+            _ => None,
+        });
+        assert!(warnings(&mut client).contains("the session record has lost"), "{kind}");
+        let now = status(&mut client);
+        assert!(now.logbook_lost > before && now.session.is_some_and(|session| session.lost > 0), "{kind}");
+        let over = end(&mut client);
+        assert!(over.lost > 0, "{kind}: {over:?}");
+        let line = complaint(daemon.meissner().args(["session", "export", &started.id]));
+        assert!(line.contains("is not whole in the record"), "{kind}: {line}");
+        ids.push(started.id);
+    }
+    // Nobody writes after the last one: the list looks by itself.
+    let (mut client, started) = owner(&daemon, "P08", false);
+    end(&mut client);
+    daemon.wait_for_record();
+    fs::remove_dir_all(daemon.path("state/meissner/logbook")).unwrap();
+    ids.push(started.id);
+    for _ in 0..2 {
+        let sessions = client.get::<SessionList>("/v1/sessions").unwrap().sessions;
+        let told: Vec<_> = sessions.iter().filter(|session| session.lost > 0).map(|of| &of.id).collect();
+        assert_eq!(told, ids.iter().collect::<Vec<_>>());
+        // The next daemon knows the sessions, too.
+        daemon.end();
+        daemon = daemon.again();
+        client = daemon.client();
+    }
+}
+
+/// Others send bad requests while the disk is full: their entries are lost, but the session lacks nothing.
+#[test]
+fn lost_requests_of_others_do_not_count_against_a_session() {
+    let daemon = Daemon::start();
+    let (mut client, started) = owner(&daemon, "P07", false);
+    let mut events = client.events().unwrap();
+    play(&mut client, &mut events, 1);
+    daemon.wait_for_prediction();
+    daemon.limit_files(Some(fs::metadata(&days(&daemon)[0]).unwrap().len()));
+    for mut other in [(); 3].map(|()| daemon.client()) {
+        for _ in 0..20 {
+            assert_eq!(problem(other.post("/v1/play", &json!({"what": 1}))).code, "bad-request");
+        }
+    }
+    daemon.wait_for_record();
+    let now = status(&mut client);
+    let session = now.session.unwrap();
+    assert!(now.logbook_lost >= 60 && (session.lost, session.plays_lost) == (0, 0), "{session:?}");
+    daemon.limit_files(None);
+    daemon.wait_for_log("is written again");
+    play(&mut client, &mut events, 1);
+    assert_eq!(warnings(&mut client), "");
+    assert_eq!(end(&mut client).lost, 0);
+    let exported = document_of(&daemon, &started.id);
+    assert_eq!((&exported["complete"], exported["plays"].as_array().unwrap().len()), (&json!(true), 2));
+}
+
+/// Files of days vanish, between sessions, too. The numbers of the entries tell it.
+#[test]
+fn sessions_that_vanish_with_their_file_are_told() {
+    let mut daemon = Daemon::start();
+    let ids: Vec<_> = (0..6)
+        .map(|_| {
+            let (mut client, started) = owner(&daemon, "P07", false);
+            end(&mut client);
+            started.id
+        })
+        .collect();
+    daemon.end();
+    let today = days(&daemon).remove(0);
+    let text = fs::read_to_string(&today).unwrap();
+    let lines: Vec<&str> = text.lines().collect();
+    let ends: Vec<_> =
+        (0..lines.len()).filter(|&at| lines[at].contains("\"event\":\"session-ended\"")).collect();
+    let (second, third) = (ends[1] + 1, ends[3] + 1);
+    let write = |path: &Path, lines: &[&str]| fs::write(path, lines.join("\n") + "\n").unwrap();
+    let parts = ["2026-01-02", "2026-01-03"].map(|day| today.with_file_name(format!("{day}.jsonl")));
+    write(&parts[0], &lines[..second]);
+    write(&parts[1], &lines[second..third]);
+    write(&today, &lines[third..]);
+    daemon = daemon.again();
+    let whole = |daemon: &Daemon| {
+        let (listed, warning) = list(daemon, 0);
+        assert_eq!((listed.lines().count(), &*warning), (7, ""));
+        assert_eq!(status(&mut daemon.client()).logbook_problem, None);
+    };
+    let told = |daemon: &Daemon, says: &str| {
+        let (_, warning) = list(daemon, 1);
+        assert!(warning.contains(says), "{says}: {warning}");
+        let problem = status(&mut daemon.client()).logbook_problem.unwrap();
+        assert!(problem.contains(says), "{says}: {problem}");
+        assert!(printed(daemon.meissner().arg("status")).contains(says));
+        let doctor: DoctorReport = daemon.client().get("/v1/doctor").unwrap();
+        let finding = doctor.findings.iter().find(|finding| finding.what == "logbook").unwrap();
+        assert!(finding.level == Level::Warn && finding.found.contains(says), "{finding:?}");
+        let export = daemon.meissner().args(["session", "export", &ids[5]]).assert().success();
+        let warning = String::from_utf8(export.get_output().stderr.clone()).unwrap();
+        assert!(warning.contains(says), "the session is whole, others may be missing: {warning}");
+    };
+    let damages: [fn(&Path); 6] = [
+        |path| fs::remove_file(path).unwrap(),
+        |path| drop(File::create(path).unwrap()),
+        |path| fs::rename(path, path.with_extension("jsonl.gz")).unwrap(),
+        |path| fs::write(path, b"\x1f\x8b\x08\x00\n\xff\xfe\n").unwrap(),
+        |path| fs::write(path, vec![0; fs::read(path).unwrap().len()]).unwrap(),
+        |path| {
+            let bytes = fs::read(path).unwrap();
+            fs::write(path, &bytes[..bytes.len() / 2]).unwrap();
+        },
+    ];
+    for (path, (first, last)) in parts.iter().zip([(1, second), (second + 1, third)]) {
+        let before = fs::read(path).unwrap();
+        for (number, damage) in damages.iter().enumerate() {
+            whole(&daemon);
+            damage(path);
+            let is_half = number == damages.len() - 1;
+            let first = if is_half { String::new() } else { format!("entries {first} ") };
+            told(&daemon, &format!("{first}to {last} of the session record are missing"));
+            fs::write(path, &before).unwrap();
+        }
+    }
+    // The newest file, while no daemon runs: the next one knows its last number.
+    daemon.end();
+    fs::write(&today, "").unwrap();
+    daemon = daemon.again();
+    let says = format!("entries {} to ", third + 1);
+    let problem = status(&mut daemon.client()).logbook_problem.unwrap();
+    assert!(problem.contains(&says), "{says}: {problem}");
+    assert!(list(&daemon, 1).1.contains(&says));
 }

@@ -175,7 +175,8 @@ fn session_record(bytes: &[u8]) {
     std::fs::write(dir.join("2026-01-02.jsonl"), bytes).expect("a file can be written");
     let list = reader::sessions(dir, &[], None).expect("the directory can be read");
     let lines = bytes.iter().filter(|&&byte| byte == b'\n').count() + 1;
-    assert!(list.unreadable <= lines as u64 && list.recorded.len() <= lines);
+    // Numbers may be missing before each line.
+    assert!(list.unreadable <= 2 * lines as u64 && list.recorded.len() <= lines);
     for recorded in list.recorded.into_iter().take(3) {
         let plays = reader::plays(dir, recorded, 0).expect("the directory can be read");
         assert!(plays.unreadable <= lines as u64);

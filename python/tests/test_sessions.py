@@ -20,6 +20,7 @@ from meissner import _http, errors
 from meissner import _operations as ops
 from meissner.experiment import trials
 from network import Network
+from patience import LEAD
 
 PATIENT = 120.0
 DRIVES = [{"motor": 9, "frequency_hz": 60.0, "amplitude_um": 40.0}]
@@ -373,3 +374,62 @@ def test_the_end_of_one_client_does_not_disarm_another(m: meissner.Client, daemo
     with meissner.connect(daemon.socket) as third:
         third.wait_until_idle()
         assert third.status().state == "disarmed"
+
+
+@contextmanager
+def unrecorded() -> Iterator[tuple[meissner.Daemon, Callable[[], None]]]:
+    """A daemon, and a function that puts a file into the place of its record's directory."""
+    with meissner.Daemon(LEAD) as daemon:
+        record = Path(daemon.socket).parent / "record"
+
+        def damage() -> None:
+            record.rename(record.with_name("away"))
+            record.touch()
+
+        yield daemon, damage
+
+
+def test_an_answer_that_is_not_recorded_is_an_error_and_so_is_the_end_of_its_session() -> None:
+    with unrecorded() as (daemon, damage), meissner.connect(daemon.socket) as m:
+        m.arm(assume_rest=True, checked="a test", silence=600)
+        with pytest.raises(errors.IncompleteSession, match=r"its record has lost \d+ entries"), m.session("P07") as session:
+            play = m.play("pin-60", 0.05, trial=1)
+            play.wait()
+            assert play.wait().raw["warnings"] == []
+            damage()
+            for _ in range(2):
+                with pytest.raises(errors.StoreError, match="the answer to play 1 is not recorded: the session record cannot"):
+                    session.answer(1, "left")
+            assert "session record" in play.wait().raw["warnings"][-1]
+        assert m.status().raw["session"] is None
+        assert m.play("pin-60", 0.05).wait().raw["session"] is None
+        # An error of the block goes first.
+        with pytest.warns(UserWarning, match="its record has lost"), pytest.raises(ZeroDivisionError), m.session("P08"):
+            _ = 1 / 0
+
+
+def test_an_asynchronous_block_whose_record_has_lost_something_ends_with_an_error() -> None:
+    async def run(daemon: meissner.Daemon, damage: Callable[[], None]) -> None:
+        async with await meissner.connect_async(daemon.socket) as m:
+            with pytest.raises(errors.IncompleteSession, match="its record has lost"):
+                async with m.session("P07"):
+                    damage()
+            assert (await m.status()).raw["session"] is None
+
+    with unrecorded() as (daemon, damage):
+        asyncio.run(run(daemon, damage))
+
+
+def test_sessions_that_vanished_with_their_file_are_told(tmp_path: Path) -> None:
+    with meissner.Daemon(LEAD) as daemon, meissner.connect(daemon.socket) as m:
+        with m.session("P07") as first:
+            pass
+        assert [each["id"] for each in m.sessions()] == [first.id]
+        record = Path(daemon.socket).parent / "record"
+        (today,) = record.glob("*.jsonl")
+        lines = today.read_text().splitlines(keepends=True)
+        kept = next(number for number, line in enumerate(lines) if '"session-started"' in line)
+        # The entries before the session were in the file of another day, which is gone.
+        today.write_text("".join(lines[kept:]))
+        with pytest.warns(UserWarning, match=f"entries 1 to {kept} of the session record are missing"):
+            m.sessions()

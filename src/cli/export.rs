@@ -153,7 +153,7 @@ pub(super) fn warn_unreadable(count: u64, problems: &[String]) {
         tell(&format!("warning: {problem}"));
     }
     if let more @ 1.. = count.saturating_sub(problems.len() as u64) {
-        tell(&format!("warning: {more} more lines of the session record cannot be read"));
+        tell(&format!("warning: {more} more lines of the session record are missing or cannot be read"));
     }
 }
 

@@ -45,7 +45,7 @@ pub(super) enum Session {
     },
     /// Forget the session that this terminal has started; it goes on, and other commands of this terminal do not belong to it
     Leave,
-    /// List the recorded sessions, the oldest first
+    /// List the recorded sessions, the oldest first; exit 1 if something of the record is missing or cannot be read
     List(ClientOptions),
     /// Export the recorded plays of a session as CSV, one row per stimulus; with --json as one document; exit 1 if the record does not
     /// have the session whole
@@ -176,7 +176,7 @@ fn leave() -> Result<ExitCode> {
 fn list(options: &ClientOptions) -> Result<ExitCode> {
     let list: SessionList = options.client()?.get_within(DISK_TIMEOUT, "/v1/sessions")?;
     export::warn_unreadable(list.unreadable, &list.problems);
-    give(options.output.json, &list, || {
+    let given = give(options.output.json, &list, || {
         let row = |session: &api::Session| {
             let stands = session.reason.clone().unwrap_or_else(|| "runs".to_owned());
             vec![
@@ -195,5 +195,6 @@ fn list(options: &ClientOptions) -> Result<ExitCode> {
                 text::columns(&head, list.sessions.iter().map(row))
             }
         }
-    })
+    })?;
+    Ok(if list.unreadable > 0 { ExitCode::FAILURE } else { given })
 }

@@ -337,6 +337,10 @@ pub(super) fn event(event: &Event) -> String {
                 "owner silent: nothing was heard for {silence_s} s since {by} armed; the motors are disarmed"
             )
         }
+        Event::RecordProblem { problem, lost } => {
+            let problem = problem.as_ref().map_or_else(String::new, |problem| format!("{problem}; "));
+            format!("session record: {problem}{lost} entries are lost")
+        }
         Event::SessionEnded { session } => format!("session: {} ended", session_name(session)),
         Event::Lost { events } => format!("lost: {events} events of the streamer"),
         Event::Lagged { events } => format!("lagged: this client missed {events} events"),

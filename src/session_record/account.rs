@@ -128,6 +128,21 @@ impl Account {
         self.next = upto + 1;
     }
 
+    /// Notes that the lines after this entry are gone, because somebody removed, cut or replaced their file.
+    pub(super) fn lines_gone(&mut self, kept: u64) {
+        let lost = self.lock_ledger().lose_lines(kept + 1, self.settled());
+        self.missing.merge(lost);
+        self.next = kept + 1;
+        self.durable = self.durable.min(self.next);
+        self.unsynced.clear();
+        self.told = Default::default();
+    }
+
+    /// Sets what the numbers of the lines say is missing.
+    pub(super) fn set_gaps(&self, gaps: Option<String>) {
+        self.lock_ledger().gaps = gaps;
+    }
+
     /// Notes whether the lines since the last sync are durable. Otherwise their entries are lost.
     pub(super) fn synced(&mut self, is_durable: bool) {
         let (unsynced, told) = (mem::take(&mut self.unsynced), mem::take(&mut self.told));

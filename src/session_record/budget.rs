@@ -369,7 +369,7 @@ mod tests {
             strokes: Some(u64::MAX),
         };
         receipt.drives = vec![drive; MAX_DRIVES_LISTED];
-        receipt.warnings = vec!["x".repeat(160); MAX_WARNINGS_LISTED + 1];
+        receipt.warnings = vec!["x".repeat(160); MAX_WARNINGS_LISTED + 2];
         let bytes: u64 = play(1, receipt).iter().map(Entry::bytes).sum();
         let instant = InstantRecord { tick: u64::MAX, monotonic_ns: u64::MAX, uncertainty_ns: u64::MAX };
         let item = ItemRecord {

@@ -8,7 +8,7 @@
 //! Invariant: the `event` key of a line determines which other keys it has.
 
 use super::json;
-use meissner_api::{Event, MAX_DETAIL, PlayAnswer, Session};
+use meissner_api::{EdgeEffect, EdgeRecord, Event, MAX_DETAIL, PlayAnswer, Session};
 use meissner_input::message;
 use serde::Serialize;
 use serde_json::Value;
@@ -189,6 +189,15 @@ pub enum Note {
         /// The answer.
         answer: PlayAnswer,
     },
+    /// An edge of the trigger input. It has a number and an instant of its own, beside those of the line.
+    Edge {
+        /// The edge.
+        edge: EdgeRecord,
+        /// As in the event.
+        play: Option<u64>,
+        /// As in the event.
+        effect: EdgeEffect,
+    },
     /// Entries are missing here. The line has the number of the last of them.
     Lost {
         /// How many.
@@ -273,7 +282,9 @@ impl Entry {
             | Event::Late { .. }
             | Event::Refused { .. }
             | Event::Lagged { .. }
+            | Event::RecordProblem { .. }
             | Event::Search { .. } => None,
+            &Event::Edge { edge, play, effect } => Some(Note::Edge { edge, play, effect }.into()),
             event => Some(Self::Event {
                 event: Box::new(event.clone()),
                 uid: client.map(|client| client.uid),
@@ -314,6 +325,7 @@ impl Entry {
             Self::Note(Note::Reloaded { .. }) => daemon("reloaded"),
             // A play has one at most, so the room for plays bounds them.
             Self::Note(Note::Answered { .. }) => (Kind::Play, None, "answered"),
+            Self::Note(Note::Edge { .. }) => (Kind::Edge, None, "edge"),
             Self::Note(Note::Lost { .. }) => daemon("lost"),
             Self::Note(Note::LeftOut { .. }) => daemon("left-out"),
             Self::Event { event, .. } => match **event {
@@ -327,9 +339,17 @@ impl Entry {
                 | Event::SessionReleased { .. }
                 | Event::SessionEnded { .. }
                 | Event::Calibrated { .. } => (Kind::Play, None, event.name()),
-                Event::Edge { .. } => (Kind::Edge, None, event.name()),
                 _ => daemon(event.name()),
             },
+        }
+    }
+
+    /// Whether the running session lacks something without this entry. It does not for requests, whoever makes them: what they do to
+    /// the session has entries of its own.
+    pub(super) fn is_of_session(&self) -> bool {
+        match self {
+            Self::Event { event, .. } => !matches!(**event, Event::Intervened { .. }),
+            Self::Note(_) => matches!(self.kind().0, Kind::Play | Kind::EStop | Kind::Edge),
         }
     }
 

@@ -78,6 +78,8 @@ pub struct SessionLosses {
     pub pending: u64,
     /// Whether its start or end is among them.
     unnamed: bool,
+    /// The numbers of its start and end.
+    numbers: (u64, u64),
 }
 
 /// See the module.
@@ -85,6 +87,8 @@ pub struct SessionLosses {
 pub(super) struct Ledger {
     lost: u64,
     sessions: VecDeque<SessionLosses>,
+    /// What the numbers of the lines say is missing, in one line.
+    pub(super) gaps: Option<String>,
 }
 
 impl Ledger {
@@ -97,8 +101,8 @@ impl Ledger {
         self.sessions.iter()
     }
 
-    /// Remembers the session whose start or end this is.
-    pub(super) fn see(&mut self, entry: &Entry) {
+    /// Remembers the session whose start or end this is; the entry has this number.
+    pub(super) fn see(&mut self, entry: &Entry, number: u64) {
         let Entry::Event { event, .. } = entry else { return };
         match &**event {
             Event::SessionStarted { session } => {
@@ -106,12 +110,13 @@ impl Ledger {
                     self.sessions.pop_front();
                 }
                 let session = (**session).clone();
-                self.sessions.push_back(SessionLosses { session, pending: 0, unnamed: false });
+                self.sessions.push_back(SessionLosses { session, pending: 0, unnamed: false, numbers: (number, u64::MAX) });
             }
             Event::SessionEnded { session } => {
                 if let Some(known) = self.of(&session.id) {
                     let Session { lost, plays_lost, .. } = known.session;
                     known.session = Session { lost, plays_lost, ..(**session).clone() };
+                    known.numbers.1 = number;
                 }
             }
             _ => {}
@@ -132,10 +137,31 @@ impl Ledger {
         self.pend(tag, 1);
     }
 
+    /// Counts the entries `first` to `last`, which had lines and have none any more.
+    pub(super) fn lose_lines(&mut self, first: u64, last: u64) -> Counts {
+        let mut counts = Counts::default();
+        let mut rest = (last + 1).saturating_sub(first);
+        self.lost += rest;
+        for known in &mut self.sessions {
+            let (start, end) = known.numbers;
+            let lines = (last.min(end) + 1).saturating_sub(first.max(start));
+            if lines > 0 {
+                known.session.lost += lines;
+                counts.add(Tag { session: Some(known.session.id.as_str().into()), name: OTHERS }, lines);
+                rest = rest.saturating_sub(lines);
+            }
+        }
+        if rest > 0 {
+            counts.add(Tag { session: None, name: OTHERS }, rest);
+        }
+        self.take_back(&counts);
+        counts
+    }
+
     fn pend(&mut self, tag: &Tag, entries: u64) {
         if let Some(known) = tag.session.as_deref().and_then(|id| self.of(id)) {
             known.pending += entries;
-            known.unnamed |= matches!(tag.name, "session-started" | "session-ended");
+            known.unnamed |= matches!(tag.name, "session-started" | "session-ended" | OTHERS);
         }
     }
 
@@ -175,14 +201,14 @@ mod tests {
             let reason = reason.map(str::to_owned);
             Box::new(Session { id: "a".to_owned(), plays, reason, ..Session::default() })
         };
-        ledger.see(&event(Event::SessionStarted { session: session(0, None) }));
+        ledger.see(&event(Event::SessionStarted { session: session(0, None) }), 1);
         let tag = |name| Tag { session: Some("a".into()), name };
         let mut counts = Counts::default();
         for tag in [tag("ended"), tag("began"), tag("ended"), Tag { session: None, name: "stop" }] {
             ledger.lose(&tag);
             counts.add(tag, 1);
         }
-        ledger.see(&event(Event::SessionEnded { session: session(5, Some("request")) }));
+        ledger.see(&event(Event::SessionEnded { session: session(5, Some("request")) }), 9);
         let known = ledger.sessions().next().unwrap();
         let told = (known.session.plays, known.session.lost, known.session.plays_lost, known.pending);
         assert_eq!((told, ledger.lost()), ((5, 3, 2, 3), 4));
@@ -208,7 +234,7 @@ mod tests {
         for number in 0..2 * KINDS {
             let id = number.to_string();
             let session = Box::new(Session { id: id.clone(), ..Session::default() });
-            ledger.see(&event(Event::SessionStarted { session }));
+            ledger.see(&event(Event::SessionStarted { session }), 1);
             counts.add(Tag { session: Some(id.into()), name: "ended" }, 1);
         }
         assert_eq!((ledger.sessions().count(), counts.0.len()), (SESSIONS, KINDS + 1));

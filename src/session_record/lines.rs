@@ -49,6 +49,16 @@ pub(super) fn head(line: &[u8]) -> Option<Head<'_>> {
     Some(Head { number: head.number.filter(|&number| number <= MAX_NUMBER), ..head })
 }
 
+/// The number of the first entry that a line is or reports as missing; none if it has no number.
+pub(super) fn first_number(head: &Head<'_>, line: &[u8]) -> Option<u64> {
+    #[derive(Deserialize)]
+    struct Lost {
+        entries: u64,
+    }
+    let lost = (head.event == "lost").then(|| serde_json::from_slice::<Lost>(line).ok()).flatten();
+    Some((head.number? + 1).saturating_sub(lost.map_or(1, |lost| lost.entries.max(1))))
+}
+
 /// The head of a line in the daemon's own format.
 fn written(line: &[u8]) -> Option<Head<'_>> {
     let rest = line.strip_suffix(b"}")?.strip_prefix(b"{\"time\":\"")?;

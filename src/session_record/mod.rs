@@ -43,7 +43,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use std::thread;
 use std::time::{Duration, Instant};
 use texts::Texts;
-use tokio::sync::oneshot;
+use tokio::sync::{Notify, oneshot};
 use tracing::warn;
 use writer::{Added, Stamp, Writer};
 
@@ -91,6 +91,7 @@ struct Queue {
     /// Disconnected when the thread has ended.
     ended: Receiver<()>,
     problem: Arc<Mutex<Option<String>>>,
+    changed: Arc<Notify>,
 }
 
 impl Queue {
@@ -104,6 +105,7 @@ impl Queue {
         let (messages, queue) = bounded(room);
         let (alive, ended) = bounded::<()>(0);
         let (problem, ledger, dir) = (writer.problem(), writer.ledger(), writer.dir().to_owned());
+        let changed = writer.changed();
         let texts = Arc::new(Texts::default());
         let kept = Arc::clone(&texts);
         let work = move || {
@@ -124,6 +126,7 @@ impl Queue {
             ledger,
             ended,
             problem,
+            changed,
         })
     }
 
@@ -131,7 +134,7 @@ impl Queue {
         self.ledger.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    fn add(&mut self, entry: Entry, bytes: u64) {
+    fn add(&mut self, entry: Entry, bytes: u64, told: Option<oneshot::Sender<()>>) {
         let stamp = Stamp::now();
         let session = entry.bounds_session().map(|session| (session.id.clone(), session.reason.is_none()));
         if session.is_some() {
@@ -140,17 +143,21 @@ impl Queue {
                 self.budget.take_text(MAX_ENTRY, stamp.monotonic);
                 self.report();
             }
-            self.lock_ledger().see(&entry);
+            self.lock_ledger().see(&entry, self.number + 1);
         }
         if let Some((id, true)) = &session {
             self.session = Some(id.as_str().into());
         }
         let had_left_out = self.budget.has_left_out();
         if self.budget.takes(&entry, bytes, stamp.monotonic) {
-            let first = matches!(entry.kind().0, Kind::Play | Kind::EStop);
-            let has_room = first || self.messages.len() < self.room;
+            let room = match entry.kind().0 {
+                Kind::Play => usize::MAX,
+                // E-stops by the thousand leave room for plays.
+                Kind::EStop => self.room + self.room / 2,
+                _ => self.room,
+            };
             let tag = self.tag(&entry);
-            if !has_room || !self.send(stamp, entry) {
+            if self.messages.len() >= room || !self.send(stamp, entry, told) {
                 self.lose(tag);
             }
         } else if !had_left_out && self.messages.try_send(Message::LeftOut).is_err() {
@@ -165,7 +172,7 @@ impl Queue {
     }
 
     fn tag(&self, entry: &Entry) -> Tag {
-        Tag { session: self.session.clone(), name: entry.kind().2 }
+        Tag { session: self.session.clone().filter(|_| entry.is_of_session()), name: entry.kind().2 }
     }
 
     /// Gives an entry a number, but no line.
@@ -173,6 +180,7 @@ impl Queue {
         self.number += 1;
         self.lock_ledger().lose(&tag);
         self.missed.add(tag, 1);
+        self.changed.notify_one();
     }
 
     fn keep_text(&mut self, sha256: &str, text: &Arc<[u8]>) {
@@ -188,10 +196,10 @@ impl Queue {
     }
 
     /// Queues an entry with the next number. Returns whether it had room.
-    fn send(&mut self, stamp: Stamp, entry: Entry) -> bool {
+    fn send(&mut self, stamp: Stamp, entry: Entry, told: Option<oneshot::Sender<()>>) -> bool {
         let (number, tag, missed) = (self.number + 1, self.tag(&entry), self.missed.take());
         // The thread outlives the queue, so an error means that the queue is full.
-        let added = Box::new(Added { stamp, number, missed, tag, entry });
+        let added = Box::new(Added { stamp, number, missed, tag, entry, told });
         match self.messages.try_send(Message::Entry(added)) {
             Ok(()) => {
                 self.number = number;
@@ -220,7 +228,7 @@ impl Queue {
 
     /// Adds an entry about the left-out entries. If the queue is full, it is tried again later.
     fn report(&mut self) {
-        if self.budget.has_left_out() && self.send(Stamp::now(), self.budget.report()) {
+        if self.budget.has_left_out() && self.send(Stamp::now(), self.budget.report(), None) {
             self.budget.reported();
         }
     }
@@ -300,6 +308,17 @@ impl SessionRecord {
         queue.as_ref().and_then(|queue| queue.problem.lock().unwrap_or_else(PoisonError::into_inner).clone())
     }
 
+    /// Notified when its problem changes, or when it loses entries; none: nothing is recorded.
+    pub(crate) fn changed(&self) -> Option<Arc<Notify>> {
+        self.lock().as_ref().map(|queue| Arc::clone(&queue.changed))
+    }
+
+    /// What the numbers of its lines say is missing, as far as that is known without reading all of them; none if nothing.
+    #[must_use]
+    pub fn gaps(&self) -> Option<String> {
+        self.lock().as_ref().and_then(|queue| queue.lock_ledger().gaps.clone())
+    }
+
     /// The entries that the record lost since it was started.
     #[must_use]
     pub fn lost(&self) -> u64 {
@@ -324,11 +343,22 @@ impl SessionRecord {
 
     /// Adds an entry with the current time. Never waits for the disk.
     pub fn add(&self, entry: impl Into<Entry>) {
-        let entry = entry.into();
+        self.add_and(entry.into(), None);
+    }
+
+    fn add_and(&self, entry: Entry, told: Option<oneshot::Sender<()>>) {
         let bytes = entry.bytes();
         if let Some(queue) = self.lock().as_mut() {
-            queue.add(entry, bytes);
+            queue.add(entry, bytes, told);
         }
+    }
+
+    /// As [`Self::add`]. Returns a receiver that gets its value when the entry has a line, and fails if it has none.
+    #[must_use]
+    pub fn add_told(&self, entry: impl Into<Entry>) -> oneshot::Receiver<()> {
+        let (told, answer) = oneshot::channel();
+        self.add_and(entry.into(), Some(told));
+        answer
     }
 
     /// Keeps the text of a pattern that is played, once, for [`read_text`]. Never waits for the disk.
@@ -427,7 +457,10 @@ fn write_all(
             }
             // Perhaps nothing waits for it any more.
             Ok(Message::Exposure(text, saved)) => drop(saved.send(writer.save_exposure(&text))),
-            Ok(Message::Written(waiting)) => drop(waiting),
+            Ok(Message::Written(waiting)) => {
+                writer.check();
+                drop(waiting);
+            }
             Ok(Message::LeftOut) => report = Some(Instant::now() + REPORT_AFTER),
             Ok(Message::Missed(number, missed)) => writer.miss(number, missed),
             Ok(Message::Entry(mut added)) => {

@@ -34,7 +34,7 @@ fn has(line: &[u8], text: &str) -> bool {
 pub struct Sessions {
     /// The sessions.
     pub recorded: Vec<Recorded>,
-    /// Lines and files that cannot be read.
+    /// Gaps in the numbers of the lines, and lines and files that cannot be read.
     pub unreadable: u64,
     /// The first [`MAX_LISTED`] of them.
     pub problems: Vec<String>,
@@ -94,6 +94,10 @@ struct Scan {
     recorded: Vec<Recorded>,
     /// The number of the line before.
     last: Option<u64>,
+    /// The highest number so far, and those up to which old files were removed.
+    covered: u64,
+    /// Numbers that are missing, whomever they belong to: how many stretches, and the first [`MAX_LISTED`], one line each.
+    gaps: (u64, Vec<String>),
 }
 
 /// A line about lost entries.
@@ -153,6 +157,17 @@ impl Scan {
             (recorded.is_started, recorded.first) = (true, number);
         }
         recorded.session = Session { lost: 0, plays_lost: 0, release_in_s: None, ..session };
+    }
+
+    /// Follows the numbers: all up to `covered` are accounted for, and the next is `first`.
+    fn follow(&mut self, first: u64, last: u64) {
+        if first > self.covered + 1 {
+            self.gaps.0 += 1;
+            if self.gaps.1.len() < MAX_LISTED {
+                self.gaps.1.push(numbers::gap(self.covered + 1, first - 1));
+            }
+        }
+        self.covered = self.covered.max(last);
     }
 
     /// Takes a line. Returns whether it can be read.
@@ -260,12 +275,19 @@ pub fn sessions(
     known: &[SessionLosses],
     running: Option<Session>,
 ) -> Result<Sessions, RecordError> {
-    let mut scan = Scan::default();
+    // Read the counter first: lines up to there are on the disk.
+    let (counted, removed) = numbers::counted(dir);
+    let mut scan = Scan { covered: removed, ..Scan::default() };
     let unreadable = lines::each(
         dir,
         |_| true,
         |seen| match seen {
-            Seen::Line(head, line) => scan.see(&head, line),
+            Seen::Line(head, line) => {
+                if let Some((first, last)) = lines::first_number(&head, line).zip(head.number) {
+                    scan.follow(first, last);
+                }
+                scan.see(&head, line)
+            }
             Seen::Unreadable => {
                 if scan.last.is_none()
                     && let Some(open) = scan.open()
@@ -276,6 +298,7 @@ pub fn sessions(
             }
         },
     )?;
+    scan.follow(counted + 1, counted);
     let mut recorded = scan.recorded;
     // Move it to the end of the list, because the running daemon's sessions are the newest.
     let mut renew = |session: &Session, pending| {
@@ -292,7 +315,11 @@ pub fn sessions(
         }
         recorded.finish();
     }
-    Ok(Sessions { recorded, unreadable: unreadable.count, problems: unreadable.lines() })
+    let (gaps, mut problems) = scan.gaps;
+    let count = gaps + unreadable.count;
+    problems.extend(unreadable.lines());
+    problems.truncate(MAX_LISTED);
+    Ok(Sessions { recorded, unreadable: count, problems })
 }
 
 /// The most ended plays whose command line may still follow: far more than ever occur.

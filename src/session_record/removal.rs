@@ -8,7 +8,7 @@
 //! Invariants: the last `logbook_days` days of writing stay; a file that is not in the list counts as written today; only files
 //! named after a day are removed, at most [`MOST`] at a time.
 
-use super::days;
+use super::{days, numbers};
 use jiff::Span;
 use jiff::civil::{Date, date};
 use meissner_stream::time::HostInstant;
@@ -39,6 +39,8 @@ type Files = BTreeMap<Date, u64>;
 pub(super) struct Removal {
     /// When this process last counted a day.
     counted: Option<HostInstant>,
+    /// The highest number in the files that were removed from the directory.
+    pub(super) removed: u64,
 }
 
 impl Removal {
@@ -70,8 +72,14 @@ impl Removal {
         self.counted = Some(now);
         // Go on after a file that cannot be removed.
         let old = old(&files, today, keep).into_iter().filter(|day| !held.contains(day));
-        let removed = old.map(|day| fs::remove_file(dir.join(days::name(day))));
-        removed.fold(Ok(()), Result::and)
+        let remove = |day| {
+            let path = dir.join(days::name(day));
+            let last = numbers::last(&path).ok().flatten();
+            fs::remove_file(&path)?;
+            self.removed = self.removed.max(last.unwrap_or(0));
+            Ok(())
+        };
+        old.map(remove).fold(Ok(()), Result::and)
     }
 
     /// The list with today's line, and whether today is a new day of writing.

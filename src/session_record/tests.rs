@@ -244,7 +244,8 @@ fn a_directory_that_is_not_there_is_waited_for_and_one_that_vanishes_is_made_aga
         writer.finish();
     });
     assert_eq!(lines(&site, "2026-11-22")[0]["monotonic_ns"], 4);
-    assert!(said.len() == 2 && said[0].contains("No such file"), "{said:?}");
+    assert!(said.len() == 4 && said[0].contains("No such file"), "{said:?}");
+    assert!(said[2].contains(": 1 entries are gone") && said[3].contains(": 2 entries are gone"), "{said:?}");
 }
 
 #[test]
@@ -333,6 +334,93 @@ fn a_record_that_moves_loses_nothing() {
     log.add(started());
     log.close(timeout);
     assert_eq!((entries(first.path()), entries(second.path())), (3, 1));
+}
+
+/// A JSON value that has no key twice.
+struct Unique;
+
+impl<'de> serde::Deserialize<'de> for Unique {
+    fn deserialize<D: serde::Deserializer<'de>>(from: D) -> Result<Self, D::Error> {
+        struct Visitor;
+
+        macro_rules! scalars {
+            ($($visit:ident($type:ty))*) => {
+                $(fn $visit<E>(self, _: $type) -> Result<Unique, E> { Ok(Unique) })*
+            };
+        }
+
+        impl<'de> serde::de::Visitor<'de> for Visitor {
+            type Value = Unique;
+
+            scalars! { visit_bool(bool) visit_i64(i64) visit_u64(u64) visit_f64(f64) visit_str(&str) }
+
+            fn expecting(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+                f.write_str("a value")
+            }
+
+            fn visit_unit<E>(self) -> Result<Unique, E> {
+                Ok(Unique)
+            }
+
+            fn visit_seq<A: serde::de::SeqAccess<'de>>(self, mut seq: A) -> Result<Unique, A::Error> {
+                while seq.next_element::<Unique>()?.is_some() {}
+                Ok(Unique)
+            }
+
+            fn visit_map<A: serde::de::MapAccess<'de>>(self, mut map: A) -> Result<Unique, A::Error> {
+                let mut keys = std::collections::BTreeSet::new();
+                while let Some((key, Unique)) = map.next_entry::<String, Unique>()? {
+                    if !keys.insert(key.clone()) {
+                        return Err(serde::de::Error::custom(format!("the key `{key}` comes twice")));
+                    }
+                }
+                Ok(Unique)
+            }
+        }
+
+        from.deserialize_any(Visitor)
+    }
+}
+
+/// Every event that the API knows, as its reference shows it, and every note.
+#[test]
+fn no_line_has_a_key_twice() {
+    assert!(serde_json::from_str::<Unique>(r#"{"a": [{"b": 1, "b": 2}]}"#).is_err());
+    let document = meissner_api::openapi::document();
+    let variants = document["components"]["schemas"]["Event"]["oneOf"].as_array().unwrap();
+    let example = |variant: &Value| {
+        let parts = variant["allOf"].as_array();
+        let examples = parts.into_iter().flatten().chain([variant]).find_map(|part| part.get("examples"));
+        serde_json::from_value::<Event>(examples?[0].clone()).ok()
+    };
+    let ended = Event::Ended { receipt: Box::new(Receipt::new(3, "edge-45", "0", Some(1.0))) };
+    let events: Vec<_> = variants.iter().filter_map(example).chain([ended]).collect();
+    let mut entries: Vec<_> =
+        events.iter().filter_map(|event| Entry::of(event, Some(Peer::local(7, 0)))).collect();
+    assert!(events.len() >= variants.len() && entries.len() >= 15, "{} of {}", events.len(), variants.len());
+    let answer = meissner_api::PlayAnswer::default();
+    let command = CommandEntry::new("arm", Peer::local(12, 0));
+    entries.extend([
+        started(),
+        Note::DaemonEnded { problem: None }.into(),
+        Note::Reloaded { changed: Vec::new(), problem: None }.into(),
+        Note::Command(command).into(),
+        Note::Answered { session: "a".to_owned(), play: 1, answer }.into(),
+        lost(1),
+        Note::LeftOut { entries: 1, of: Vec::new() }.into(),
+    ]);
+    let dir = tempfile::tempdir().unwrap();
+    let mut writer = writer(dir.path(), REAL);
+    let count = entries.len();
+    for entry in entries {
+        writer.write_next(stamp("2026-11-22T12:00:00Z", 1), entry);
+    }
+    writer.finish();
+    let text = fs::read_to_string(dir.path().join("logbook/2026-11-22.jsonl")).unwrap();
+    assert_eq!(text.lines().count(), count);
+    for line in text.lines() {
+        serde_json::from_str::<Unique>(line).unwrap_or_else(|error| panic!("{error}: {line}"));
+    }
 }
 
 #[test]

@@ -14,7 +14,7 @@ use super::days;
 use super::entry::Entry;
 use super::json;
 use super::ledger::{Counts, Ledger, Tag};
-use super::numbers;
+use super::numbers::{self, Found};
 use super::removal::{self, Removal};
 use super::texts;
 use crate::exposure;
@@ -34,6 +34,7 @@ use std::os::unix::fs::{DirBuilderExt, MetadataExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
+use tokio::sync::{Notify, oneshot};
 use tracing::{info, warn};
 
 /// How long after its writing a line is made durable: half a second, which leaves a slow disk another half.
@@ -122,6 +123,14 @@ struct Open {
     listed: bool,
 }
 
+impl Open {
+    /// Whether its name still leads to it, and it is as long as the daemon left it.
+    fn is_as_left(&self) -> bool {
+        let now = |there: fs::Metadata| ((there.dev(), there.ino()), there.len());
+        fs::metadata(&self.path).is_ok_and(|there| now(there) == (self.identity, self.length))
+    }
+}
+
 /// An entry on its way to the disk.
 #[derive(Debug)]
 pub(super) struct Added {
@@ -132,6 +141,8 @@ pub(super) struct Added {
     pub(super) missed: Counts,
     pub(super) tag: Tag,
     pub(super) entry: Entry,
+    /// Hears that the entry has a line; is dropped if it has none.
+    pub(super) told: Option<oneshot::Sender<()>>,
 }
 
 /// A line of the file.
@@ -162,6 +173,8 @@ pub(super) struct Writer {
     account: Account,
     /// Why nothing can be written, for the status.
     problem: Arc<Mutex<Option<String>>>,
+    /// Notified when that changes, or when lines are gone.
+    changed: Arc<Notify>,
     retry_after: Duration,
     /// When to try a failing disk again.
     failing: Option<Instant>,
@@ -174,6 +187,7 @@ impl Writer {
         Self {
             location,
             problem: Arc::default(),
+            changed: Arc::default(),
             zone: None,
             disk: Disk::REAL,
             lock: None,
@@ -203,7 +217,12 @@ impl Writer {
     pub(super) fn write_next(&mut self, stamp: Stamp, entry: Entry) {
         let tag = Tag { session: None, name: entry.kind().2 };
         let (number, missed) = (self.account.newest() + 1, Counts::default());
-        self.write(Added { stamp, number, missed, tag, entry });
+        self.write(Added { stamp, number, missed, tag, entry, told: None });
+    }
+
+    /// Notified when the problem changes, or when lines are gone.
+    pub(super) fn changed(&self) -> Arc<Notify> {
+        Arc::clone(&self.changed)
     }
 
     /// The ledger of lost entries, shared with the queue.
@@ -212,7 +231,14 @@ impl Writer {
     }
 
     fn set_problem(&self, problem: Option<String>) {
-        *self.problem.lock().unwrap_or_else(PoisonError::into_inner) = problem;
+        let has_changed = {
+            let mut known = self.problem.lock().unwrap_or_else(PoisonError::into_inner);
+            let before = mem::replace(&mut *known, problem);
+            before != *known
+        };
+        if has_changed {
+            self.changed.notify_one();
+        }
     }
 
     /// The directory in which lines are written.
@@ -235,6 +261,28 @@ impl Writer {
         }
     }
 
+    /// Finds out whether somebody has removed, cut or replaced files.
+    pub(super) fn check(&mut self) {
+        if !self.open.as_ref().is_some_and(Open::is_as_left) {
+            if self.open.is_some() && !self.waits_for_retry() {
+                self.tell();
+            }
+        } else if let Ok(found) = Found::in_dir(&self.location.dir) {
+            self.look_for_gaps(found);
+        }
+    }
+
+    /// Looks for gaps in the numbers before those of this daemon.
+    fn look_for_gaps(&self, found: Found) {
+        let newest = self.newest();
+        self.account.set_gaps(found.gaps(newest.saturating_sub(self.account.settled())));
+    }
+
+    /// The number of the newest line.
+    fn newest(&self) -> u64 {
+        self.account.settled().wrapping_add(self.ahead.unwrap_or(0))
+    }
+
     /// Notes that the entries up to this one did not fit into the queue.
     pub(super) fn miss(&mut self, number: u64, missed: Counts) {
         self.account.see(number, missed);
@@ -245,7 +293,7 @@ impl Writer {
 
     /// Writes an entry.
     pub(super) fn write(&mut self, added: Added) {
-        let Added { stamp, number, missed, tag, entry } = added;
+        let Added { stamp, number, missed, tag, entry, told } = added;
         self.account.see(number, missed);
         let session = entry.bounds_session().map(|session| session.reason.is_none());
         if session == Some(true) {
@@ -256,7 +304,11 @@ impl Writer {
             self.held = None;
         }
         match written {
-            Ok(true) => self.account.written(number, tag),
+            Ok(true) => {
+                self.account.written(number, tag);
+                // Perhaps nothing waits for it any more.
+                let _ = told.map(|told| told.send(()));
+            }
             lost => {
                 self.account.lose(tag);
                 lost.err().into_iter().for_each(|failure| self.fail(&failure));
@@ -335,7 +387,8 @@ impl Writer {
     fn save_count(&self) {
         if let Some(ahead) = self.ahead.filter(|_| self.lock.is_some()) {
             // If the disk does not even take this, the status already shows the problem.
-            let _ = numbers::save(&self.location.dir, self.account.newest().wrapping_add(ahead));
+            let newest = self.account.newest().wrapping_add(ahead);
+            let _ = numbers::save(&self.location.dir, newest, self.removal.removed);
         }
     }
 
@@ -410,6 +463,7 @@ impl Writer {
         if let Err(error) = self.removal.written(dir, open.day, stamp.monotonic, *days, held) {
             warn!("{}: old files cannot be removed: {error}; remove them by hand", dir.display());
         }
+        self.save_count();
     }
 
     fn append(&mut self, time: &Zoned, stamp: Stamp, number: u64, entry: &Entry) -> Result<(), Failure> {
@@ -443,13 +497,7 @@ impl Writer {
 
     /// Opens the file of a day, unless it is open, its name still leads to it, and it is as long as the daemon left it.
     fn open_day(&mut self, day: Date) -> Result<(), Failure> {
-        let same = |open: &Open| {
-            let there = fs::metadata(&open.path);
-            let now = |there: fs::Metadata| (there.dev(), there.ino(), there.len());
-            let (dev, ino) = open.identity;
-            open.day == day && there.is_ok_and(|there| now(there) == (dev, ino, open.length))
-        };
-        if self.open.as_ref().is_some_and(same) {
+        if self.open.as_ref().is_some_and(|open| open.day == day && open.is_as_left()) {
             return Ok(());
         }
         self.sync();
@@ -458,15 +506,28 @@ impl Writer {
         if let Some(parent) = dir.parent().filter(|_| make_parents) {
             DirBuilder::new().recursive(true).mode(0o700).create(parent).map_err(at(parent))?;
         }
-        let lock = self.lock.insert(lock(dir)?);
+        let lock = lock(dir)?;
         let is_first = self.ahead.is_none();
-        let (mut written, mut counted) = (0, 0);
-        if is_first {
+        let (open, cut) = open(dir, &lock, day)?;
+        let found = Found::in_dir(dir).map_err(at(dir))?;
+        let Found { written, counted, removed, .. } = found;
+        let settled = self.account.settled();
+        if !is_first {
+            let newest = self.newest();
+            self.look_for_gaps(found);
+            if let gone @ 1.. = newest.saturating_sub(written).min(settled) {
+                let dir = dir.display();
+                warn!("{dir}: {gone} entries are gone: somebody has removed, cut or replaced a file");
+                self.account.lines_gone(settled - gone);
+                self.changed.notify_one();
+            }
+        } else {
             // An earlier daemon may have lost its last entries, which leaves a gap.
-            (written, counted) = numbers::newest(dir).map_err(at(dir))?;
-            self.ahead = Some(written.max(counted).wrapping_sub(self.account.settled()));
+            self.ahead = Some(written.max(counted).wrapping_sub(settled));
+            self.removal.removed = removed;
+            self.account.set_gaps(found.gaps(counted));
         }
-        let (open, cut) = open(dir, lock, day)?;
+        self.lock = Some(lock);
         if cut > 0 {
             warn!("{}: cut off {cut} bytes of a line that was never finished", open.path.display());
         }

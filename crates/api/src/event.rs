@@ -265,6 +265,19 @@ pub enum Event {
         /// The session.
         session: Box<Session>,
     },
+    /// The session record cannot be written, can again, or has lost entries.
+    #[schema(examples(json!({
+        "event": "record-problem",
+        "problem": "the session record cannot be written: /var/lib/meissner/logbook: No space left on device (os error 28)", "lost": 3
+    })))]
+    RecordProblem {
+        /// Why it cannot be written; null if it can.
+        #[schema(required)]
+        problem: Option<String>,
+        /// Entries that it lost since the daemon started.
+        #[schema(minimum = 0)]
+        lost: u64,
+    },
     /// How a search stands: at its start, at most five times a second meanwhile, when the pattern of an object can be played, and at its end.
     #[schema(examples(json!({
         "event": "search", "id": 3, "state": "running", "target": "my-edge", "found": false,
@@ -341,6 +354,7 @@ impl Event {
             Self::Intervened { .. } => "intervened",
             Self::OwnerSilent { .. } => "owner-silent",
             Self::SessionEnded { .. } => "session-ended",
+            Self::RecordProblem { .. } => "record-problem",
             Self::Search { .. } => "search",
             Self::Lost { .. } => "lost",
             Self::Lagged { .. } => "lagged",

@@ -156,7 +156,7 @@ impl Session {
 pub struct SessionList {
     /// The sessions.
     pub sessions: Vec<Session>,
-    /// Lines and files of the record that cannot be read.
+    /// Gaps in the numbers of the record's entries, where whole sessions may be missing, and lines and files that cannot be read.
     #[schema(minimum = 0)]
     pub unreadable: u64,
     /// The first 100 of them, one line each.
@@ -398,7 +398,7 @@ pub struct SessionPlays {
     #[serde(default)]
     #[schema(required, minimum = 0)]
     pub left_out: u64,
-    /// Lines and files of the record that cannot be read.
+    /// As in the list of sessions: of the whole record.
     #[schema(minimum = 0)]
     pub unreadable: u64,
     /// The first 100 of them, one line each.

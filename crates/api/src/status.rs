@@ -407,11 +407,11 @@ pub struct Status {
     #[serde(default)]
     #[schema(required)]
     pub realtime: Option<Realtime>,
-    /// Why the daemon cannot write the session record; null if it can, or keeps none.
+    /// Why the daemon cannot write the session record, or which entries it has found missing; null if all is well, or it keeps none.
     #[serde(default)]
     #[schema(required)]
     pub logbook_problem: Option<String>,
-    /// Entries that the session record lost since the daemon started: the disk or the queue was full.
+    /// Entries that the session record lost since the daemon started: the disk or the queue was full, or somebody removed them.
     #[serde(default)]
     #[schema(required, minimum = 0)]
     pub logbook_lost: u64,

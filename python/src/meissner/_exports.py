@@ -10,7 +10,7 @@ from typing import Any
 from . import bids, nwb
 from ._http import Op
 from ._operations import Core, pattern, status
-from ._sessions import session_plays
+from ._sessions import session_plays, warn_of_gaps
 from .clocks import NS, Instant
 from .errors import BadPattern, IncompleteSession, NotFound
 from .traces import ArrayName
@@ -32,6 +32,7 @@ def _complete(recorded: Mapping[str, Any]) -> None:
 def _stimuli(core: Core, session_id: str, incomplete: bool) -> Op[tuple[dict[str, Any], dict[str, dict[str, Any]]]]:
     """The rows of a session, and the patterns as they were played, by SHA-256: without those whose text is not kept."""
     recorded = yield from session_plays(core, session_id)
+    warn_of_gaps(recorded)
     if not incomplete:
         _complete(recorded)
     rows = bids.stimulus_rows(recorded["plays"])

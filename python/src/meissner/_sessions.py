@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import warnings
 from typing import Any
 
 from . import _http, _kept
@@ -11,7 +12,7 @@ from ._http import Op
 from ._operations import Accepted, Core, Owned, document, send, status, stop, wait_until_idle
 from ._presses import Press
 from .clocks import Instant
-from .errors import ApiError, NotFound, SessionOver, SessionRunning
+from .errors import ApiError, IncompleteSession, NotFound, SessionOver, SessionRunning
 
 
 def session(
@@ -80,13 +81,14 @@ def _resumed(core: Core, participant: str) -> Op[dict[str, Any] | None]:
     return {"id": running["id"], "record_problem": None, "resumed": True}
 
 
-def session_leave(core: Core, session_id: str, failed: bool) -> Op[None]:
+def session_leave(core: Core, session_id: str, failed: bool) -> Op[IncompleteSession | None]:
     """End a session after its plays have ended; after an error stop them first, and let a session that resumes go on.
 
-    One that is over already is left.
+    One that is over already is left. Returns an error to raise if the record has lost something of the session.
     """
+    ended: dict[str, Any] = {}
     if not core.is_own or core.session is None:
-        return
+        return None
     goes_on = failed and core.session.resumes
     if (yield from _runs(core, session_id)):
         if failed:
@@ -97,10 +99,17 @@ def session_leave(core: Core, session_id: str, failed: bool) -> Op[None]:
             yield from wait_until_idle(core)
             # Somebody else may end it meanwhile.
             with contextlib.suppress(NotFound, SessionOver):
-                yield from document(core, _http.post(f"/v1/sessions/{session_id}/end"))
+                ended = yield from document(core, _http.post(f"/v1/sessions/{session_id}/end"))
     _kept.let_go(session_id, forget=not goes_on)
     if core.session is not None and core.session.id == session_id:
         core.session = None
+    lost, plays = ended.get("lost", 0), ended.get("plays_lost", 0)
+    if not lost and not plays:
+        return None
+    return IncompleteSession(
+        f"session {session_id} has ended, but its record has lost {lost} entries, {plays} ends of plays among them: see "
+        "`meissner session list` and `meissner doctor`; note the answers that your program has"
+    )
 
 
 def _runs(core: Core, session_id: str) -> Op[bool]:
@@ -135,10 +144,17 @@ def answer(
 
 
 def sessions(core: Core) -> Op[list[dict[str, Any]]]:
-    """List the recorded sessions."""
+    """List the recorded sessions. Warns of what is missing of the record, or cannot be read."""
     raw = yield from document(core, _http.get("/v1/sessions", timeout=60.0))
+    warn_of_gaps(raw)
     listed: list[dict[str, Any]] = raw["sessions"]
     return listed
+
+
+def warn_of_gaps(recorded: dict[str, Any]) -> None:
+    """Warns of what is missing of the record, or cannot be read: whole sessions may be."""
+    for problem in recorded["problems"]:
+        warnings.warn(problem, stacklevel=2)
 
 
 def session_plays(core: Core, session_id: str) -> Op[dict[str, Any]]:

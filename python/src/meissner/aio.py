@@ -162,14 +162,16 @@ class AsyncSession:
         return self
 
     async def end(self) -> None:
-        """End the session, after its plays have ended. A session that is over already is left."""
+        """End the session. As `Session.end`."""
         await self._leave(failed=False)
 
     async def _leave(self, failed: bool) -> None:
         owned = self._client.core.session
         if owned is not None and owned.id == self.id:
-            await self._client.run(_sessions.session_leave(self._client.core, self.id, failed))
+            incomplete = await self._client.run(_sessions.session_leave(self._client.core, self.id, failed))
             self._client.alive.end()
+            if incomplete is not None:
+                raise incomplete
 
     def __await__(self) -> Generator[Any, None, AsyncSession]:
         return self._begin().__await__()
@@ -180,7 +182,7 @@ class AsyncSession:
     async def __aexit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        with quietly("the session could not be ended", kind is not None):
+        with quietly("at the end of the session", kind is not None):
             try:
                 await self._leave(failed=kind is not None)
             except (KeyboardInterrupt, SystemExit, asyncio.CancelledError):

@@ -155,14 +155,19 @@ class Session:
         return self._client.alive.problem
 
     def end(self) -> None:
-        """End the session, after its plays have ended. A session that is over already is left."""
+        """End the session, after its plays have ended. A session that is over already is left.
+
+        Raises `IncompleteSession` if the record has lost something of it.
+        """
         self._leave(failed=False)
 
     def _leave(self, failed: bool) -> None:
         owned = self._client.core.session
         if owned is not None and owned.id == self.id:
-            self._client.run(_sessions.session_leave(self._client.core, self.id, failed))
+            incomplete = self._client.run(_sessions.session_leave(self._client.core, self.id, failed))
             self._client.alive.end()
+            if incomplete is not None:
+                raise incomplete
 
     def __enter__(self) -> Session:
         return self
@@ -170,7 +175,7 @@ class Session:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        with quietly("the session could not be ended", kind is not None):
+        with quietly("at the end of the session", kind is not None):
             try:
                 self._leave(failed=kind is not None)
             except (KeyboardInterrupt, SystemExit):

@@ -48,7 +48,7 @@ class PlayStopped(MeissnerError):
 
 
 class IncompleteSession(MeissnerError):
-    """The record of a session lacks something, so an export would, too. Nothing was written."""
+    """The record of a session lacks something. An export has written nothing; a session has ended all the same."""
 
 
 class BidsConflict(MeissnerError):

@@ -17,11 +17,15 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tokio::io::Interest;
 use tokio::io::unix::AsyncFd;
+use tokio::sync::Notify;
 
 /// How long after a play's end the loop wakes the streamer: by then the device has measured the last bursts.
 const MEASURED_AFTER: Duration = Duration::from_millis(300);
 /// How long after that the streamer has read the measurements.
 const READ_AFTER: Duration = Duration::from_millis(50);
+
+/// The least time between two events that more entries of the session record are lost.
+const LOSSES_APART: Duration = Duration::from_secs(1);
 
 /// A play that waits for its prediction.
 struct Due {
@@ -47,8 +51,11 @@ impl Engine {
     ) -> io::Result<()> {
         let readable = readable(&events)?;
         let mut due: Vec<Due> = Vec::new();
+        let mut told = (None, 0, Instant::now());
+        let mut untold: Option<Instant> = None;
         loop {
-            let next = due.iter().map(|due| due.at).min();
+            let record = self.session_record().changed();
+            let next = due.iter().map(|due| due.at).chain(untold).min();
             let wait = async {
                 match next {
                     Some(at) => tokio::time::sleep_until(at.into()).await,
@@ -58,6 +65,7 @@ impl Engine {
             tokio::select! {
                 ready = readable.readable() => ready?.clear_ready(),
                 () = self.changed.notified() => {}
+                () = changed(record) => {}
                 () = wait => {}
             }
             {
@@ -93,6 +101,7 @@ impl Engine {
                     self.log(&event);
                 }
             }
+            untold = self.tell_record(&mut told);
             status.update(&self);
             let now = Instant::now();
             for due in due.iter_mut().filter(|due| due.at <= now) {
@@ -105,6 +114,21 @@ impl Engine {
             }
             due.retain(|due| due.at > now);
         }
+    }
+
+    /// Publishes that the session record cannot be written, can again, or has lost entries: what was `told` last, and when it may be
+    /// told again that more are lost. Returns that instant if there is more to tell.
+    fn tell_record(&self, told: &mut (Option<String>, u64, Instant)) -> Option<Instant> {
+        let mut state = self.lock();
+        let record = &state.publisher.session_record;
+        let (problem, lost) = (record.problem(), record.lost());
+        let is_more = problem.is_none() && lost > told.1;
+        if problem == told.0 && !(is_more && Instant::now() >= told.2) {
+            return is_more.then_some(told.2);
+        }
+        *told = (problem.clone(), lost, Instant::now() + LOSSES_APART);
+        state.publish(&Event::RecordProblem { problem, lost });
+        None
     }
 
     /// Counts the ordered strokes of an endless play up to its end, outside the lock.
@@ -125,6 +149,14 @@ impl Engine {
             move || closing.lock().commands.is_closing(),
             move |prediction| report.lock().set_prediction(id, prediction),
         );
+    }
+}
+
+/// Waits until this is notified.
+async fn changed(record: Option<Arc<Notify>>) {
+    match record {
+        Some(changed) => changed.notified().await,
+        None => std::future::pending().await,
     }
 }
 

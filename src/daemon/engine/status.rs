@@ -83,7 +83,12 @@ impl Engine {
             role: Some(role),
             participant: Some(daemon.exposure.status(Now::read())),
             realtime: Some(self.realtime),
-            logbook_problem: daemon.publisher.session_record.problem().or_else(|| daemon.exposure.problem()),
+            logbook_problem: daemon
+                .publisher
+                .session_record
+                .problem()
+                .or_else(|| daemon.exposure.problem())
+                .or_else(|| daemon.publisher.session_record.gaps()),
             logbook_lost: daemon.publisher.session_record.lost(),
             socket: self.socket.display().to_string(),
             network: self.gate.status(),

@@ -97,7 +97,7 @@ impl State {
         self.follow_exposure(&mut streamed);
         self.follow_armed(&mut streamed);
         self.live.follow(&streamed);
-        let event = match &streamed {
+        let mut event = match &streamed {
             StreamEvent::Answer { ticket, result } => {
                 let play = self.commands.answer(*ticket, *result);
                 play.and_then(|id| self.settle_play(id, result.is_ok()))
@@ -114,7 +114,11 @@ impl State {
             }
             other => self.plays.receipts.apply(other),
         };
-        if let Some(event) = &event {
+        if let Some(event) = &mut event {
+            if let Event::Ended { receipt } = event {
+                let warning = self.record_warning(receipt);
+                receipt.warnings.extend(warning);
+            }
             self.publish_items(event);
             self.publish(event);
         }

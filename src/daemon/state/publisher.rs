@@ -187,7 +187,7 @@ mod tests {
                 24
             ],
             pins: Some(vec![MovedPin { motor: 23, first_pulse_tick: most, offset_tick: most }; 24]),
-            warnings: vec!["x".repeat(160); MAX_WARNINGS_LISTED + 1],
+            warnings: vec!["x".repeat(160); MAX_WARNINGS_LISTED + 2],
             prediction: Prediction { response: Some(response), unknown: None },
             ..Receipt::new(most, &"x".repeat(64), &"0".repeat(64), Some(number))
         };

@@ -11,11 +11,18 @@ use crate::receipts::KEPT;
 use crate::session_record::{Note, local_time};
 use crate::store::hexadecimal;
 use jiff::Timestamp;
-use meissner_api::{Code, Event, PlayAnswer, PlayState, Problem, Session, SessionRequest, SessionStarted};
+use meissner_api::{
+    Code, Event, PlayAnswer, PlayState, Problem, Receipt, Session, SessionRequest, SessionStarted,
+};
+use meissner_input::message;
 use meissner_stream::time::HostInstant;
 use rustix::rand::{GetRandomFlags, getrandom};
 use std::collections::BTreeSet;
 use std::time::Duration;
+use tokio::sync::oneshot;
+
+/// Characters of a warning about the record in a receipt, at most.
+const MAX_WARNING: usize = 160;
 
 /// The running session.
 #[derive(Debug)]
@@ -160,7 +167,7 @@ impl State {
         let started = SessionStarted {
             id: session.id.clone(),
             token: token.clone(),
-            record_problem: self.publisher.session_record.problem(),
+            record_problem: self.record_problem(),
         };
         self.exposure.start_session(&session.participant);
         self.sessions.running =
@@ -191,8 +198,38 @@ impl State {
         Some(session)
     }
 
-    /// Records the participant's answer to a play of the running session.
-    pub(in crate::daemon) fn answer(&mut self, play: u64, answer: PlayAnswer) -> Result<(), Problem> {
+    /// Why nothing is recorded now.
+    fn record_problem(&self) -> Option<String> {
+        let record = &self.publisher.session_record;
+        let none = || "this daemon keeps no session record: start it without --no-record".to_owned();
+        record.problem().or_else(|| record.dir().is_none().then(none))
+    }
+
+    /// What the session record lacks that concerns a play: entries of its session, or all that comes now.
+    pub(in crate::daemon) fn record_warning(&self, receipt: &Receipt) -> Option<String> {
+        let record = &self.publisher.session_record;
+        let lost = receipt.session.as_ref().map_or(0, |session| record.lost_of(session).0);
+        let told = (lost > 0).then(|| format!("the session record has lost {lost} entries of this session"));
+        Some(message::cut(&record.problem().or(told)?, MAX_WARNING))
+    }
+
+    /// Takes the answer to a play back, because it is not recorded.
+    pub(in crate::daemon) fn unrecorded(&mut self, play: u64) -> Problem {
+        if let Some(running) = &mut self.sessions.running {
+            running.answered.remove(&play);
+        }
+        let slow = || "the disk of the session record has not taken it, and may still do so".to_owned();
+        let why = self.record_problem().unwrap_or_else(slow);
+        Problem::new(Code::Store, format!("the answer to play {play} is not recorded: {why}; send it again"))
+    }
+
+    /// Records the participant's answer to a play of the running session. The receiver gets its value when the answer has a line, and
+    /// fails if it has none.
+    pub(in crate::daemon) fn answer(
+        &mut self,
+        play: u64,
+        answer: PlayAnswer,
+    ) -> Result<oneshot::Receiver<()>, Problem> {
         self.check_asker()?;
         let receipt = self.plays.receipts.receipt(play).ok_or_else(|| no_play(&play.to_string()))?;
         let running = self.sessions.running.as_mut();
@@ -220,8 +257,7 @@ impl State {
         }
         running.answered.insert(play);
         let session = running.session.id.clone();
-        self.publisher.session_record.add(Note::Answered { session, play, answer });
-        Ok(())
+        Ok(self.publisher.session_record.add_told(Note::Answered { session, play, answer }))
     }
 
     /// Opens an exclusive session to others, if its owner has been silent for too long.

@@ -136,9 +136,9 @@ fn a_full_disk_is_told_from_memory_then_in_a_line_and_after_a_restart() {
     ROOM.set(0);
     let ledger = writer.ledger();
     let mut lose = |ns: u64, entry: Entry| {
-        ledger.lock().unwrap().see(&entry);
+        ledger.lock().unwrap().see(&entry, ns);
         let tag = Tag { session: Some(ID.into()), name: entry.kind().2 };
-        writer.write(Added { stamp: noon(ns), number: ns, missed: Counts::default(), tag, entry });
+        writer.write(Added { stamp: noon(ns), number: ns, missed: Counts::default(), tag, entry, told: None });
     };
     lose(2, begins());
     (1..=8).for_each(|number| lose(2 + number, play(number)));

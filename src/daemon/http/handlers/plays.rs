@@ -28,6 +28,9 @@ use std::sync::Arc;
 use std::time::Duration;
 use tokio::sync::SemaphorePermit;
 
+/// How long an answer waits until the disk has its line: the client waits for 5 s.
+const RECORDED: Duration = Duration::from_secs(4);
+
 pub(in crate::daemon::http) async fn play(
     State(app): State<App>,
     Extension(peer): Extension<Peer>,
@@ -240,8 +243,11 @@ pub(in crate::daemon::http) async fn answer(
                 "the address: a play's id is a number, as the answer to the play says",
             )
         })?;
-        app.engine.lock().answer(id, PlayAnswer::parse(&body)?)?;
-        Ok(Json(AnswerTaken {}))
+        let recorded = app.engine.lock().answer(id, PlayAnswer::parse(&body)?)?;
+        match tokio::time::timeout(RECORDED, recorded).await {
+            Ok(Ok(())) => Ok(Json(AnswerTaken {})),
+            _ => Err(app.engine.lock().unrecorded(id).into()),
+        }
     }
     .await;
     logged.result(result)
@@ -274,5 +280,8 @@ fn find_receipt(engine: &Engine, id: &str) -> Answer<Receipt> {
         "last" => Problem::new(Code::NotFound, "there is no play yet: play a pattern first"),
         id => no_play(id),
     };
-    Ok(found.cloned().ok_or_else(none)?)
+    let mut found = found.cloned().ok_or_else(none)?;
+    let warning = state.record_warning(&found);
+    found.warnings.extend(warning);
+    Ok(found)
 }

@@ -104,8 +104,9 @@ async fn recorded<T: Send + 'static>(
     let read = move || {
         let written = record.wait_until_written(WRITTEN);
         let mut sessions = reader::sessions(&dir, &record.known(), running)?;
-        if !written {
-            sessions.problems.insert(0, slow_disk());
+        let slow = (!written).then(slow_disk);
+        for problem in slow.into_iter().chain(record.problem()) {
+            sessions.problems.insert(0, problem);
             sessions.problems.truncate(MAX_LISTED);
             sessions.unreadable += 1;
         }
@@ -168,6 +169,8 @@ pub(in crate::daemon::http) async fn plays(
         let found = sessions.recorded.into_iter().find(|recorded| recorded.session.id == asked);
         let Some(found) = found else { return Ok(None) };
         let mut plays = reader::plays(dir, found, from)?;
+        // Those of the whole record: what is missing elsewhere may be other sessions.
+        (plays.unreadable, plays.problems) = (sessions.unreadable, sessions.problems);
         if !written {
             plays.lack(slow_disk());
         }

@@ -19,6 +19,7 @@ const WORDS = {
   doubted: ({ motor, doubt }) => `Sensor fault of pin ${motor}: ${SENSOR_FAULTS[doubt] ?? doubt}.`,
   drifted: ({ um }) => `Pins may be ${um.toFixed(0)} µm from rest: press Home.`,
   contradiction: ({ kind }) => `The device said something that cannot be true (${kind}). It was ignored.`,
+  "record-problem": ({ problem, lost }) => (problem ? `${problem}: ${lost} entries are lost.` : `The session record has lost ${lost} entries.`),
   intervened: ({ command, by }) => `Another client, ${by}, has used “${command}” during the session.`,
   "session-released": () => "The session's owner was silent: others may act now.",
   "owner-silent": ({ by, silence_s: s }) => `The daemon has disarmed: it had no sign of ${by} for ${s} s.`,
