@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import math
+import numbers
 import random
 import sys
 from collections.abc import Sequence
+
+from .._bodies import verdict
+from .._http import plain
 
 
 def ask(question: str, choices: Sequence[str] = ("1", "2")) -> str:
@@ -29,6 +33,26 @@ def forget_typed() -> None:
                 msvcrt.getwch()  # type: ignore[attr-defined]
         else:
             termios.tcflush(sys.stdin, termios.TCIFLUSH)
+
+
+def decided(correct: object) -> bool:
+    """The answer that a procedure takes. Raises `TypeError` for a text, which Python takes as true, and for no answer."""
+    answer = verdict(correct)
+    if answer is None:
+        raise TypeError(
+            "`correct` is None: must be True or False; present the level again after a trial without an answer"
+        )
+    return answer
+
+
+def number(name: str, value: object) -> float:
+    """A finite number. Raises `TypeError` for what is none, `ValueError` for NaN and infinity."""
+    value = plain(value) if hasattr(value, "tolist") else value
+    if isinstance(value, bool) or not isinstance(value, numbers.Real):
+        raise TypeError(f"`{name}` is {value!r}: must be a number")
+    if not math.isfinite(value):
+        raise ValueError(f"`{name}` is {value}: must be a finite number")
+    return float(value)
 
 
 class SimulatedObserver:
