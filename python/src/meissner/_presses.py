@@ -17,6 +17,8 @@ class Press:
     """This process's `time.monotonic_ns()`."""
     uncertainty: float
     """Uncertainty of that, s: how late the device may have told it."""
+    least_reaction: float = 0.1
+    """The least reaction time, s: whoever presses earlier after an onset did not react to it."""
 
     @property
     def monotonic(self) -> float:
@@ -26,6 +28,10 @@ class Press:
     def after(self, onset: Instant) -> float:
         """The time since an onset, s."""
         return (self.monotonic_ns - onset.monotonic_ns) / NS
+
+    def is_early(self, onset: Instant) -> bool:
+        """Whether it came before anybody could react to an onset. The answer's factor `response_early` says so."""
+        return self.after(onset) < self.least_reaction
 
     def at(self, onset: Instant) -> Instant:
         """The press on every clock, by an onset of about that time: the device's nearest tick, and the uncertainty of each clock, s."""

@@ -127,6 +127,8 @@ def answer(
     if isinstance(response, Press) and onset is not None:
         at = response.at(onset)
         given |= {"response_tick": at.tick, "response_uncertainty_s": f"{at.monotonic_uncertainty:.6f}"}
+        if response.is_early(onset):
+            given["response_early"] = "true"
         rt_ms = response.after(onset) * 1000 if rt_ms is None else rt_ms
     said = response.name if isinstance(response, Press) else response
     numbers = {"rt_ms": None if rt_ms is None else float(rt_ms), "level": None if level is None else float(level)}
