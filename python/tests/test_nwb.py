@@ -186,4 +186,4 @@ def test_motions_are_exported_as_they_were_played(m: meissner.Client, tmp_path: 
 def test_without_pynwb_the_remedy_is_told() -> None:
     code = "import sys; sys.modules['pynwb'] = None; from meissner import nwb; nwb.needs_pynwb()"
     ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert "pip install 'meissner[nwb]'" in ended.stderr
+    assert "pip install 'pynwb>=4'" in ended.stderr

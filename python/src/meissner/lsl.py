@@ -1,4 +1,4 @@
-"""Lab streaming layer: markers with the true onsets, telemetry, and plays on incoming markers. It needs `pylsl`: `meissner[lsl]`.
+"""Lab streaming layer: markers with the true onsets, telemetry, and plays on incoming markers. It needs `pylsl`: `pip install 'pylsl>=1.18'`.
 
     with meissner.connect() as m, lsl.Bridge(m):
         ...                                  # experiment as usual; every play makes markers
@@ -39,7 +39,7 @@ def needs_pylsl() -> Any:
     try:
         import pylsl
     except (ImportError, RuntimeError) as error:
-        raise ImportError(f"LSL needs the package pylsl: pip install 'meissner[lsl]' ({error})") from error
+        raise ImportError(f"LSL needs the package pylsl: pip install 'pylsl>=1.18' ({error})") from error
     return pylsl
 
 

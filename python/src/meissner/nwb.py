@@ -1,6 +1,6 @@
 """NWB: writes a recorded session as a file with a table of stimuli, the pins' displacement, and the device.
 
-`Client.export_nwb` uses it; it needs `pynwb`: `pip install 'meissner[nwb]'`. Times count from the session's start on the
+`Client.export_nwb` uses it; it needs `pynwb`: `pip install 'pynwb>=4'`. Times count from the session's start on the
 recording PC's clock. The displacement has samples during stimuli alone: in between all pins rest.
 
 Invariant: a file that is there is replaced whole, and only once everything was written.
@@ -70,7 +70,7 @@ def needs_pynwb() -> Any:
     try:
         import pynwb
     except ImportError as error:
-        raise ImportError(f"NWB needs the package pynwb: pip install 'meissner[nwb]' ({error})") from error
+        raise ImportError(f"NWB needs the package pynwb: pip install 'pynwb>=4' ({error})") from error
     return pynwb
 
 
