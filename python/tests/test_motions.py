@@ -72,7 +72,8 @@ def test_what_a_motor_is_too_slow_for_is_refused(m: meissner.Client) -> None:
     jump = {9: [0.0, 0.0, 200.0, 0.0]}
     with pytest.raises(errors.TooSlow, match="motor 9 is too slow"):
         m.play(samples=jump, rate=100, strict=True)
-    play = m.play(samples=jump, rate=100)
+    with pytest.warns(UserWarning, match="`inline`: motor 9 is too slow for its motion, first after"):
+        play = m.play(samples=jump, rate=100)
     assert play.motions[0]["too_slow_from_s"] > 0
     assert "too slow" in play.wait().raw["warnings"][0]
     item = {"samples": jump, "rate": 100}

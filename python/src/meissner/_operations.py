@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import hashlib
 import os
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
@@ -21,6 +22,7 @@ from ._bodies import At, Fit, Labels, Late, Map, SequenceItem, Trigger, millisec
 from ._endpoint import Endpoint
 from ._http import Answer, Op, Pause, Request
 from ._text_file import text_of
+from ._unreached import warn_of
 from .arrays import Array, of_record
 from .clocks import MAX_SKEW, NS, ClientClock, Instant
 from .errors import (
@@ -95,6 +97,10 @@ class Core:
     """When the clock got its last sample."""
     device_clock: dict[str, Any] | None = None
     """The device's clock at that sample, as the status has it, with the device's `boot`."""
+    looked_at: set[bytes] = field(default_factory=set)
+    """The patterns of plays whose receipts this client has looked at for warnings."""
+    warned_of: set[str] = field(default_factory=set)
+    """The patterns that it has warned of."""
 
     @property
     def headers(self) -> dict[str, str]:
@@ -325,11 +331,22 @@ def instant(core: Core, tick: int) -> Op[Instant]:
     )
 
 
-def _accepted(core: Core, request: Request, pattern: str) -> Op[Accepted]:
+def _accepted(core: Core, request: Request, pattern: str, played: Any) -> Op[Accepted]:
     raw = yield from document(core, request)
     ordered = raw["ordered_ms"]
     followed = tuple(raw.get("motions", ()))
-    return Accepted(raw["id"], pattern, None if ordered is None else ordered / 1000, core.daemon, followed)
+    accepted = Accepted(raw["id"], pattern, None if ordered is None else ordered / 1000, core.daemon, followed)
+    key = _fingerprint(played)
+    if key not in core.looked_at:
+        core.looked_at.add(key)
+        # The play is queued, whatever becomes of this question.
+        with contextlib.suppress(MeissnerError):
+            warn_of((yield from receipt(core, accepted.id)), core.warned_of)
+    return accepted
+
+
+def _fingerprint(played: Any) -> bytes:
+    return hashlib.sha256(_http.encode(played)).digest()
 
 
 def play(
@@ -366,6 +383,8 @@ def play(
     earlier play, such as `play.onset.later(1.5)`, which is exact to the tick. Without it the play begins as soon as
     it can. `scale` multiplies the amplitudes. `trigger`: a code from 1 to 255, or False for none.
 
+    Warns once a pattern, here or in `wait()`, of what will not be felt as ordered, such as a motor that does not reach its amplitude.
+
     With `on_edge` the play waits for an edge of the trigger input, the first after those before it are over, and begins so many s after
     it, exact to the tick. `stop_on_edge`: the first edge after the onset stops it and clears the queue.
 
@@ -399,7 +418,7 @@ def play(
         "session": core.session and core.session.id,
         **(yield from _onset(core, at, on_edge)),
     }
-    return (yield from _accepted(core, _http.post("/v1/play", body, timeout=_COMPILING), name))
+    return (yield from _accepted(core, _http.post("/v1/play", body, timeout=_COMPILING), name, given))
 
 
 def _inline(core: Core, given: Mapping[str, Any]) -> Op[dict[str, Any]]:
@@ -442,8 +461,9 @@ def sequence(
     onset, `soa` the distance of onsets, s. `seconds` and `scale` are for items that give none. `strict`, `hold`, `map`,
     `on_edge` and `stop_on_edge`: as in `play`.
     """
+    made = yield from items_of(core, items, isi, soa, seconds, scale)
     body = {
-        "items": (yield from items_of(core, items, isi, soa, seconds, scale)),
+        "items": made,
         "name": name,
         "strict": strict or None,
         "hold_ms": milliseconds("hold", hold),
@@ -457,7 +477,8 @@ def sequence(
         "session": core.session and core.session.id,
         **(yield from _onset(core, at, on_edge)),
     }
-    return (yield from _accepted(core, _http.post("/v1/sequence", body, timeout=_COMPILING), name or "sequence"))
+    request = _http.post("/v1/sequence", body, timeout=_COMPILING)
+    return (yield from _accepted(core, request, name or "sequence", [item["pattern"] for item in made]))
 
 
 def items_of(
@@ -512,6 +533,7 @@ def wait(core: Core, accepted: Accepted, timeout: float | None = None) -> Op[Rec
         yield from _same_daemon(core, accepted)
         result = core.receipt(raw)
         if result.is_over:
+            warn_of(result, core.warned_of)
             return result
         if deadline is not None and core.clock.now_ns() >= deadline:
             raise TimeoutError(f"play {accepted.id} is {result.state} after {timeout} s: wait longer, or call `stop()`")
@@ -563,6 +585,9 @@ def store_pattern(core: Core, name: str, toml: str | os.PathLike[str], *, replac
     path = f"/v1/patterns/{quote(name, safe='')}" + ("?replace=true" if replace else "")
     request = Request("PUT", path, toml.encode(), {"Content-Type": "application/toml"}, timeout=_STORING)
     raw: dict[str, Any] = yield from document(core, request)
+    # It is another pattern now.
+    core.looked_at.discard(_fingerprint(name))
+    core.warned_of.discard(f"`{name}`")
     return raw
 
 

@@ -54,17 +54,19 @@ class _Played(Protocol):
 
 
 def play_columns(play: KnownPlay) -> dict[str, Any]:
-    """What the log keeps of a play: pattern, onset and offset on each clock, of a sequence for each item."""
+    """What the log keeps of a play: pattern, what it reached, onset and offset on each clock, of a sequence for each item."""
     receipt = play.receipt
     columns: dict[str, Any] = {
         "play": receipt.id,
         "pattern": receipt.pattern,
         "state": receipt.state,
         "late": receipt.late,
+        "reached_um": receipt.reached_um,
     }
     columns |= _times(receipt, "")
     for number, item in enumerate(receipt.items, 1):
         columns |= {f"item{number}_pattern": item.pattern, f"item{number}_scale": item.scale}
+        columns |= {f"item{number}_reached_um": item.reached_um}
         columns |= _times(item, f"item{number}_")
     return columns
 

@@ -16,7 +16,7 @@ T = TypeVar("T")
 
 # The columns that a log writes of a play (`play_columns` in log.py), and those of an answer (`Log.add`) but `level`, which a factor may be.
 _TAKEN = re.compile(
-    r"response|correct|rt_ms|trial|play|pattern|state|late|item\d+_(pattern|scale)|"
+    r"response|correct|rt_ms|trial|play|pattern|state|late|reached_um|item\d+_(pattern|scale|reached_um)|"
     r"(item\d+_)?(onset|offset)_(tick|monotonic_ns|wall_ns|uncertainty_s)"
 )
 
