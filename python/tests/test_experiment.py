@@ -310,11 +310,11 @@ def test_quest_plus_ends_and_tells_where_a_bound_holds_its_estimate() -> None:
 @pytest.mark.parametrize(
     ("levels", "options", "message"),
     [
-        ([0.0, 1.0], {}, "`levels` is .*: must be two or more, all above 0"),
-        ([], {}, "`levels` is .*: must be two or more"),
-        ([0.5], {}, "`levels` is .*: must be two or more"),
+        ([0.0, 1.0], {}, "`levels` is .*: must be 2 or more, all above 0"),
+        ([], {}, "`levels` is .*: must be 2 or more"),
+        ([0.5], {}, "`levels` is .*: must be 2 or more"),
         ([0.1, math.nan], {}, "`levels` is nan: must be a finite number"),
-        ([0.1, 1.0], {"thresholds": []}, "`thresholds` is .*: must be two or more"),
+        ([0.1, 1.0], {"thresholds": []}, "`thresholds` is .*: must be 2 or more"),
         ([0.1, 1.0], {"guess": 1.0}, "`guess` is 1.0: must be from 0 to below 1"),
         ([0.1, 1.0], {"max_trials": 0}, "`max_trials` is 0"),
     ],

@@ -17,7 +17,8 @@ from urllib.parse import urlsplit
 
 from . import _http
 from . import _operations as ops
-from ._bodies import Labels, Late, Trigger, milliseconds, texts, trigger_of
+from ._arguments import drive_list, number, table
+from ._bodies import Labels, Late, Trigger, milliseconds, texts, trial_number, trigger_of
 from ._http import Answer, Op
 from ._operations import Accepted, Core
 from ._plays import KnownPlay
@@ -92,7 +93,7 @@ def start(
         "updates_hz": updates_hz,
         "max_frequency_hz": max_frequency_hz,
         "trigger": trigger_of(trigger),
-        "trial": trial,
+        "trial": trial_number(trial),
         "labels": texts(labels),
         "late": late,
         "replace": replace or None,
@@ -107,7 +108,8 @@ def start(
 def plain_drives(drives: Drives, array: Array | None) -> list[dict[str, Any]]:
     """Drives as JSON has them; NumPy's numbers become Python's. Raises `ValueError` for a motor that the array does not have."""
     plain = [
-        {key: value.tolist() if hasattr(value, "tolist") else value for key, value in drive.items()} for drive in drives
+        {key: value.tolist() if hasattr(value, "tolist") else value for key, value in drive.items()}
+        for drive in drive_list(drives)
     ]
     if array is not None:
         array.check_motors(plain)
@@ -115,7 +117,7 @@ def plain_drives(drives: Drives, array: Array | None) -> list[dict[str, Any]]:
 
 
 def plain_pose(pose: Pose) -> dict[str, float]:
-    return {key: float(value) for key, value in pose.items()}
+    return {key: number(f"pose.{key}", value) for key, value in table("pose", pose, "{'x_mm': 1.5}").items()}
 
 
 def upgrade(core: Core, path: str) -> bytes:

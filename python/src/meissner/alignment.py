@@ -13,6 +13,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from ._arguments import hinted
 from .clocks import MAX_SKEW
 
 _TRIED = 10
@@ -46,6 +47,7 @@ class Aligned:
         return self.offset + (tick - self.first_tick) * self.per_tick
 
 
+@hinted
 def align(ticks: Sequence[int], times: Sequence[float], *, tick_hz: int, within: float = 0.001) -> Aligned:
     """Map the device's ticks to the clock of another recorder by pulses that both have.
 

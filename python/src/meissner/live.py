@@ -20,6 +20,7 @@ from urllib.parse import urlsplit
 from . import _live
 from . import _operations as ops
 from ._answers import Answerable
+from ._arguments import hints
 from ._endpoint import Endpoint
 from ._live import END_TIMEOUT, Drives, KnownUpdate, LivePlay, Pose, Started, Updates
 from ._operations import Core
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
 _CONNECT_TIMEOUT = 10.0
 
 
+@hints
 class Update(KnownUpdate):
     """A message of a live play."""
 
@@ -50,6 +52,7 @@ class Update(KnownUpdate):
         return self._live._wait_for(self, timeout)
 
 
+@hints
 class Live(LivePlay[Update], Answerable):
     """A live play. As a context manager it ends with its block; `receipt` and `wait()` then say what became of it."""
 

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import math
-import numbers
 import random
 import sys
 from collections.abc import Sequence
 
+from .._arguments import hinted, hints, number
 from .._bodies import verdict
-from .._http import plain
 
 
+@hinted
 def ask(question: str, choices: Sequence[str] = ("1", "2")) -> str:
     """Asks at the terminal until one of the choices is typed. What was typed before the question is no answer."""
     forget_typed()
@@ -45,16 +45,7 @@ def decided(correct: object) -> bool:
     return answer
 
 
-def number(name: str, value: object) -> float:
-    """A finite number. Raises `TypeError` for what is none, `ValueError` for NaN and infinity."""
-    value = plain(value) if hasattr(value, "tolist") else value
-    if isinstance(value, bool) or not isinstance(value, numbers.Real):
-        raise TypeError(f"`{name}` is {value!r}: must be a number")
-    if not math.isfinite(value):
-        raise ValueError(f"`{name}` is {value}: must be a finite number")
-    return float(value)
-
-
+@hints
 class SimulatedObserver:
     """An observer with a Weibull psychometric function. Without lapses it detects 1 - 1/e of stimuli at `threshold`."""
 
@@ -62,12 +53,19 @@ class SimulatedObserver:
         self, threshold: float, *, slope: float = 2.0, guess: float = 0.5, lapse: float = 0.02, seed: int = 0
     ) -> None:
         """`guess`: share of correct answers without a stimulus; `lapse`: share of wrong answers to a strong stimulus."""
+        for name, value in (("threshold", threshold), ("slope", slope)):
+            if number(name, value) <= 0:
+                raise ValueError(f"`{name}` is {value}: must be above 0")
+        if min(number("guess", guess), number("lapse", lapse)) < 0 or guess + lapse >= 1:
+            raise ValueError(f"`guess` is {guess} and `lapse` {lapse}: must be 0 or more, and below 1 together")
         self.threshold, self.slope, self.guess, self.lapse = threshold, slope, guess, lapse
         self._chance = random.Random(seed)
 
     def p_correct(self, level: float) -> float:
         """The probability of a correct answer."""
-        return self.guess + (1 - self.guess - self.lapse) * -math.expm1(-((level / self.threshold) ** self.slope))
+        return self.guess + (1 - self.guess - self.lapse) * -math.expm1(
+            -((max(0.0, number("level", level)) / self.threshold) ** self.slope)
+        )
 
     def is_correct(self, level: float) -> bool:
         """One answer."""
@@ -75,5 +73,9 @@ class SimulatedObserver:
 
     def level_of(self, p_correct: float) -> float:
         """The level at which the share of correct answers is `p_correct`: what a procedure should find."""
+        if not self.guess < number("p_correct", p_correct) < 1 - self.lapse:
+            raise ValueError(
+                f"`p_correct` is {p_correct}: must be above `guess` {self.guess} and below {1 - self.lapse:g}"
+            )
         share = (p_correct - self.guess) / (1 - self.guess - self.lapse)
         return self.threshold * math.pow(-math.log1p(-share), 1 / self.slope)

@@ -32,10 +32,10 @@ from collections.abc import Iterable, Mapping
 from types import TracebackType
 from typing import Any, ClassVar, NamedTuple, Protocol
 
+from .._arguments import hints, number, table
 from .._presses import Press
 from ..clocks import NS, Instant
 from ..errors import MeissnerError
-from .answers import number
 
 _HOUR_NS = 3600 * NS
 _SET_CLOCK = 0x4004_45A0
@@ -149,6 +149,7 @@ class InputDevice(Protocol):
         """Close it."""
 
 
+@hints
 class Keys(_Presses):
     """The keys of a keyboard, with the kernel's times. It may be read while another program has the keyboard, too."""
 
@@ -176,7 +177,7 @@ class Keys(_Presses):
         super().__init__(uncertainty, least_reaction)
         self._codes: Any = evdev.ecodes
         self._names = keys
-        for name in keys or ():
+        for name in () if keys is None else table("keys", keys, "{'KEY_LEFT': 'left'}"):
             if name not in self._codes.ecodes:
                 raise ValueError(f"`keys` has `{name}`, which is no key: names are as `KEY_LEFT`, `KEY_1`, `KEY_SPACE`")
         try:
@@ -245,6 +246,7 @@ class Keys(_Presses):
         self._device.close()
 
 
+@hints
 class ButtonBox(_Presses):
     """A box that sends a byte for each press on a serial line. A thread stamps each byte as it arrives."""
 

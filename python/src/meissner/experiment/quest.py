@@ -13,8 +13,9 @@ import warnings
 from collections.abc import Iterable, Sequence
 from typing import Any
 
-from .answers import decided, number
-from .staircase import Bound
+from .._arguments import hints, listed, number, whole
+from .answers import decided
+from .staircase import Bound, pairs
 
 _SURE = 0.99
 """So probable the lowest or the highest threshold ends the procedure."""
@@ -22,6 +23,7 @@ _LIKELY = 0.25
 """So probable it holds the estimate. Of 500 simulated guessing participants it holds that of 499."""
 
 
+@hints
 class QuestPlus:
     """Chooses the level that tells most about the threshold of a Weibull function.
 
@@ -46,8 +48,7 @@ class QuestPlus:
         between = levels if thresholds is None else _above_zero("thresholds", thresholds)
         if not 0 <= number("guess", guess) < 1:
             raise ValueError(f"`guess` is {guess}: must be from 0 to below 1, such as 0.5 for 2AFC")
-        if max_trials < 1:
-            raise ValueError(f"`max_trials` is {max_trials}: must be 1 or more")
+        whole("max_trials", max_trials, 1)
         try:
             from questplus import QuestPlusWeibull
         except ImportError as error:
@@ -60,9 +61,9 @@ class QuestPlus:
         self._quest: Any = QuestPlusWeibull(
             intensities=list(self._levels),
             thresholds=self._thresholds,
-            slopes=list(slopes),
+            slopes=_above_zero("slopes", slopes, 1),
             lower_asymptotes=[guess],
-            lapse_rates=list(lapses),
+            lapse_rates=[number("lapses", lapse) for lapse in listed("lapses", lapses, "[0.02]")],
             responses=["correct", "wrong"],
             stim_scale="log10",
         )
@@ -86,14 +87,16 @@ class QuestPlus:
     def answer(self, correct: bool, *, level: float | None = None) -> None:
         """Takes the answer to a level: the one that was proposed, if none is given."""
         correct = decided(correct)
-        presented = self.level if level is None else level
+        presented = self.level if level is None else number("level", level)
+        if presented <= 0:
+            raise ValueError(f"`level` is {level}: must be above 0")
         self.answers.append((presented, correct))
         intensity = self._nearest(math.log10(presented))
         self._quest.update(intensity=intensity, response="correct" if correct else "wrong")
 
     def resume(self, answers: Iterable[tuple[float, bool]]) -> None:
         """Takes the answers of an earlier run, such as `session.answers()`."""
-        for level, correct in answers:
+        for level, correct in pairs(answers):
             self.answer(correct, level=level)
 
     @property
@@ -141,9 +144,9 @@ class QuestPlus:
         return math.sqrt(variance) * math.log(10) * 10**mean
 
 
-def _above_zero(name: str, given: Sequence[float]) -> list[float]:
-    """Levels, sorted, each once."""
-    found = sorted({number(name, level) for level in given})
-    if len(found) < 2 or found[0] <= 0:
-        raise ValueError(f"`{name}` is {found}: must be two or more, all above 0")
+def _above_zero(name: str, given: Sequence[float], least: int = 2) -> list[float]:
+    """Values, sorted, each once."""
+    found = sorted({number(name, value) for value in listed(name, given, "[0.1, 0.2, 0.4]")})
+    if len(found) < least or found[0] <= 0:
+        raise ValueError(f"`{name}` is {found}: must be {least} or more, all above 0")
     return found

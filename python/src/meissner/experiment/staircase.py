@@ -22,7 +22,8 @@ import warnings
 from collections.abc import Iterable, Mapping
 from typing import Literal, Protocol
 
-from .answers import decided, number
+from .._arguments import hints, listed, number, table, whole
+from .answers import decided
 
 Bound = Literal["minimum", "maximum"]
 
@@ -33,6 +34,7 @@ _DRIFT = 3
 that have settled are further off, and two thirds of those of guessing participants."""
 
 
+@hints
 class Staircase:
     """A staircase with `down` down, 1 up. Steps are a `ratio` or a difference (`step`)."""
 
@@ -70,12 +72,10 @@ class Staircase:
             raise ValueError(f"`start` is {start}: must lie from `minimum` {minimum} to `maximum` {maximum}")
         if minimum is not None and minimum == maximum:
             raise ValueError(f"`minimum` and `maximum` are both {minimum}: must differ")
-        if down < 1 or not 0 <= coarse < reversals:
-            raise ValueError(
-                f"`down` is {down}, `coarse` {coarse}, `reversals` {reversals}: need 1 <= `down`, 0 <= `coarse` < `reversals`"
-            )
-        if max_trials < 1:
-            raise ValueError(f"`max_trials` is {max_trials}: must be 1 or more")
+        for name, count, least in (("down", down, 1), ("coarse", coarse, 0), ("max_trials", max_trials, 1)):
+            whole(name, count, least)
+        if whole("reversals", reversals, 1) <= coarse:
+            raise ValueError(f"`reversals` is {reversals}: must be above `coarse`, {coarse}")
         self._is_log = ratio is not None
         self._step = math.log(ratio) if ratio is not None else step or 0.0
         self._down, self._reversals, self._coarse, self._max_trials = down, reversals, coarse, max_trials
@@ -137,7 +137,7 @@ class Staircase:
 
         Raises `ValueError` if a level is not the one that this staircase presents then: it has other settings, or other answers.
         """
-        for place, (level, correct) in enumerate(answers, 1):
+        for place, (level, correct) in enumerate(pairs(answers), 1):
             if not math.isclose(level, self.level, rel_tol=1e-9, abs_tol=1e-12):
                 raise ValueError(
                     f"answer {place} is to level {level}, but the staircase presents {self.level} then: give it the settings and the "
@@ -222,6 +222,16 @@ class Staircase:
         return error * self._outer(self._estimate) if self._is_log else error
 
 
+def pairs(answers: Iterable[tuple[float, bool]]) -> list[tuple[float, bool]]:
+    """The answers of an earlier run."""
+    found = listed("answers", answers, "`session.answers()`")
+    for place, pair in enumerate(found):
+        if not isinstance(pair, (tuple, list)) or len(pair) != 2:
+            raise TypeError(f"`answers[{place}]` is {pair!r}: must be a level and whether the answer to it was correct")
+        number(f"answers[{place}]", pair[0])
+    return found
+
+
 class Procedure(Protocol):
     """What `Interleaved` needs of a procedure."""
 
@@ -240,6 +250,7 @@ class Procedure(Protocol):
         """Takes the answers of an earlier run."""
 
 
+@hints
 class Interleaved:
     """Several procedures at once: each trial is of one of them, at random among those that have not ended.
 
@@ -253,7 +264,7 @@ class Interleaved:
 
     def __init__(self, procedures: Mapping[str, Procedure], *, seed: int) -> None:
         """`procedures`: by name. The same seed and the same answers give the same order."""
-        if not procedures:
+        if not table("procedures", procedures, "{'low': Staircase(...)}"):
             raise ValueError("`procedures` is empty: give at least one staircase, by name")
         self.procedures = dict(procedures)
         self._seed, self._trials = seed, 0
@@ -287,6 +298,6 @@ class Interleaved:
         if unknown:
             raise ValueError(f"`{unknown[0]}` is no procedure: there are {', '.join(self.procedures)}")
         for name, of in answers.items():
-            taken = list(of)
+            taken = pairs(of)
             self.procedures[name].resume(taken)
             self._trials += len(taken)
