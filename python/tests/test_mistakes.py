@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 
 import meissner
-from meissner import experiment
+from meissner import exchange, experiment
 from meissner.errors import MeissnerError
-from meissner.experiment import Interleaved, Log, QuestPlus, SimulatedObserver, Staircase, Trial
+from meissner.experiment import Interleaved, Log, Press, QuestPlus, SimulatedObserver, Staircase, Trial
 
 Call = Callable[[Any], Any]
 
@@ -207,6 +207,29 @@ def test_a_closed_client_says_so(m: meissner.Client) -> None:
         assert problem_of(call) == "the client is closed: work inside its `with` block, or connect again"
 
 
+def test_mistakes_at_a_live_play_and_at_instants(m: meissner.Client) -> None:
+    play: Any = m.play("pin-60", 0.05)
+    play.wait()
+    array: Any = m.array
+    with m.live(drives=[], timeout=20.0) as started:
+        live: Any = started
+        told: list[tuple[Callable[[], Any], str]] = [
+            (lambda: live.set(9, 60, 30), r"`set\(\)` takes `motor` alone without a name: .* as `frequency_hz=`"),
+            (lambda: live.set("9", frequency_hz=60, amplitude_um=3), "`motor` is '9': must be a whole number"),
+            (lambda: live.set(9, frequency_hz="60", amplitude_um=3), "`frequency_hz` is '60': must be a number"),
+            (lambda: live.pose(x=1), r"`pose\(\)` has no argument `x`: it has `x_mm`"),
+            (lambda: live.scale(math.nan), "`scale` is nan: must be a finite number"),
+            (lambda: live.drives([9]), r"`drives\[0\]` is 9: must be a dict"),
+            (lambda: live.keep(1), r"`keep\(\)` takes no argument, and no more"),
+            (lambda: live.keep().wait("a"), "`timeout` is 'a': must be a number of seconds"),
+            (lambda: play.onset.later("1"), "`seconds` is '1': must be a number"),
+            (lambda: play.onset.later(ms=5), r"`later\(\)` has no argument `ms`: it has `seconds`"),
+            (lambda: array.ticks("a"), "`seconds` is 'a': must be a number"),
+        ]
+        for call, message in told:
+            assert re.search(message, problem_of(call))
+
+
 stairs: Any = Staircase
 OF_THE_PACKAGE: list[tuple[Callable[[], Any], str]] = [
     (lambda: meissner.connect(5), "`address` is 5: must be the path of a socket, or a URL"),  # type: ignore[arg-type]
@@ -251,6 +274,14 @@ OF_THE_PACKAGE: list[tuple[Callable[[], Any], str]] = [
     (lambda: experiment.counterbalanced(["a"], -1), "`participant` is -1: must be 0 or more"),
     (lambda: Trial(1, {"a": 1})["b"], "trial 1 has no factor `b`: it has `a`"),
     (lambda: Trial(1, {"a": 1}).intervals(1, 2), "trial 1 has no factor `interval`: it has `a`"),
+    (lambda: meissner.simulate(None), "`scene` is None: must be a name, or the path of a file"),  # type: ignore[arg-type]
+    (lambda: meissner.simulate({"duration_s": math.nan}), "`scene.duration_s` is nan: must be a finite number"),
+    (lambda: meissner.design(5), "`target` is 5: must be a name, or the path"),  # type: ignore[arg-type]
+    (lambda: meissner.import_wav(None, scale_um=1), "`path` is None: must be a name, or the path"),  # type: ignore[arg-type]
+    (lambda: meissner.align([1, 2], [1.0], tick_hz="x"), "`tick_hz` is 'x': must be a number"),  # type: ignore[arg-type]
+    (lambda: exchange.from_ahap("x", motor=1), "has no argument `motor`: did you mean `motors`?"),  # type: ignore[call-arg]
+    (lambda: exchange.from_hjif(5), "`path` is 5: must be a name, or the path of a file"),  # type: ignore[arg-type]
+    (lambda: Press("a", 1, 0.1).after(5), "`onset` is 5: must be an instant"),  # type: ignore[arg-type]
     (lambda: Log(5.5), "`path` is 5.5: must be the path of a file"),  # type: ignore[arg-type]
     (lambda: experiment.ask(), r"`ask\(\)` needs `question`"),  # type: ignore[call-arg]
 ]

@@ -10,6 +10,7 @@ import functools
 import inspect
 import math
 import numbers
+import os
 from collections.abc import Callable, Collection, Iterable, Mapping
 from typing import Any, ParamSpec, TypeVar
 
@@ -50,6 +51,9 @@ _ELSEWHERE = {
 }
 
 
+_PATHS = ("target", "object", "scene")
+
+
 def meant(name: str, known: Collection[str]) -> str | None:
     """Which of the known names was meant."""
     for right, wrong in _MEANT.items():
@@ -77,7 +81,9 @@ def _problem(function: Callable[..., Any], args: tuple[Any, ...], kwargs: Mappin
     positional = [key for key, parameter in own.items() if parameter.kind is parameter.POSITIONAL_OR_KEYWORD]
     given = args[len(bound) :]
     if len(given) > len(positional) and inspect.Parameter.VAR_POSITIONAL not in kinds:
-        by_name = next((key for key in own if key not in positional), "name")
+        by_name = next((key for key in own if key not in positional), None)
+        if by_name is None:
+            return f"`{name}()` takes {' and '.join(f'`{key}`' for key in own) or 'no argument'}, and no more"
         most = f"takes {', '.join(f'`{key}`' for key in positional)} alone" if positional else "takes nothing"
         return f"`{name}()` {most} without a name: give the others by name, as `{by_name}=`"
     required = [key for key, parameter in own.items() if parameter.default is parameter.empty]
@@ -93,6 +99,17 @@ def _problem(function: Callable[..., Any], args: tuple[Any, ...], kwargs: Mappin
     return f"`{name}()` has `{twice[0]}` twice: give it once" if twice else None
 
 
+def _no_path(function: Callable[..., Any], args: tuple[Any, ...], kwargs: Mapping[str, Any]) -> str | None:
+    """Which argument of a call should be a path, and is none."""
+    signature = inspect.signature(function)
+    for name, value in signature.bind(*args, **kwargs).arguments.items():
+        kind = str(signature.parameters[name].annotation)
+        is_path = name in _PATHS or "PathLike" in kind or "ArrayName" in kind
+        if is_path and not isinstance(value, (str, os.PathLike)) and (value is not None or "None" not in kind):
+            return f"`{name}` is {value!r}: must be a name, or the path of a file"
+    return None
+
+
 def hinted(function: Callable[P, T]) -> Callable[P, T]:
     """The function, whose error for a wrong argument says which one was meant."""
 
@@ -104,6 +121,8 @@ def hinted(function: Callable[P, T]) -> Callable[P, T]:
             # An error of the call itself, and not from within.
             is_own = error.__traceback__ is not None and error.__traceback__.tb_next is None
             problem = _problem(function, args, kwargs) if is_own else None
+            if "os.PathLike" in str(error):
+                problem = _no_path(function, args, kwargs)
             if problem is None:
                 raise
             raise TypeError(problem) from None

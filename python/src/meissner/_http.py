@@ -111,20 +111,20 @@ def encode(body: Any) -> bytes:
     return json.dumps(body, default=plain, allow_nan=False).encode()
 
 
-def _check(name: str, value: Any) -> None:
+def check_json(name: str, value: Any) -> None:
     """Raises `TypeError` or `ValueError` for what a request cannot hold, with its place."""
     if isinstance(value, Mapping):
         for key, each in value.items():
-            _check(f"{name}.{key}", each)
+            check_json(f"{name}.{key}", each)
     elif isinstance(value, (list, tuple)):
         for place, each in enumerate(value):
-            _check(f"{name}[{place}]", each)
+            check_json(f"{name}[{place}]", each)
     elif isinstance(value, float) and not math.isfinite(value):
         raise ValueError(f"`{name}` is {value}: must be a finite number")
     elif value is not None and not isinstance(value, (str, int, float)):
         if not hasattr(value, "tolist"):
             raise TypeError(f"`{name}` is {value!r}: must be a number, a text, a list or a dict")
-        _check(name, value.tolist())
+        check_json(name, value.tolist())
 
 
 def post(path: str, body: dict[str, Any] | None = None, *, timeout: float = 10.0) -> Request:
@@ -134,6 +134,6 @@ def post(path: str, body: dict[str, Any] | None = None, *, timeout: float = 10.0
         content = encode(given)
     except (TypeError, ValueError):
         for key, value in given.items():
-            _check(key, value)
+            check_json(key, value)
         raise
     return Request("POST", path, content, {"Content-Type": "application/json"}, timeout)

@@ -17,7 +17,7 @@ from urllib.parse import urlsplit
 
 from . import _http
 from . import _operations as ops
-from ._arguments import drive_list, number, table
+from ._arguments import drive_list, hints, number, table, whole
 from ._bodies import Labels, Late, Trigger, milliseconds, texts, trial_number, trigger_of
 from ._http import Answer, Op
 from ._operations import Accepted, Core
@@ -408,6 +408,7 @@ def outcome(
     return receipt, stopped
 
 
+@hints
 class LivePlay(KnownPlay, Generic[U]):
     """What blocking and asynchronous live plays have in common: the kinds of messages."""
 
@@ -438,12 +439,13 @@ class LivePlay(KnownPlay, Generic[U]):
 
     def set(self, motor: int, *, frequency_hz: float, amplitude_um: float, phase: float = 0.0) -> U:
         """Change one motor. As `send`."""
-        drive = {"motor": motor, "frequency_hz": frequency_hz, "amplitude_um": amplitude_um, "phase": phase}
+        numbers = {"frequency_hz": frequency_hz, "amplitude_um": amplitude_um, "phase": phase}
+        drive = {"motor": whole("motor", motor, -1), **{name: number(name, value) for name, value in numbers.items()}}
         return self.send(drives=[drive])
 
     def scale(self, scale: float) -> U:
         """Multiply all amplitudes, 0 to 1. As `send`."""
-        return self.send(scale=scale)
+        return self.send(scale=number("scale", scale))
 
     def keep(self) -> U:
         """Show that the program is alive, and change nothing. As `send`."""

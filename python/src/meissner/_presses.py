@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+from ._arguments import hints
 from .clocks import NS, Instant
 
 
+@hints
 @dataclass(frozen=True)
 class Press:
     """A press of a key or button by a participant."""
@@ -27,6 +29,8 @@ class Press:
 
     def after(self, onset: Instant) -> float:
         """The time since an onset, s."""
+        if not isinstance(onset, Instant):
+            raise TypeError(f"`onset` is {onset!r}: must be an instant, such as `play.onset`")
         return (self.monotonic_ns - onset.monotonic_ns) / NS
 
     def is_early(self, onset: Instant) -> bool:
@@ -35,7 +39,8 @@ class Press:
 
     def at(self, onset: Instant) -> Instant:
         """The press on every clock, by an onset of about that time: the device's nearest tick, and the uncertainty of each clock, s."""
-        there = onset.later(self.after(onset))
+        after = self.after(onset)
+        there = onset.later(after)
         return replace(
             there,
             host_uncertainty=there.monotonic_uncertainty + self.uncertainty,

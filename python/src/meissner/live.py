@@ -20,7 +20,7 @@ from urllib.parse import urlsplit
 from . import _live
 from . import _operations as ops
 from ._answers import Answerable
-from ._arguments import hints
+from ._arguments import hints, number
 from ._endpoint import Endpoint
 from ._live import END_TIMEOUT, Drives, KnownUpdate, LivePlay, Pose, Started, Updates
 from ._operations import Core
@@ -49,7 +49,7 @@ class Update(KnownUpdate):
 
         Waiting is no sign of life: if it takes longer than the play's `timeout`, the daemon ends the play.
         """
-        return self._live._wait_for(self, timeout)
+        return self._live._wait_for(self, None if timeout is None else number("timeout", timeout, " of seconds"))
 
 
 @hints

@@ -22,6 +22,7 @@ from dataclasses import dataclass, replace
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
+from ._arguments import hints
 from ._operations import Core
 from .clocks import NS, Instant
 from .errors import MeissnerError
@@ -77,6 +78,7 @@ def text_of(what: str, pattern: str, raw: Mapping[str, Any]) -> str:
     return f"{what}/{pattern}"
 
 
+@hints
 class Bridge:
     """Sends markers and telemetry of a daemon to LSL, and plays on incoming markers. Runs until its block ends."""
 

@@ -23,7 +23,7 @@ from typing import Any, Literal, Union
 from . import _ending
 from ._arguments import hinted, hints
 from ._endpoint import has_unix_sockets
-from ._http import plain
+from ._http import check_json, plain
 from .arrays import Array
 from .errors import ProgramError
 
@@ -110,6 +110,7 @@ def simulate(scene: Scene, *, model: str | None = None, rates_only: bool = False
     arguments = ["simulate"]
     if isinstance(scene, Mapping):
         arguments.append("-")
+        check_json("scene", scene)
         text = json.dumps(scene, default=plain)
     else:
         arguments.append(os.fspath(scene))
