@@ -1,6 +1,6 @@
 """Play by OSC messages, as Max, Pure Data, TouchDesigner and Bonsai send them on this machine.
 
-pip install 'meissner[osc]'; python osc_bridge.py [PORT]     # 9000 on this machine
+pip install 'python-osc>=1.9'; python osc_bridge.py [PORT]     # 9000 on this machine
 
 /meissner/play pattern [scale [seconds]]   a stored pattern, 1 s unless told otherwise
 /meissner/pin motor amplitude_um           a vibration of 60 Hz that follows; the pins return 2 s after the last message

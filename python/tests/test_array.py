@@ -130,6 +130,7 @@ def check_designs(m: meissner.Client, description: Path) -> None:
         assert m.play(found.name, 0.1).wait().array == m.array.name
 
 
+@pytest.mark.filterwarnings("ignore:.*is saturated")
 def test_an_array_that_the_program_does_not_ship(tmp_path: Path) -> None:
     description = tmp_path / "own.toml"
     description.write_text(OWN)

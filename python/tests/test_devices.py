@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import errno
+import fcntl
 import os
 import pty
 import struct
 import subprocess
 import sys
+import termios
 import time
 import tty
 from collections.abc import Iterator
@@ -22,6 +25,7 @@ from meissner.experiment import ButtonBox, Keys, Press
 EVENT = struct.Struct("llHHi")
 """`struct input_event` of linux/input.h on 64-bit machines: time (s, us), type, code, value."""
 EV_SYN, EV_KEY = 0, 1
+SYN_REPORT, SYN_DROPPED = 0, 3
 LEFT, RIGHT, A = 105, 106, 30
 """Of linux/input-event-codes.h."""
 
@@ -45,10 +49,18 @@ class Pipe:
 
     def send(self, code: int, value: int = 1, *, ns: int | None = None) -> int:
         """A key and its report. Returns when it was, in whole us."""
+        return self.report((EV_KEY, code, value), (EV_SYN, SYN_REPORT, 0), ns=ns)
+
+    def report(self, *events: tuple[int, int, int], ns: int | None = None) -> int:
         us = (time.monotonic_ns() if ns is None else ns) // 1000
-        for event in ((EV_KEY, code, value), (EV_SYN, 0, 0)):
+        for event in events:
             os.write(self._writing, EVENT.pack(us // 10**6, us % 10**6, *event))
         return us * 1000
+
+    @property
+    def waiting(self) -> int:
+        """The bytes that nobody has read yet."""
+        return struct.unpack("i", fcntl.ioctl(self._reading, termios.FIONREAD, struct.pack("i", 0)))[0]  # type: ignore[no-any-return]
 
 
 def test_a_key_has_the_time_of_the_kernel() -> None:
@@ -76,6 +88,83 @@ def test_a_key_has_the_time_of_the_kernel() -> None:
         pipe.send(A, ns=time.time_ns())
         with pytest.raises(MeissnerError, match="not of CLOCK_MONOTONIC"):
             keys.wait(timeout=300)
+
+
+def test_a_held_key_is_one_press_and_fills_no_queue() -> None:
+    """The kernel keeps 64 events. A key that is held for 4 s is 130 repeats."""
+    pytest.importorskip("evdev")
+    pipe = Pipe()
+    with Keys(pipe) as keys:
+        held_ns = pipe.send(LEFT)
+        for _ in range(130):
+            pipe.send(LEFT, 2)
+        pipe.send(LEFT, 0)
+        # Nobody waits for a press, as while a play runs.
+        while pipe.waiting:
+            time.sleep(0.001)
+        last_ns = pipe.send(RIGHT)
+        assert keys.wait(timeout=300) == Press("left", held_ns, 0.008)
+        assert keys.wait(timeout=300) == Press("right", last_ns, 0.008)
+
+
+def test_lost_events_are_told_and_no_press_is_made_of_their_rest() -> None:
+    pytest.importorskip("evdev")
+    pipe = Pipe()
+    lost = (EV_SYN, SYN_DROPPED, 0), (EV_KEY, LEFT, 1), (EV_SYN, SYN_REPORT, 0)
+    with Keys(pipe) as keys:
+        pipe.report(*lost)
+        stamp_ns = pipe.send(RIGHT)
+        with pytest.warns(UserWarning, match="lost events of the keyboard: a press may be missing"):
+            assert keys.wait(timeout=300) == Press("right", stamp_ns, 0.008)
+        pipe.report(*lost)
+        while keys._came.empty():
+            time.sleep(0.001)
+        with pytest.warns(UserWarning, match="lost events"):
+            assert keys.wait(timeout=0) is None
+        # Of what was lost before `flush` nobody is told.
+        pipe.report(*lost)
+        while keys._came.empty():
+            time.sleep(0.001)
+        keys.flush()
+        # The kernel's time has whole us.
+        stamp_ns = pipe.send(RIGHT, ns=time.monotonic_ns() + 1000)
+        assert keys.wait(timeout=300) == Press("right", stamp_ns, 0.008)
+
+
+def test_a_press_that_comes_too_early_is_marked_and_kept(m: meissner.Client) -> None:
+    pytest.importorskip("evdev")
+    pipe = Pipe()
+    with m.session("P07") as session, Keys(pipe) as keys:
+        for trial, after_ms in enumerate((2.5, 99, 100, 250), 1):
+            play = m.play("pin-60", 0.05, trial=trial)
+            play.wait()
+            pipe.send(LEFT, ns=play.onset.monotonic_ns + round(after_ms * 1e6) + 1000)
+            press = keys.wait(timeout=300, after=play.onset)
+            assert press is not None
+            assert press.is_early(play.onset) == (after_ms < 100)
+            session.answer(trial, press)
+        marks = [row["answer"]["factors"].get("response_early") for row in session.plays]
+    assert marks == ["true", "true", None, None]
+
+
+def test_a_keyboard_that_goes_away_is_told_at_each_wait() -> None:
+    pytest.importorskip("evdev")
+    pipe = Pipe()
+    with Keys(pipe) as keys:
+        os.close(pipe._writing)
+        pipe._writing = os.open(os.devnull, os.O_RDONLY)
+        pipe.read = broken  # type: ignore[method-assign]
+        for _ in range(2):
+            with pytest.raises(MeissnerError, match="the keyboard is gone: No such device"):
+                keys.wait(timeout=300)
+        with pytest.raises(TypeError, match="`timeout` is '3': must be a number"):
+            keys.wait(timeout="3")
+        with pytest.raises(TypeError, match=r"`after` is 3\.0: must be an onset"):
+            keys.wait(after=3.0)
+
+
+def broken() -> Iterator[Any]:
+    raise OSError(errno.ENODEV, "No such device")
 
 
 def test_keys_that_are_none_are_refused() -> None:

@@ -7,11 +7,15 @@ import collections
 import csv
 import io
 import itertools
+import math
 import os
+import random
 import signal
 import statistics
 import subprocess
 import sys
+import warnings
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +25,7 @@ import pytest
 import meissner
 from meissner import errors
 from meissner.experiment import (
+    Interleaved,
     Log,
     LogError,
     QuestPlus,
@@ -89,10 +94,13 @@ def test_orders_are_balanced(count: int) -> None:
 
 def run_staircase(seed: int, down: int) -> float:
     observer = SimulatedObserver(0.2, slope=3, seed=seed)
-    stairs = Staircase(0.9, ratio=1.15, down=down, maximum=1.0, minimum=0.01, reversals=40, coarse=4)
+    stairs = Staircase(0.9, ratio=1.15, down=down, maximum=1.0, minimum=0.01, reversals=40, coarse=4, max_trials=1000)
     while not stairs.done:
         stairs.answer(observer.is_correct(stairs.level))
-    return stairs.threshold
+    with warnings.catch_warnings():
+        # One in a hundred has not settled.
+        warnings.simplefilter("ignore")
+        return stairs.threshold
 
 
 @pytest.mark.parametrize("down", [2, 3])
@@ -116,7 +124,9 @@ def test_a_staircase_steps_and_turns() -> None:
     stairs.answer(True)
     stairs.answer(True)
     assert stairs.done
+    # Turns at 7, 10, 9, 10: steps since the second turn from 8, 7, 8, 9, 10, 9, 10.
     assert stairs.threshold == statistics.mean([7, 10, 9, 10])
+    assert stairs.standard_error == pytest.approx(2 * statistics.variance([8, 7, 8, 9, 10, 9, 10]) / 7**0.5)
     assert len(stairs.answers) == 15
     up = Staircase(11, step=1, down=1, maximum=11)
     up.answer(False)
@@ -125,10 +135,128 @@ def test_a_staircase_steps_and_turns() -> None:
         _ = up.threshold
 
 
+def run_to_its_end(is_correct: Callable[[float], bool], **options: Any) -> Staircase:
+    stairs = Staircase(**{"start": 0.8, "ratio": 1.26, "minimum": 0.01, "maximum": 1.0, **options})
+    while not stairs.done:
+        stairs.answer(is_correct(stairs.level))
+        assert len(stairs.answers) <= 200
+    return stairs
+
+
+@pytest.mark.parametrize(("always", "bound"), [(True, "minimum"), (False, "maximum")])
+def test_a_staircase_of_a_participant_who_is_always_right_or_wrong_ends_at_its_bound(always: bool, bound: str) -> None:
+    stairs = run_to_its_end(lambda level: always)
+    assert len(stairs.answers) < 50
+    assert stairs.at_bound == bound
+    with pytest.warns(UserWarning, match=f"reached its `{bound}` .*: the threshold may lie"):
+        assert stairs.threshold == pytest.approx(0.01 if always else 1.0)
+    assert math.isnan(stairs.standard_error)
+    # Without bounds the number of trials ends it.
+    free = run_to_its_end(lambda level: always, minimum=None, maximum=None)
+    assert (len(free.answers), free.at_bound) == (200, None)
+    assert free.problem == "the staircase has 0 reversals: it needs at least 6"
+    assert len(run_to_its_end(lambda level: always, minimum=None, maximum=None, max_trials=7).answers) == 7
+
+
+def guessing(seed: int) -> Callable[[float], bool]:
+    chance = random.Random(seed)
+    return lambda level: chance.random() < 0.5
+
+
+def test_guessing_participants_are_told_and_others_are_not() -> None:
+    """Of 500 each. At 0.2 of 1 a participant is far from both bounds."""
+    bounded = [run_to_its_end(guessing(seed)) for seed in range(500)]
+    assert sum(stairs.problem is not None for stairs in bounded) >= 490
+    assert sum(stairs.at_bound == "maximum" for stairs in bounded) >= 485
+    for down in (2, 3):
+        real = [run_to_its_end(SimulatedObserver(0.2, slope=3, seed=seed).is_correct, down=down) for seed in range(500)]
+        assert sum(stairs.problem is not None for stairs in real) <= 25
+        assert not any(stairs.at_bound for stairs in real)
+    # Without a bound the reversals drift.
+    free = [run_to_its_end(guessing(seed), minimum=None, maximum=None) for seed in range(500)]
+    assert sum("drift up" in (stairs.problem or "") for stairs in free) > 300
+
+
+@pytest.mark.parametrize(
+    ("slope", "options"),
+    [
+        (3.0, {}),
+        (1.5, {}),
+        (3.0, {"down": 3}),
+        (3.0, {"reversals": 20}),
+        (3.0, {"ratio": None, "step": 0.04, "minimum": 0.0}),
+    ],
+)
+def test_the_standard_error_is_how_far_thresholds_scatter(slope: float, options: dict[str, Any]) -> None:
+    """Against the scatter of 500 thresholds. The reversals' own spread says half of it."""
+    found, errors = [], []
+    for seed in range(500):
+        stairs = run_to_its_end(SimulatedObserver(0.2, slope=slope, seed=seed).is_correct, **options)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            found.append(stairs.threshold)
+        errors.append(stairs.standard_error)
+    assert statistics.fmean(error**2 for error in errors) ** 0.5 == pytest.approx(statistics.stdev(found), rel=0.5)
+
+
+def test_interleaved_staircases_are_those_that_are_run_alone() -> None:
+    def procedures() -> dict[str, Staircase]:
+        return {"low": Staircase(0.05, ratio=1.26), "high": Staircase(0.9, ratio=1.26, down=3)}
+
+    observers = {name: SimulatedObserver(0.2, slope=3, seed=1) for name in procedures()}
+    both, order, answers = Interleaved(procedures(), seed=7), [], []
+    while not both.done:
+        order.append(both.name)
+        correct = observers[both.name].is_correct(both.level)
+        answers.append((both.name, both.level, correct))
+        both.answer(correct)
+    for name, stairs in procedures().items():
+        observer = SimulatedObserver(0.2, slope=3, seed=1)
+        while not stairs.done:
+            stairs.answer(observer.is_correct(stairs.level))
+        assert [(level, correct) for own, level, correct in answers if own == name] == stairs.answers
+    # At random: as often the other one as the same one, while both run.
+    together = order[: min(len(order) - 1 - order[::-1].index(name) for name in observers)]
+    changes = sum(one != other for one, other in itertools.pairwise(together))
+    assert 0.3 < changes / len(together) < 0.7
+    # After a crash the rest is the same.
+    for cut in (0, 1, 20, len(answers)):
+        again = Interleaved(procedures(), seed=7)
+        again.resume({name: [(level, ok) for own, level, ok in answers[:cut] if own == name] for name in observers})
+        for name, level, correct in answers[cut:]:
+            assert (again.name, again.level) == (name, level)
+            again.answer(correct)
+        assert again.done
+    with pytest.raises(ValueError, match="all procedures have ended"):
+        _ = both.name
+    with pytest.raises(ValueError, match="`left` is no procedure: there are low, high"):
+        both.resume({"left": []})
+    with pytest.raises(ValueError, match="is empty"):
+        Interleaved({}, seed=1)
+
+
+@pytest.mark.parametrize("correct", ["False", "left", None, 2])
+def test_a_procedure_takes_no_text_for_an_answer(correct: Any) -> None:
+    stairs = Staircase(1.0, ratio=1.26)
+    with pytest.raises(TypeError, match=r"`correct` is .*: must be True"):
+        stairs.answer(correct)
+    assert stairs.answers == []
+    stairs.answer(np.True_)  # type: ignore[arg-type]
+    assert stairs.answers == [(1.0, True)]
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [
         ({}, "give either"),
+        ({"ratio": 1.26, "minimum": 0}, "`minimum` is 0.0: must be above 0 with a `ratio`; or give `step`"),
+        ({"ratio": 1.26, "maximum": -1}, "`maximum` is -1.0: must be above 0"),
+        ({"ratio": 1.26, "maximum": 0.5}, "`start` is 1.0: must lie from `minimum` None to `maximum` 0.5"),
+        ({"step": 0.1, "minimum": 2}, "`start` is 1.0: must lie from"),
+        ({"step": 0.1, "minimum": 1, "maximum": 1}, "are both 1.0: must differ"),
+        ({"step": math.nan}, "`step` is nan: must be a finite number"),
+        ({"ratio": math.inf}, "`ratio` is inf: must be a finite number"),
+        ({"ratio": 1.26, "max_trials": 0}, "`max_trials` is 0: must be 1 or more"),
         ({"step": 1, "ratio": 2}, "give either"),
         ({"ratio": 0.5}, "must be above 1"),
         ({"step": 0}, "must be above 0"),
@@ -152,13 +280,71 @@ def test_quest_plus_finds_the_threshold() -> None:
         assert len(quest.answers) == 40
         found.append(quest.threshold)
     assert statistics.geometric_mean(found) == pytest.approx(0.2, rel=0.15)
-    with pytest.raises(ValueError, match="must be above 0"):
-        QuestPlus([0.0, 1.0])
+
+
+def test_quest_plus_ends_and_tells_where_a_bound_holds_its_estimate() -> None:
+    pytest.importorskip("questplus")
+    levels = np.array([0.03 * 1.5**step for step in range(8)])
+    for answer, bound in ((True, "minimum"), (False, "maximum")):
+        quest = QuestPlus(levels, slopes=(3.0,))
+        assert (quest.done, quest.at_bound, quest.problem) == (False, None, None)
+        while not quest.done:
+            quest.answer(answer)
+        assert len(quest.answers) < 200
+        assert quest.at_bound == bound
+        with pytest.warns(UserWarning, match="the threshold may lie"):
+            assert quest.threshold == pytest.approx(levels[0] if answer else levels[-1], rel=0.1)
+    quest, guess = QuestPlus(levels, slopes=(3.0,), max_trials=40), guessing(1)
+    while not quest.done:
+        quest.answer(guess(quest.level))
+    assert quest.at_bound == "maximum"
+    short = QuestPlus(levels, slopes=(3.0,), max_trials=5)
+    for correct in (True, True, False, True, False):
+        assert not short.done
+        short.answer(correct)
+    assert short.done
+    with pytest.raises(TypeError, match="`correct` is 'left'"):
+        short.answer("left")  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("levels", "options", "message"),
+    [
+        ([0.0, 1.0], {}, "`levels` is .*: must be 2 or more, all above 0"),
+        ([], {}, "`levels` is .*: must be 2 or more"),
+        ([0.5], {}, "`levels` is .*: must be 2 or more"),
+        ([0.1, math.nan], {}, "`levels` is nan: must be a finite number"),
+        ([0.1, 1.0], {"thresholds": []}, "`thresholds` is .*: must be 2 or more"),
+        ([0.1, 1.0], {"guess": 1.0}, "`guess` is 1.0: must be from 0 to below 1"),
+        ([0.1, 1.0], {"max_trials": 0}, "`max_trials` is 0"),
+    ],
+)
+def test_bad_settings_of_quest_plus_are_refused(levels: list[float], options: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        QuestPlus(levels, **options)
+
+
+def test_the_standard_error_of_quest_plus_is_the_width_of_the_posterior() -> None:
+    """Against a posterior that the test computes."""
+    pytest.importorskip("questplus")
+    levels = np.array([0.03 * 1.3**step for step in range(14)])
+    quest, observer = QuestPlus(levels, slopes=(3.0,), max_trials=15), SimulatedObserver(0.2, slope=3, seed=1)
+    while not quest.done:
+        quest.answer(observer.is_correct(quest.level))
+    shares = np.ones(len(levels))
+    for level, correct in quest.answers:
+        p_correct = 0.5 + 0.48 * (1 - np.exp(-((level / levels) ** 3)))
+        shares *= p_correct if correct else 1 - p_correct
+    shares /= shares.sum()
+    mean = (shares * np.log(levels)).sum()
+    error = math.sqrt((shares * (np.log(levels) - mean) ** 2).sum())
+    assert quest.threshold == pytest.approx(math.exp(mean))
+    assert quest.standard_error == pytest.approx(error * math.exp(mean))
 
 
 def test_without_quest_plus_the_message_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "questplus", None)
-    with pytest.raises(ImportError, match=r"pip install 'meissner\[quest\]'"):
+    with pytest.raises(ImportError, match="pip install questplus"):
         QuestPlus([0.1, 0.2])
 
 

@@ -335,7 +335,7 @@ def test_times_are_numbers(m: meissner.Client) -> None:
     for order, wrong in itertools.product(orders, (True, "0.1", [0.1], numpy.array([0.1, 0.2]), numpy.True_)):
         with pytest.raises(TypeError, match="must be a number of seconds, such as"):
             order(wrong)
-    with pytest.raises(ValueError, match="`isi` is nan s: must be a finite number of seconds"):
+    with pytest.raises(ValueError, match="`isi` is nan: must be a finite number of seconds"):
         m.sequence(["pin-60", "pin-60"], seconds=0.05, isi=numpy.nan)
     items: list[Any] = ["pin-60", {"pattern": "pin-60", "gap": None}, {"pattern": "pin-60", "gap": numpy.array(0.2)}]
     receipt = m.sequence(items, seconds=numpy.array(0.05), isi=numpy.float32(0.1)).wait()
@@ -460,7 +460,7 @@ def test_numbers_may_be_those_of_numpy(m: meissner.Client) -> None:
     drives = [{"motor": numpy.int64(9), "frequency_hz": numpy.float32(60), "amplitude_um": numpy.int16(40)}]
     given = {"drives": drives, "seconds": numpy.float64(0.1), "trigger": numpy.False_}
     assert m.play(**given).wait().raw["trigger"] is None
-    with pytest.raises(TypeError, match="cannot hold a complex"):
+    with pytest.raises(TypeError, match="`seconds` is 1j: must be a number"):
         m.play("pin-60", 1j)  # type: ignore[arg-type]
 
 

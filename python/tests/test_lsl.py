@@ -247,4 +247,4 @@ def test_the_command_says_what_is_wrong(arguments: list[str], says: str) -> None
 def test_without_pylsl_the_remedy_is_told() -> None:
     code = "import sys; sys.modules['pylsl'] = None; from meissner import lsl; lsl.needs_pylsl()"
     ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert "pip install 'meissner[lsl]'" in ended.stderr
+    assert "pip install 'pylsl>=1.18'" in ended.stderr

@@ -53,7 +53,7 @@ def test_an_array_of_all_motors_is_played(m: meissner.Client) -> None:
         ({"samples": {9: [0.0, 401.0]}, "rate": 100}, "sample 1 at 0.01 s is 401"),
         ({"samples": {24: [0.0, 1.0]}, "rate": 100}, "motor 24: the array has motors 0 to 23"),
         ({"samples": {9: [1.0]}, "rate": 100}, "motor 9 has 1 samples"),
-        ({"samples": {9: [0.0, 1.0]}}, "`rate` is None Hz: must be 1 to 8000"),
+        ({"samples": {9: [0.0, 1.0]}}, "`samples` need `rate`: how many are a second, 1 to 8000 Hz"),
         ({"samples": {9: [0.0, 1.0]}, "rate": 44100}, "`rate` is 44100"),
         ({"samples": [[0.0, 1.0]], "rate": 100}, "samples at 0 are of 2 motors"),
         ({"samples": {}, "rate": 100}, "nothing would move"),
@@ -72,7 +72,8 @@ def test_what_a_motor_is_too_slow_for_is_refused(m: meissner.Client) -> None:
     jump = {9: [0.0, 0.0, 200.0, 0.0]}
     with pytest.raises(errors.TooSlow, match="motor 9 is too slow"):
         m.play(samples=jump, rate=100, strict=True)
-    play = m.play(samples=jump, rate=100)
+    with pytest.warns(UserWarning, match="`inline`: motor 9 is too slow for its motion, first after"):
+        play = m.play(samples=jump, rate=100)
     assert play.motions[0]["too_slow_from_s"] > 0
     assert "too slow" in play.wait().raw["warnings"][0]
     item = {"samples": jump, "rate": 100}

@@ -24,6 +24,9 @@ from meissner.experiment import Log, SimulatedObserver, Staircase, constant_stim
 
 PAGE = Path(__file__).parents[2] / "docs" / "how-to" / "publish.md"
 
+# The noise is faster than a motor at its beginning.
+pytestmark = pytest.mark.filterwarnings("ignore:.*is too slow for its motion")
+
 
 @pytest.fixture
 def lab() -> Iterator[meissner.Client]:

@@ -19,12 +19,15 @@
 from __future__ import annotations
 
 import os
+import re
 from typing import TYPE_CHECKING
 
+from . import _sample_files
+from ._arguments import hinted, text
 from ._bodies import SequenceItem
 from ._endpoint import Endpoint, endpoints
 from ._operations import Core, begin
-from ._sample_files import Trace, import_csv, import_wav
+from ._sample_files import Trace
 from ._sse import Event
 from .alignment import Aligned, align
 from .arrays import Array
@@ -77,9 +80,14 @@ __all__ = [
     "simulate",
 ]
 __version__ = "0.1.0"
+import_csv, import_wav = hinted(_sample_files.import_csv), hinted(_sample_files.import_wav)
 
 
 def _core(endpoint: Endpoint, token: str | None, reconnect: float) -> Core:
+    if token is not None and not re.fullmatch(r"[!-~]+", text("token", token)):
+        raise ValueError(
+            "`token` has characters that no token has: take the one that `meissner token create` has printed"
+        )
     clock = ClientClock(same_machine=endpoint.same_machine)
     return Core(endpoint, clock, token or os.environ.get("MEISSNER_TOKEN"), reconnect)
 
@@ -91,6 +99,7 @@ def _nowhere(tried: list[Endpoint], errors: list[Unreachable]) -> Unreachable:
     return Unreachable(f"no daemon answers at {places}: start one with `meissner daemon`, or try `meissner.demo()`")
 
 
+@hinted
 def connect(
     address: str | os.PathLike[str] | None = None, *, token: str | None = None, reconnect: float = 10.0
 ) -> Client:
@@ -117,6 +126,7 @@ def connect(
     raise _nowhere(tried, errors)
 
 
+@hinted
 async def connect_async(
     address: str | os.PathLike[str] | None = None, *, token: str | None = None, reconnect: float = 10.0
 ) -> AsyncClient:
@@ -140,6 +150,7 @@ async def connect_async(
     raise _nowhere(tried, errors)
 
 
+@hinted
 def demo(*, arm: bool = True, config: str = "", board: Board = False) -> Client:
     """Start a daemon with the simulated array, and connect to it. Both end with the client.
 

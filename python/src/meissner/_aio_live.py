@@ -19,6 +19,7 @@ from urllib.parse import urlsplit
 from . import _live
 from . import _operations as ops
 from ._answers import AsyncAnswerable
+from ._arguments import hints, number
 from ._endpoint import Endpoint
 from ._http import Op
 from ._live import END_TIMEOUT, Drives, KnownUpdate, LivePlay, Pose, Started, Updates
@@ -35,6 +36,7 @@ T = TypeVar("T")
 _CONNECT_TIMEOUT = 10.0
 
 
+@hints
 class AsyncUpdate(KnownUpdate):
     """A message of a live play."""
 
@@ -45,9 +47,10 @@ class AsyncUpdate(KnownUpdate):
 
     async def wait(self, timeout: float | None = None) -> LiveResult:
         """Wait for the daemon's answer. As `Update.wait`."""
-        return await self._live._wait_for(self, timeout)
+        return await self._live._wait_for(self, None if timeout is None else number("timeout", timeout, " of seconds"))
 
 
+@hints
 class AsyncLive(LivePlay[AsyncUpdate], AsyncAnswerable):
     """A live play: it starts with `async with` or `await`, and ends with its block or `end()`."""
 

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from . import _operations as ops
 from . import _sessions
+from ._arguments import hints
 from ._bodies import Labels, Verdict
 from ._plays import KnownPlay
 from ._presses import Press
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
     from .client import Client
 
 
+@hints
 class Answerable(KnownPlay):
     """A play that takes an answer."""
 
@@ -48,6 +50,7 @@ class Answerable(KnownPlay):
         self._client.run(order)
 
 
+@hints
 class AsyncAnswerable(KnownPlay):
     """The same for asyncio."""
 

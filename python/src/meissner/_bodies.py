@@ -5,12 +5,10 @@ Times are seconds in Python and milliseconds in the API.
 
 from __future__ import annotations
 
-import math
-import numbers
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any, Literal, SupportsInt, Union
 
-from ._http import plain
+from ._arguments import listed, meant, number, plain, table
 from .clocks import Instant
 
 At = Union[float, Instant, None]
@@ -21,39 +19,44 @@ Verdict = Union[SupportsInt, None]
 Late = Literal["drop", "abort", None]
 Fit = Literal["whole", "cover", None]
 Map = Literal["nearest", None]
+ITEM_KEYS = ("pattern", "seconds", "scale", "gap", "start", "trigger", "samples", "rate", "drives", "pattern_sha256")
 SequenceItem = Union[str, Mapping[str, Any], None]
 
 
 def milliseconds(name: str, seconds: Any) -> Any:
     """An argument in seconds as the API has it; None stays None. Raises `TypeError` for what is no number, `ValueError` for NaN and infinity."""
-    if seconds is None:
-        return None
-    seconds = plain(seconds) if hasattr(seconds, "tolist") else seconds
-    if isinstance(seconds, bool) or not isinstance(seconds, numbers.Real):
-        raise TypeError(f"`{name}` is {seconds!r}: must be a number of seconds, such as 0.1")
-    if not math.isfinite(seconds):
-        raise ValueError(f"`{name}` is {seconds} s: must be a finite number of seconds, such as 0.1")
-    return float(seconds) * 1000
+    return None if seconds is None else number(name, seconds, " of seconds, such as 0.1") * 1000
 
 
 def verdict(correct: Any) -> bool | None:
     """Whether an answer is right. Raises `TypeError` for a text, as `"False"`, which Python takes as true."""
-    correct = plain(correct) if hasattr(correct, "tolist") else correct
+    correct = plain(correct)
     if correct is None or correct in (0, 1):
         return None if correct is None else bool(correct)
     raise TypeError(f"`correct` is {correct!r}: must be True, False or None")
 
 
+def trial_number(trial: Any) -> Any:
+    """The number of a trial; None stays None."""
+    if hasattr(trial, "factors"):
+        raise TypeError(f"`trial` is {trial!r}: must be its number, `trial.number`")
+    return trial
+
+
 def trigger_of(trigger: Trigger) -> Any:
     """A number is short for a code."""
-    trigger = plain(trigger) if hasattr(trigger, "tolist") else trigger
+    trigger = plain(trigger)
     if isinstance(trigger, bool) or trigger is None:
         return trigger
-    return {"code": trigger} if isinstance(trigger, int) else dict(trigger)
+    return (
+        {"code": trigger} if isinstance(trigger, int) else table("trigger", trigger, "{'code': 7}; or a code, or False")
+    )
 
 
-def texts(labels: Labels) -> dict[str, str] | None:
-    return None if labels is None else {str(key): str(value) for key, value in labels.items()}
+def texts(labels: Labels, name: str = "labels") -> dict[str, str] | None:
+    if labels is None:
+        return None
+    return {str(key): str(value) for key, value in table(name, labels, "{'block': 2}").items()}
 
 
 def sequence_items(
@@ -70,8 +73,14 @@ def sequence_items(
     if isi is not None and soa is not None:
         raise ValueError("give `isi` (pause from an item's end) or `soa` (distance of onsets), not both")
     made = []
-    for number, item in enumerate(items):
+    isi_ms, soa_ms = milliseconds("isi", isi), milliseconds("soa", soa)
+    for place, item in enumerate(listed("items", items, "['pin-60', 'edge-45']")):
+        if not (item is None or isinstance(item, (str, Mapping))):
+            raise TypeError(f"`items[{place}]` is {item!r}: must be a pattern's name, a dict with `pattern`, or None")
         own = {"pattern": item} if item is None or isinstance(item, str) else dict(item)
+        for key in own:
+            if key not in ITEM_KEYS and (right := meant(str(key).removesuffix("_ms"), ITEM_KEYS)):
+                raise ValueError(f"`items[{place}]` has no key `{key}`: did you mean `{right}`?")
         entry = {**defaults, **inline(own)}
         if entry.get("pattern", "") is None:
             # A blank item has no amplitudes.
@@ -83,8 +92,8 @@ def sequence_items(
             entry["trigger"] = trigger_of(entry["trigger"])
         if "gap_ms" not in entry and "start_ms" not in entry:
             if soa is not None:
-                entry["start_ms"] = number * milliseconds("soa", soa)
-            elif isi is not None and number > 0:
-                entry["gap_ms"] = milliseconds("isi", isi)
+                entry["start_ms"] = place * soa_ms
+            elif isi is not None and place > 0:
+                entry["gap_ms"] = isi_ms
         made.append({key: value for key, value in entry.items() if value is not None or key == "pattern"})
     return made

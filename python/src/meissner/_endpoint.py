@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 import socket
 import stat
 from dataclasses import dataclass
@@ -48,6 +49,10 @@ def endpoints(address: str | os.PathLike[str] | None) -> list[Endpoint]:
     Without an address: `$MEISSNER_URL`, `$MEISSNER_SOCKET`, the user's own socket, and that of the installed service.
     """
     if address is not None:
+        if not isinstance(address, (str, os.PathLike)):
+            raise TypeError(
+                f"`address` is {address!r}: must be the path of a socket, or a URL such as 'http://lab-pc:8765'"
+            )
         return [_endpoint(os.fspath(address))]
     for variable in ("MEISSNER_URL", "MEISSNER_SOCKET"):
         if os.environ.get(variable):
@@ -74,7 +79,17 @@ def users_directory(root: str = "/") -> str | None:
 
 def _endpoint(address: str) -> Endpoint:
     if address.startswith(("http://", "https://")):
+        try:
+            parts = urlsplit(address)
+            is_whole = bool(parts.hostname) and not re.search(r"\s", address) and (parts.port is None or parts.port > 0)
+        except ValueError:
+            is_whole = False
+        if not is_whole:
+            raise ValueError(f"`address` is {address!r}: must be a URL such as 'http://lab-pc:8765'")
         return Endpoint(address.rstrip("/"))
+    if re.fullmatch(r"[a-z]+://.*|[\w.-]+:\d+", address) and not os.path.exists(address):
+        host = address.split("://")[-1]
+        raise ValueError(f"`address` is {address!r}: must be a URL such as 'http://{host}', or the path of a socket")
     if not has_unix_sockets():
         raise Unreachable(
             f"Python has no Unix sockets on this system, so `{address}` cannot be opened: give the URL of the daemon's PC, "

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from . import bids, nwb
+from ._arguments import number, table
 from ._http import Op
 from ._operations import Core, pattern, status
 from ._sessions import session_plays, warn_of_gaps
@@ -27,6 +28,11 @@ def _complete(recorded: Mapping[str, Any]) -> None:
             f"the record of session {session['id']} is incomplete: {'; '.join(missing)}: nothing was written; pass "
             "incomplete=True to export what there is"
         )
+
+
+def _check_rate(displacement_hz: float | None) -> None:
+    if displacement_hz is not None and number("displacement_hz", displacement_hz) <= 0:
+        raise ValueError(f"`displacement_hz` is {displacement_hz}: must be above 0, or None for no displacement")
 
 
 def _stimuli(core: Core, session_id: str, incomplete: bool) -> Op[tuple[dict[str, Any], dict[str, dict[str, Any]]]]:
@@ -75,11 +81,13 @@ def export_bids(
 
     Raises `IncompleteSession` if the record lacks something of the session, unless `incomplete`; `left_out` then says what.
     """
+    _check_rate(displacement_hz)
     recorded, found = yield from _stimuli(core, session_id, incomplete)
     if isinstance(zero, Instant):
         zero_host_ns: int | None = zero.host_ns
     else:
-        zero_host_ns = None if zero is None else core.clock.to_host(round(zero * NS))[0]
+        seconds = None if zero is None else number("zero", zero, " of seconds, such as `m.now()`, or an instant")
+        zero_host_ns = None if seconds is None else core.clock.to_host(round(seconds * NS))[0]
     return bids.write(
         Path(root),
         recorded,
@@ -115,14 +123,21 @@ def export_nwb(
     the program `meissner` on this machine.
     """
     nwb.needs_pynwb()
+    _check_rate(displacement_hz)
+    about = {
+        name: None if given is None else table(name, given, such_as)
+        for name, given, such_as in (
+            ("subject", subject, "{'age': 'P30Y', 'sex': 'F'}"),
+            ("metadata", metadata, "{'institution': 'a lab'}"),
+        )
+    }
     recorded, found = yield from _stimuli(core, session_id, incomplete)
     return nwb.write(
         Path(file),
         recorded,
         found,
         status=(yield from status(core)),
-        subject=subject,
-        metadata=metadata,
+        **about,
         displacement_hz=displacement_hz,
         array=array,
         spikes=spikes,

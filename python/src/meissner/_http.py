@@ -7,7 +7,8 @@ connection, `aio.py` with an asynchronous one. So each method exists once.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Generator
+import math
+from collections.abc import Callable, Generator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, TypeVar, Union
 
@@ -107,10 +108,32 @@ def plain(value: Any) -> Any:
 
 def encode(body: Any) -> bytes:
     """A document as JSON. It may hold NumPy values."""
-    return json.dumps(body, default=plain).encode()
+    return json.dumps(body, default=plain, allow_nan=False).encode()
+
+
+def check_json(name: str, value: Any) -> None:
+    """Raises `TypeError` or `ValueError` for what a request cannot hold, with its place."""
+    if isinstance(value, Mapping):
+        for key, each in value.items():
+            check_json(f"{name}.{key}", each)
+    elif isinstance(value, (list, tuple)):
+        for place, each in enumerate(value):
+            check_json(f"{name}[{place}]", each)
+    elif isinstance(value, float) and not math.isfinite(value):
+        raise ValueError(f"`{name}` is {value}: must be a finite number")
+    elif value is not None and not isinstance(value, (str, int, float)):
+        if not hasattr(value, "tolist"):
+            raise TypeError(f"`{name}` is {value!r}: must be a number, a text, a list or a dict")
+        check_json(name, value.tolist())
 
 
 def post(path: str, body: dict[str, Any] | None = None, *, timeout: float = 10.0) -> Request:
     """A command. Keys that are None are left out."""
-    content = encode({key: value for key, value in (body or {}).items() if value is not None})
+    given = {key: value for key, value in (body or {}).items() if value is not None}
+    try:
+        content = encode(given)
+    except (TypeError, ValueError):
+        for key, value in given.items():
+            check_json(key, value)
+        raise
     return Request("POST", path, content, {"Content-Type": "application/json"}, timeout)

@@ -17,7 +17,8 @@ from urllib.parse import urlsplit
 
 from . import _http
 from . import _operations as ops
-from ._bodies import Labels, Late, Trigger, milliseconds, texts, trigger_of
+from ._arguments import drive_list, hints, number, table, whole
+from ._bodies import Labels, Late, Trigger, milliseconds, texts, trial_number, trigger_of
 from ._http import Answer, Op
 from ._operations import Accepted, Core
 from ._plays import KnownPlay
@@ -92,7 +93,7 @@ def start(
         "updates_hz": updates_hz,
         "max_frequency_hz": max_frequency_hz,
         "trigger": trigger_of(trigger),
-        "trial": trial,
+        "trial": trial_number(trial),
         "labels": texts(labels),
         "late": late,
         "replace": replace or None,
@@ -107,7 +108,8 @@ def start(
 def plain_drives(drives: Drives, array: Array | None) -> list[dict[str, Any]]:
     """Drives as JSON has them; NumPy's numbers become Python's. Raises `ValueError` for a motor that the array does not have."""
     plain = [
-        {key: value.tolist() if hasattr(value, "tolist") else value for key, value in drive.items()} for drive in drives
+        {key: value.tolist() if hasattr(value, "tolist") else value for key, value in drive.items()}
+        for drive in drive_list(drives)
     ]
     if array is not None:
         array.check_motors(plain)
@@ -115,7 +117,7 @@ def plain_drives(drives: Drives, array: Array | None) -> list[dict[str, Any]]:
 
 
 def plain_pose(pose: Pose) -> dict[str, float]:
-    return {key: float(value) for key, value in pose.items()}
+    return {key: number(f"pose.{key}", value) for key, value in table("pose", pose, "{'x_mm': 1.5}").items()}
 
 
 def upgrade(core: Core, path: str) -> bytes:
@@ -406,6 +408,7 @@ def outcome(
     return receipt, stopped
 
 
+@hints
 class LivePlay(KnownPlay, Generic[U]):
     """What blocking and asynchronous live plays have in common: the kinds of messages."""
 
@@ -436,12 +439,13 @@ class LivePlay(KnownPlay, Generic[U]):
 
     def set(self, motor: int, *, frequency_hz: float, amplitude_um: float, phase: float = 0.0) -> U:
         """Change one motor. As `send`."""
-        drive = {"motor": motor, "frequency_hz": frequency_hz, "amplitude_um": amplitude_um, "phase": phase}
+        numbers = {"frequency_hz": frequency_hz, "amplitude_um": amplitude_um, "phase": phase}
+        drive = {"motor": whole("motor", motor, -1), **{name: number(name, value) for name, value in numbers.items()}}
         return self.send(drives=[drive])
 
     def scale(self, scale: float) -> U:
         """Multiply all amplitudes, 0 to 1. As `send`."""
-        return self.send(scale=scale)
+        return self.send(scale=number("scale", scale))
 
     def keep(self) -> U:
         """Show that the program is alive, and change nothing. As `send`."""

@@ -10,17 +10,33 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import hashlib
 import os
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Generator, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, ParamSpec, TypeVar
 from urllib.parse import quote
 
 from . import _http, motions
-from ._bodies import At, Fit, Labels, Late, Map, SequenceItem, Trigger, milliseconds, sequence_items, texts, trigger_of
+from ._arguments import number, text
+from ._bodies import (
+    At,
+    Fit,
+    Labels,
+    Late,
+    Map,
+    SequenceItem,
+    Trigger,
+    milliseconds,
+    sequence_items,
+    texts,
+    trial_number,
+    trigger_of,
+)
 from ._endpoint import Endpoint
 from ._http import Answer, Op, Pause, Request
 from ._text_file import text_of
+from ._unreached import warn_of
 from .arrays import Array, of_record
 from .clocks import MAX_SKEW, NS, ClientClock, Instant
 from .errors import (
@@ -29,6 +45,7 @@ from .errors import (
     ConnectionLost,
     DaemonRestarted,
     DeviceTimeout,
+    Exists,
     Faulted,
     MeissnerError,
     NoDevice,
@@ -95,6 +112,10 @@ class Core:
     """When the clock got its last sample."""
     device_clock: dict[str, Any] | None = None
     """The device's clock at that sample, as the status has it, with the device's `boot`."""
+    looked_at: set[bytes] = field(default_factory=set)
+    """The patterns of plays whose receipts this client has looked at for warnings."""
+    warned_of: set[str] = field(default_factory=set)
+    """The patterns that it has warned of."""
 
     @property
     def headers(self) -> dict[str, str]:
@@ -233,7 +254,7 @@ def arm(
     The daemon disarms when it hears nothing of this client for `silence` s, 1 to 86400, as of a program that was killed. A thread
     shows that the program is there. `stay_armed`: silence does not disarm. The end of the client disarms in any case.
     """
-    if not 1.0 <= silence <= 86_400.0:
+    if not 1.0 <= number("silence", silence, " of seconds, 1 to 86400") <= 86_400.0:
         raise ValueError(f"`silence` is {silence} s: must be 1 to 86400, or give `stay_armed=True`")
     statement: dict[str, Any] = {"unattended": True} if stay_armed else {"silence_s": silence}
     body = {"assume_rest": assume_rest, "checked": checked}
@@ -288,6 +309,8 @@ def edge(core: Core, *, after: float | None = None, at: Instant | None = None) -
     """Make an edge at the trigger input of a simulated array: now, in `after` s, or `at` an instant, exact to the tick. A board refuses."""
     if after is not None and at is not None:
         raise ValueError("give `after` or `at`, not both")
+    if at is not None and not isinstance(at, Instant):
+        raise TypeError(f"`at` is {at!r}: must be an instant, such as `play.onset.later(1.0)`; or give `after`, s")
     body = {"at_ms": milliseconds("after", after), "at_tick": at and at.tick}
     return (yield from _command(core, "/v1/edge", body))
 
@@ -302,10 +325,11 @@ def _onset(core: Core, at: At, on_edge: float | None) -> Op[dict[str, Any]]:
         return {}
     if isinstance(at, Instant):
         return {"at_tick": at.tick, "boot": at.boot}
-    core.clock.check(float(at))
+    seconds = number("at", at, " of seconds, such as `m.now() + 0.2`, or an instant, such as `play.onset.later(1.5)`")
+    core.clock.check(seconds)
     if not core.clock.is_shared and core.clock.now_ns() - core.synced_ns > _SYNC_AGE_NS:
         yield from status(core)
-    return {"at_monotonic_ns": core.clock.to_host(round(float(at) * NS))[0]}
+    return {"at_monotonic_ns": core.clock.to_host(round(seconds * NS))[0]}
 
 
 def instant(core: Core, tick: int) -> Op[Instant]:
@@ -325,11 +349,22 @@ def instant(core: Core, tick: int) -> Op[Instant]:
     )
 
 
-def _accepted(core: Core, request: Request, pattern: str) -> Op[Accepted]:
+def _accepted(core: Core, request: Request, pattern: str, played: Any) -> Op[Accepted]:
     raw = yield from document(core, request)
     ordered = raw["ordered_ms"]
     followed = tuple(raw.get("motions", ()))
-    return Accepted(raw["id"], pattern, None if ordered is None else ordered / 1000, core.daemon, followed)
+    accepted = Accepted(raw["id"], pattern, None if ordered is None else ordered / 1000, core.daemon, followed)
+    key = _fingerprint(played)
+    if key not in core.looked_at:
+        core.looked_at.add(key)
+        # The play is queued, whatever becomes of this question.
+        with contextlib.suppress(MeissnerError):
+            warn_of((yield from receipt(core, accepted.id)), core.warned_of)
+    return accepted
+
+
+def _fingerprint(played: Any) -> bytes:
+    return hashlib.sha256(_http.encode(played)).digest()
 
 
 def play(
@@ -366,6 +401,8 @@ def play(
     earlier play, such as `play.onset.later(1.5)`, which is exact to the tick. Without it the play begins as soon as
     it can. `scale` multiplies the amplitudes. `trigger`: a code from 1 to 255, or False for none.
 
+    Warns once a pattern, here or in `wait()`, of what will not be felt as ordered, such as a motor that does not reach its amplitude.
+
     With `on_edge` the play waits for an edge of the trigger input, the first after those before it are over, and begins so many s after
     it, exact to the tick. `stop_on_edge`: the first edge after the onset stops it and clears the queue.
 
@@ -379,6 +416,11 @@ def play(
         given = yield from _inline(core, {"samples": samples, "rate": rate, "drives": drives})
     if given is None:
         raise ValueError("give `pattern`, or `samples` with `rate`, or `drives`")
+    if not isinstance(given, (str, Mapping)):
+        raise TypeError(
+            f"`pattern` is {given!r}: must be a pattern's name, or a dict with the keys of a pattern file; `store_pattern` stores a file"
+        )
+    one_of_map(map)
     name = given if isinstance(given, str) else str(given.get("name", "inline"))
     body = {
         "pattern": given,
@@ -387,7 +429,7 @@ def play(
         "hold_ms": milliseconds("hold", hold),
         "scale": scale,
         "trigger": trigger_of(trigger),
-        "trial": trial,
+        "trial": trial_number(trial),
         "labels": texts(labels),
         "late": late,
         "fit": fit,
@@ -399,7 +441,12 @@ def play(
         "session": core.session and core.session.id,
         **(yield from _onset(core, at, on_edge)),
     }
-    return (yield from _accepted(core, _http.post("/v1/play", body, timeout=_COMPILING), name))
+    return (yield from _accepted(core, _http.post("/v1/play", body, timeout=_COMPILING), name, given))
+
+
+def one_of_map(map: object) -> None:
+    if map not in (None, "nearest"):
+        raise ValueError(f"`map` is {map!r}: must be 'nearest' or None")
 
 
 def _inline(core: Core, given: Mapping[str, Any]) -> Op[dict[str, Any]]:
@@ -442,12 +489,14 @@ def sequence(
     onset, `soa` the distance of onsets, s. `seconds` and `scale` are for items that give none. `strict`, `hold`, `map`,
     `on_edge` and `stop_on_edge`: as in `play`.
     """
+    made = yield from items_of(core, items, isi, soa, seconds, scale)
+    one_of_map(map)
     body = {
-        "items": (yield from items_of(core, items, isi, soa, seconds, scale)),
+        "items": made,
         "name": name,
         "strict": strict or None,
         "hold_ms": milliseconds("hold", hold),
-        "trial": trial,
+        "trial": trial_number(trial),
         "labels": texts(labels),
         "late": late,
         "map": map,
@@ -457,7 +506,8 @@ def sequence(
         "session": core.session and core.session.id,
         **(yield from _onset(core, at, on_edge)),
     }
-    return (yield from _accepted(core, _http.post("/v1/sequence", body, timeout=_COMPILING), name or "sequence"))
+    request = _http.post("/v1/sequence", body, timeout=_COMPILING)
+    return (yield from _accepted(core, request, name or "sequence", [item["pattern"] for item in made]))
 
 
 def items_of(
@@ -480,7 +530,7 @@ def items_of(
 
 def receipt(core: Core, play_id: int | str = "last") -> Op[Receipt]:
     """Ask for what became of a play."""
-    raw = yield from document(core, _http.get(f"/v1/plays/{play_id}"))
+    raw = yield from document(core, _http.get(f"/v1/plays/{quote(str(play_id), safe='')}"))
     return core.receipt(raw)
 
 
@@ -499,7 +549,7 @@ def checked(result: Receipt) -> Receipt:
 
 def wait(core: Core, accepted: Accepted, timeout: float | None = None) -> Op[Receipt]:
     """Wait until a play has ended, at most `timeout` s (then `TimeoutError`), and return its receipt."""
-    deadline = None if timeout is None else core.clock.now_ns() + round(timeout * NS)
+    deadline = None if timeout is None else core.clock.now_ns() + round(number("timeout", timeout, " of seconds") * NS)
     while True:
         left = _LONGEST_WAIT if deadline is None else (deadline - core.clock.now_ns()) / NS
         seconds = max(0.0, min(left, _LONGEST_WAIT))
@@ -512,6 +562,7 @@ def wait(core: Core, accepted: Accepted, timeout: float | None = None) -> Op[Rec
         yield from _same_daemon(core, accepted)
         result = core.receipt(raw)
         if result.is_over:
+            warn_of(result, core.warned_of)
             return result
         if deadline is not None and core.clock.now_ns() >= deadline:
             raise TimeoutError(f"play {accepted.id} is {result.state} after {timeout} s: wait longer, or call `stop()`")
@@ -551,7 +602,7 @@ def patterns(core: Core) -> Op[list[dict[str, Any]]]:
 
 def pattern(core: Core, name: str, *, sha256: str | None = None) -> Op[dict[str, Any]]:
     """Show one pattern with its drives. `sha256` asks for another text of that name, as it was played: the session record keeps it."""
-    path = f"/v1/patterns/{quote(name, safe='')}" + ("" if sha256 is None else f"?sha256={sha256}")
+    path = f"/v1/patterns/{quote(text('name', name), safe='')}" + ("" if sha256 is None else f"?sha256={sha256}")
     raw: dict[str, Any] = yield from document(core, _http.get(path))
     return raw
 
@@ -560,15 +611,37 @@ def store_pattern(core: Core, name: str, toml: str | os.PathLike[str], *, replac
     """Store a pattern: its TOML text, or the path of its file."""
     if isinstance(toml, os.PathLike):
         toml = text_of(toml).replace("\r\n", "\n")
-    path = f"/v1/patterns/{quote(name, safe='')}" + ("?replace=true" if replace else "")
+    elif text("toml", toml).endswith(".toml"):
+        raise ValueError(
+            f"`toml` is {toml!r}: must be the text of a pattern file, or its path as `pathlib.Path({toml!r})`"
+        )
+    path = f"/v1/patterns/{quote(text('name', name), safe='')}" + ("?replace=true" if replace else "")
     request = Request("PUT", path, toml.encode(), {"Content-Type": "application/toml"}, timeout=_STORING)
-    raw: dict[str, Any] = yield from document(core, request)
+    with _library("choose another name"):
+        raw: dict[str, Any] = yield from document(core, request)
+    # It is another pattern now.
+    core.looked_at.discard(_fingerprint(name))
+    core.warned_of.discard(f"`{name}`")
     return raw
 
 
 def remove_pattern(core: Core, name: str) -> Op[None]:
     """Remove a pattern that was stored."""
-    yield from document(core, Request("DELETE", f"/v1/patterns/{quote(name, safe='')}", timeout=_STORING))
+    with _library("the library stays as it is"):
+        yield from document(
+            core, Request("DELETE", f"/v1/patterns/{quote(text('name', name), safe='')}", timeout=_STORING)
+        )
+
+
+@contextlib.contextmanager
+def _library(advice: str) -> Generator[None]:
+    """Advice where the name is one of the library's, which nothing replaces."""
+    try:
+        yield
+    except Exists as error:
+        if "library" not in error.detail:
+            raise
+        raise Exists(error.detail, status=error.status, advice=advice) from None
 
 
 def leave(core: Core) -> Op[None]:

@@ -27,6 +27,7 @@ def check(
     The arguments are those of `sequence`: give all plays of the study as one list, at most 4096. The daemon follows its estimate of the
     drift of pins without telemetry, from level pins on, also if its own device has telemetry.
     """
+    ops.one_of_map(map)
     body = {"items": (yield from ops.items_of(core, items, isi, soa, seconds, scale)), "map": map}
     # Compiling long motions takes a while.
     answer = yield from ops.send(core, _http.post("/v1/sequence/check", body, timeout=60.0))

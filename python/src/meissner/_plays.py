@@ -10,6 +10,7 @@ import warnings
 from collections.abc import Generator
 from typing import TYPE_CHECKING, Any, TypeVar
 
+from ._arguments import listed, table
 from ._bodies import Labels
 from ._operations import Accepted
 from .clocks import Instant
@@ -85,8 +86,9 @@ class KnownPlay:
 def trial_answer(trial: Trial | int, level: float | None, factors: Labels) -> tuple[int, float | None, dict[str, Any]]:
     """A trial's number, and the level and factors of an answer in it: its own `level` is the level, its other factors are factors."""
     if isinstance(trial, (int, numbers.Integral)):
-        return int(trial), level, dict(factors or {})
-    own = {**trial.factors, **(factors or {})}
+        return int(trial), level, {} if factors is None else table("factors", factors, "{'block': 2}")
+    check_trial("trial", trial)
+    own = {**trial.factors, **({} if factors is None else table("factors", factors, "{'block': 2}"))}
     if level is None and isinstance(own.get("level"), numbers.Real) and not isinstance(own["level"], bool):
         level = own.pop("level")
     return trial.number, level, own
@@ -108,7 +110,7 @@ def answered(plays: Iterable[Mapping[str, Any]], factors: Mapping[str, Any]) -> 
     found = []
     for row in plays:
         answer = row.get("answer") if row["item"] is None else None
-        if answer and None not in (answer["level"], answer["correct"]) and wanted <= answer["factors"].items():
+        if answer and None not in (answer.get("level"), answer.get("correct")) and wanted <= answer["factors"].items():
             found.append((float(answer["level"]), bool(answer["correct"])))
     return found
 
@@ -116,7 +118,15 @@ def answered(plays: Iterable[Mapping[str, Any]], factors: Mapping[str, Any]) -> 
 def unanswered(plays: Iterable[Mapping[str, Any]], trials: Iterable[Trial]) -> list[Trial]:
     """The trials that have no answer in the recorded plays."""
     finished = {row["trial"] for row in plays if row.get("answer")}
-    return [trial for trial in trials if trial.number not in finished]
+    wanted = listed("trials", trials, "that of `two_afc(...)`")
+    for place, trial in enumerate(wanted):
+        check_trial(f"trials[{place}]", trial)
+    return [trial for trial in wanted if trial.number not in finished]
+
+
+def check_trial(name: str, trial: object) -> None:
+    if not hasattr(trial, "factors"):
+        raise TypeError(f"`{name}` is {trial!r}: must be a `Trial`, as of `two_afc(...)`, or its number")
 
 
 @contextlib.contextmanager

@@ -5,14 +5,16 @@ from __future__ import annotations
 import contextlib
 import warnings
 from typing import Any
+from urllib.parse import quote
 
 from . import _http, _kept
+from ._arguments import number, table, text
 from ._bodies import Labels, Verdict, texts, verdict
 from ._http import Op
 from ._operations import Accepted, Core, Owned, document, send, status, stop, wait_until_idle
 from ._presses import Press
 from .clocks import Instant
-from .errors import ApiError, IncompleteSession, NotFound, SessionOver, SessionRunning
+from .errors import ApiError, Exists, IncompleteSession, NotFound, SessionOver, SessionRunning
 
 
 def session(
@@ -132,15 +134,27 @@ def answer(
 
     A `Press` has its time: from the play's `onset`.
     """
-    given = dict(factors or {})
+    given: dict[str, Any] = {} if factors is None else table("factors", factors, "{'block': 2}")
     if isinstance(response, Press) and onset is not None:
         at = response.at(onset)
         given |= {"response_tick": at.tick, "response_uncertainty_s": f"{at.monotonic_uncertainty:.6f}"}
+        if response.is_early(onset):
+            given["response_early"] = "true"
         rt_ms = response.after(onset) * 1000 if rt_ms is None else rt_ms
     said = response.name if isinstance(response, Press) else response
-    numbers = {"rt_ms": None if rt_ms is None else float(rt_ms), "level": None if level is None else float(level)}
+    numbers = {
+        name: None if value is None else number(name, value) for name, value in (("rt_ms", rt_ms), ("level", level))
+    }
     body = {"response": str(said), "correct": verdict(correct), **numbers}
-    yield from document(core, _http.post(f"/v1/plays/{accepted.id}/answer", {**body, "factors": texts(given)}))
+    try:
+        yield from document(core, _http.post(f"/v1/plays/{accepted.id}/answer", {**body, "factors": texts(given)}))
+    except Exists as error:
+        raise Exists(error.detail, status=error.status, advice="the first one counts") from None
+    except SessionOver:
+        raise
+    except SessionRunning as error:
+        advice = "play it in the block of `with m.session(...)`, and answer before its end"
+        raise SessionRunning(error.detail, status=error.status, advice=advice) from None
 
 
 def sessions(core: Core) -> Op[list[dict[str, Any]]]:
@@ -161,7 +175,7 @@ def session_plays(core: Core, session_id: str) -> Op[dict[str, Any]]:
     """The recorded plays of a session, all pages: keys `session`, `plays`, `complete`, `missing`, `lost`, `problems`."""
     plays: list[dict[str, Any]] = []
     while True:
-        path = f"/v1/sessions/{session_id}/plays?from={len(plays)}"
+        path = f"/v1/sessions/{quote(text('session_id', session_id), safe='')}/plays?from={len(plays)}"
         page: dict[str, Any] = yield from document(core, _http.get(path, timeout=60.0))
         plays += page["plays"]
         if not page["more"]:

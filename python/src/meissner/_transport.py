@@ -63,6 +63,10 @@ def _streaming() -> httpx.Timeout:
     return httpx.Timeout(10.0, read=SILENCE)
 
 
+def _closed() -> MeissnerError:
+    return MeissnerError("the client is closed: work inside its `with` block, or connect again")
+
+
 class BlockingTransport:
     """Sends requests and waits for the answers. Threads may share one."""
 
@@ -78,6 +82,8 @@ class BlockingTransport:
 
     def perform(self, request: Request) -> Answer:
         """Sends one request."""
+        if self._client.is_closed:
+            raise _closed()
         if request.fresh:
             with self._open(fresh=True) as client:
                 return self._send(client, request)
@@ -104,6 +110,8 @@ class BlockingTransport:
         """Opens a stream on a connection of its own."""
         import httpx
 
+        if self._client.is_closed:
+            raise _closed()
         with self._open(fresh=True) as client:
             try:
                 with client.stream("GET", path, headers=self._headers(), timeout=_streaming()) as response:
@@ -137,6 +145,8 @@ class AsyncTransport:
 
     async def perform(self, request: Request) -> Answer:
         """Sends one request."""
+        if self._client.is_closed:
+            raise _closed()
         if request.fresh:
             async with self._open(fresh=True) as client:
                 return await self._send(client, request)
@@ -160,6 +170,8 @@ class AsyncTransport:
         """Opens a stream on a connection of its own."""
         import httpx
 
+        if self._client.is_closed:
+            raise _closed()
         async with self._open(fresh=True) as client:
             try:
                 async with client.stream("GET", path, headers=self._headers(), timeout=_streaming()) as response:

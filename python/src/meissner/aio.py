@@ -8,15 +8,17 @@ async with await meissner.connect_async() as m:
 from __future__ import annotations
 
 import asyncio
+import os
 from collections.abc import AsyncGenerator, Awaitable, Callable, Generator, Iterable
 from types import TracebackType
 from typing import Any, Concatenate, ParamSpec, TypeVar
 
-from . import _ending, _exports, _live, _plan, _sessions, program
+from . import _ending, _exports, _live, _plan, _sessions, bids, nwb, program
 from . import _operations as ops
 from ._aio_live import AsyncLive
 from ._alive import Alive
 from ._answers import AsyncAnswerable
+from ._arguments import hinted, hints
 from ._bodies import Labels, Verdict
 from ._http import Answer, Op, Pause, Step
 from ._operations import Accepted, Core
@@ -37,6 +39,7 @@ def _awaiting(
     operation: Callable[Concatenate[Core, P], Op[T]],
 ) -> Callable[Concatenate[AsyncClient, P], Awaitable[T]]:
     """A method that runs this operation."""
+    operation = hinted(operation)
 
     async def method(client: AsyncClient, /, *args: P.args, **kwargs: P.kwargs) -> T:
         return await client.run(operation(client.core, *args, **kwargs))
@@ -46,6 +49,7 @@ def _awaiting(
 
 def _arming(operation: Callable[Concatenate[Core, P], Op[T]]) -> Callable[Concatenate[AsyncClient, P], Awaitable[T]]:
     """A method that arms, and shows signs of life from then on."""
+    operation = hinted(operation)
 
     async def method(client: AsyncClient, /, *args: P.args, **kwargs: P.kwargs) -> T:
         try:
@@ -61,6 +65,7 @@ def _playing(
     operation: Callable[Concatenate[Core, P], Op[Accepted]],
 ) -> Callable[Concatenate[AsyncClient, P], Awaitable[AsyncPlay]]:
     """A method that orders a play and returns it."""
+    operation = hinted(operation)
 
     async def method(client: AsyncClient, /, *args: P.args, **kwargs: P.kwargs) -> AsyncPlay:
         play = AsyncPlay(client, await client.run(operation(client.core, *args, **kwargs)))
@@ -74,6 +79,7 @@ def _living(
     operation: Callable[Concatenate[Core, P], Op[_live.Started]],
 ) -> Callable[Concatenate[AsyncClient, P], AsyncLive]:
     """A method that returns a live play, which starts with `async with` or `await`."""
+    operation = hinted(operation)
 
     def method(client: AsyncClient, /, *args: P.args, **kwargs: P.kwargs) -> AsyncLive:
         return AsyncLive(client, operation(client.core, *args, **kwargs), kwargs.get("trial"))
@@ -85,6 +91,7 @@ def _opening(
     operation: Callable[Concatenate[Core, P], Op[dict[str, Any]]],
 ) -> Callable[Concatenate[AsyncClient, P], AsyncSession]:
     """A method that returns a session, which starts with `async with` or `await`."""
+    operation = hinted(operation)
 
     def method(client: AsyncClient, /, *args: P.args, **kwargs: P.kwargs) -> AsyncSession:
         return AsyncSession(client, operation(client.core, *args, **kwargs))
@@ -92,6 +99,7 @@ def _opening(
     return ops.named_after(operation, method)
 
 
+@hints
 class AsyncPlay(AsyncAnswerable):
     """A play that the daemon has taken."""
 
@@ -111,6 +119,7 @@ class AsyncPlay(AsyncAnswerable):
         return self._receipt
 
 
+@hints
 class AsyncSession:
     """A session that this client owns: it starts with `async with` or `await`, and ends with its block or `end()`."""
 
@@ -161,6 +170,14 @@ class AsyncSession:
         self._client.alive.begin()
         return self
 
+    async def export_bids(self, root: str | os.PathLike[str], **options: Any) -> bids.Export:
+        """Write the session, which is over, into a BIDS dataset. `Client.export_bids` has the options."""
+        return await self._client.export_bids(self.id, root, **options)
+
+    async def export_nwb(self, file: str | os.PathLike[str], **options: Any) -> nwb.Export:
+        """Write the session, which is over, as an NWB file. `Client.export_nwb` has the options."""
+        return await self._client.export_nwb(self.id, file, **options)
+
     async def end(self) -> None:
         """End the session. As `Session.end`."""
         await self._leave(failed=False)
@@ -191,6 +208,7 @@ class AsyncSession:
                 raise
 
 
+@hints
 class AsyncClient:
     """A connection to a daemon. As a context manager it disarms, if it has armed, and closes."""
 

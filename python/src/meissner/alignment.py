@@ -13,6 +13,8 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from ._arguments import hinted, number
+from ._arguments import listed as given
 from .clocks import MAX_SKEW
 
 _TRIED = 10
@@ -46,6 +48,7 @@ class Aligned:
         return self.offset + (tick - self.first_tick) * self.per_tick
 
 
+@hinted
 def align(ticks: Sequence[int], times: Sequence[float], *, tick_hz: int, within: float = 0.001) -> Aligned:
     """Map the device's ticks to the clock of another recorder by pulses that both have.
 
@@ -56,10 +59,10 @@ def align(ticks: Sequence[int], times: Sequence[float], *, tick_hz: int, within:
     Raises `ValueError` if the lists have too little in common, if they fit in two ways, as pulses at equal intervals do, or if no line fits
     them, because a clock was set.
     """
-    if not (within > 0 and tick_hz > 0):
+    if not (number("within", within) > 0 and number("tick_hz", tick_hz) > 0):
         raise ValueError(f"`within` is {within} and `tick_hz` is {tick_hz}: both must be above 0")
-    device = [(float(tick) - float(ticks[0])) / tick_hz for tick in ticks]
-    recorder = [float(time) for time in times]
+    device = [(float(tick) - float(ticks[0])) / tick_hz for tick in given("ticks", ticks, "[850000, 935000]")]
+    recorder = [float(time) for time in given("times", times, "[10.0, 11.0]")]
     for name, listed in (("ticks", device), ("times", recorder)):
         if len(listed) < _LEAST:
             raise ValueError(f"`{name}` has {len(listed)} pulses: at least {_LEAST} are needed")

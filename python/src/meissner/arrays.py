@@ -10,11 +10,14 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from ._arguments import hints, number
+
 _PAPER = {"array": "tula35-6x4", "tick_hz": 85_000, "mapped_from": None}
 _PAPER_GRID = (6, 4, 2.9)
 _PAPER_MOTOR = {"speed_mm_s": 11.5, "window_ms": 4.3, "travel_um": 400.0}
 
 
+@hints
 @dataclass(frozen=True)
 class Array:
     """An array of pins."""
@@ -67,11 +70,11 @@ class Array:
 
     def ticks(self, seconds: float) -> int:
         """The nearest number of ticks to a time."""
-        return round(seconds * self.tick_hz)
+        return round(number("seconds", seconds) * self.tick_hz)
 
     def seconds(self, ticks: int) -> float:
         """How long ticks last, s."""
-        return ticks / self.tick_hz
+        return number("ticks", ticks) / self.tick_hz
 
     def check_motors(self, drives: Iterable[Mapping[str, Any]]) -> None:
         """Raises `ValueError` for a drive whose motor the array does not have."""

@@ -24,6 +24,7 @@ from ._labels import Labels, exact
 from .arrays import of_record
 from .errors import ProgramError
 from .motions import pattern_toml
+from .results import reached_um
 from .traces import ArrayName, Grid, is_blank
 
 VERSION = "1.10.0"
@@ -112,8 +113,11 @@ def stimulus_rows(plays: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def trial_rows(plays: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """The rows that are plays or whole sequences, and began; sorted by onset, each with its array."""
+    """The rows that are plays or whole sequences, and began; sorted by onset, each with its array. Sequences have the `reached_um` of their items."""
     rows = [of_record(play) for play in plays if play["onset_tick"] is not None and play["item"] is None]
+    for row in rows:
+        same = [um for play in plays if play["play"] == row["play"] and (um := reached_um(play)) is not None]
+        row["reached_um"] = max(same, default=None)
     return sorted(rows, key=lambda row: int(row["onset_monotonic_ns"]))
 
 
@@ -228,7 +232,7 @@ def _event(row: Mapping[str, Any], zero: int, stimuli: Mapping[str, str], labels
         "stim_file": stimuli.get(row["pattern_sha256"] or ""),
         "trial": row["trial"],
         "scale": row["scale"],
-        "reached_um": row["reached_um"],
+        "reached_um": reached_um(row),
         "first_pulse": None if pulse_ns is None else f"{(pulse_ns - zero) / 1e9:.9f}",
         "state": row["state"],
         "late_strokes": row["late_strokes"],

@@ -5,14 +5,16 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Generator, Iterable
 from types import TracebackType
 from typing import Any, Concatenate, ParamSpec, TypeVar
 
-from . import _ending, _exports, _http, _live, _plan, _sessions, program
+from . import _ending, _exports, _http, _live, _plan, _sessions, bids, nwb, program
 from . import _operations as ops
 from ._alive import Alive
 from ._answers import Answerable
+from ._arguments import hinted, hints
 from ._bodies import Labels, Verdict
 from ._http import Op
 from ._operations import Accepted, Core
@@ -32,6 +34,7 @@ T = TypeVar("T")
 
 def _blocking(operation: Callable[Concatenate[Core, P], Op[T]]) -> Callable[Concatenate[Client, P], T]:
     """A method that runs this operation and waits for its end."""
+    operation = hinted(operation)
 
     def method(client: Client, /, *args: P.args, **kwargs: P.kwargs) -> T:
         return client.run(operation(client.core, *args, **kwargs))
@@ -41,6 +44,7 @@ def _blocking(operation: Callable[Concatenate[Core, P], Op[T]]) -> Callable[Conc
 
 def _arming(operation: Callable[Concatenate[Core, P], Op[T]]) -> Callable[Concatenate[Client, P], T]:
     """A method that arms, and shows signs of life from then on."""
+    operation = hinted(operation)
 
     def method(client: Client, /, *args: P.args, **kwargs: P.kwargs) -> T:
         try:
@@ -54,6 +58,7 @@ def _arming(operation: Callable[Concatenate[Core, P], Op[T]]) -> Callable[Concat
 
 def _playing(operation: Callable[Concatenate[Core, P], Op[Accepted]]) -> Callable[Concatenate[Client, P], Play]:
     """A method that orders a play and returns it."""
+    operation = hinted(operation)
 
     def method(client: Client, /, *args: P.args, **kwargs: P.kwargs) -> Play:
         play = Play(client, client.run(operation(client.core, *args, **kwargs)))
@@ -65,6 +70,7 @@ def _playing(operation: Callable[Concatenate[Core, P], Op[Accepted]]) -> Callabl
 
 def _living(operation: Callable[Concatenate[Core, P], Op[_live.Started]]) -> Callable[Concatenate[Client, P], Live]:
     """A method that starts a live play and returns it."""
+    operation = hinted(operation)
 
     def method(client: Client, /, *args: P.args, **kwargs: P.kwargs) -> Live:
         play = Live(client, client.run(operation(client.core, *args, **kwargs)))
@@ -78,6 +84,7 @@ def _opening(
     operation: Callable[Concatenate[Core, P], Op[dict[str, Any]]],
 ) -> Callable[Concatenate[Client, P], Session]:
     """A method that starts a session and returns it."""
+    operation = hinted(operation)
 
     def method(client: Client, /, *args: P.args, **kwargs: P.kwargs) -> Session:
         session = Session(client, client.run(operation(client.core, *args, **kwargs)))
@@ -88,6 +95,7 @@ def _opening(
     return ops.named_after(operation, method)
 
 
+@hints
 class Play(Answerable):
     """A play that the daemon has taken."""
 
@@ -110,6 +118,7 @@ class Play(Answerable):
         return self._receipt
 
 
+@hints
 class Session:
     """A running session that this client owns. As a context manager it ends with its block."""
 
@@ -154,6 +163,14 @@ class Session:
         """Why the last sign of life did not reach the daemon; None if it did."""
         return self._client.alive.problem
 
+    def export_bids(self, root: str | os.PathLike[str], **options: Any) -> bids.Export:
+        """Write the session, which is over, into a BIDS dataset. `Client.export_bids` has the options."""
+        return self._client.export_bids(self.id, root, **options)
+
+    def export_nwb(self, file: str | os.PathLike[str], **options: Any) -> nwb.Export:
+        """Write the session, which is over, as an NWB file. `Client.export_nwb` has the options."""
+        return self._client.export_nwb(self.id, file, **options)
+
     def end(self) -> None:
         """End the session, after its plays have ended. A session that is over already is left.
 
@@ -184,6 +201,7 @@ class Session:
                 raise
 
 
+@hints
 class Client:
     """A connection to a daemon. As a context manager it takes back what it has armed, and closes.
 

@@ -19,6 +19,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
+from ._arguments import hints, number
 from .errors import NotKnownYet
 
 NS = 1_000_000_000
@@ -28,6 +29,7 @@ _MAX_SAMPLES = 64
 _DAY = 86_400.0
 
 
+@hints
 @dataclass(frozen=True)
 class Instant:
     """One moment of a play, on every clock."""
@@ -63,7 +65,7 @@ class Instant:
 
     def later(self, seconds: float) -> Instant:
         """The instant `seconds` later, at a whole tick. As the `at` of a play it makes the distance exact to the tick."""
-        ticks = round(seconds * self.tick_hz)
+        ticks = round(number("seconds", seconds) * self.tick_hz)
         shift_ns = round(ticks * NS / self.tick_hz)
         widened = abs(ticks) / self.tick_hz * MAX_SKEW
         return replace(

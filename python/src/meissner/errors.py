@@ -72,11 +72,14 @@ class ApiError(MeissnerError):
             cls.code, cls.advice = code, advice
             ApiError.by_code[code] = cls
 
-    def __init__(self, detail: str, *, status: int, title: str = "", code: str | None = None) -> None:
+    def __init__(
+        self, detail: str, *, status: int, title: str = "", code: str | None = None, advice: str | None = None
+    ) -> None:
         self.detail, self.status, self.title = detail, status, title
         if code is not None:
             self.code = code
-        super().__init__(f"{detail} [{self.code}{': ' + self.advice if self.advice else ''}]")
+        advice = self.advice if advice is None else advice
+        super().__init__(f"{detail} [{self.code}{': ' + advice if advice else ''}]")
 
     @staticmethod
     def of(problem: dict[str, Any], status: int) -> ApiError:
@@ -101,7 +104,9 @@ class BadRequest(ApiError, code="bad-request", advice="correct the value that th
     """A value of the request is out of range."""
 
 
-class NotFound(ApiError, code="not-found", advice="check the name or id; `patterns()` lists the patterns"):
+class NotFound(
+    ApiError, code="not-found", advice="check the name or id; `patterns()` and `sessions()` list what there is"
+):
     """There is no such pattern, play or session."""
 
 

@@ -20,6 +20,7 @@ from urllib.parse import urlsplit
 from . import _live
 from . import _operations as ops
 from ._answers import Answerable
+from ._arguments import hints, number
 from ._endpoint import Endpoint
 from ._live import END_TIMEOUT, Drives, KnownUpdate, LivePlay, Pose, Started, Updates
 from ._operations import Core
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
 _CONNECT_TIMEOUT = 10.0
 
 
+@hints
 class Update(KnownUpdate):
     """A message of a live play."""
 
@@ -47,9 +49,10 @@ class Update(KnownUpdate):
 
         Waiting is no sign of life: if it takes longer than the play's `timeout`, the daemon ends the play.
         """
-        return self._live._wait_for(self, timeout)
+        return self._live._wait_for(self, None if timeout is None else number("timeout", timeout, " of seconds"))
 
 
+@hints
 class Live(LivePlay[Update], Answerable):
     """A live play. As a context manager it ends with its block; `receipt` and `wait()` then say what became of it."""
 

@@ -1,4 +1,4 @@
-"""Lab streaming layer: markers with the true onsets, telemetry, and plays on incoming markers. It needs `pylsl`: `meissner[lsl]`.
+"""Lab streaming layer: markers with the true onsets, telemetry, and plays on incoming markers. It needs `pylsl`: `pip install 'pylsl>=1.18'`.
 
     with meissner.connect() as m, lsl.Bridge(m):
         ...                                  # experiment as usual; every play makes markers
@@ -22,6 +22,7 @@ from dataclasses import dataclass, replace
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
+from ._arguments import hints
 from ._operations import Core
 from .clocks import NS, Instant
 from .errors import MeissnerError
@@ -39,7 +40,7 @@ def needs_pylsl() -> Any:
     try:
         import pylsl
     except (ImportError, RuntimeError) as error:
-        raise ImportError(f"LSL needs the package pylsl: pip install 'meissner[lsl]' ({error})") from error
+        raise ImportError(f"LSL needs the package pylsl: pip install 'pylsl>=1.18' ({error})") from error
     return pylsl
 
 
@@ -77,6 +78,7 @@ def text_of(what: str, pattern: str, raw: Mapping[str, Any]) -> str:
     return f"{what}/{pattern}"
 
 
+@hints
 class Bridge:
     """Sends markers and telemetry of a daemon to LSL, and plays on incoming markers. Runs until its block ends."""
 

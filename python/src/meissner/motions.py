@@ -14,6 +14,7 @@ import sys
 from collections.abc import Iterable, Mapping
 from typing import Any, Union
 
+from ._arguments import drive_list, listed, number, whole
 from .program import toml_value
 
 Samples = Union[Mapping[int, Any], Any]
@@ -24,10 +25,18 @@ RATE = (1.0, 8000.0)
 """Rates of samples, Hz."""
 
 
+_SUCH_AS = "{9: [0, 20, 20, 0]}, or an array of shape (time, motors)"
+
+
+def _row(name: str, um: Any) -> list[Any]:
+    """The samples of a motor, or of an instant."""
+    return listed(name, um, "[0, 20, 20, 0]")
+
+
 def _columns(samples: Samples) -> int:
     """How many motors the samples are of."""
     if isinstance(samples, Mapping):
-        return 1 + max((int(motor) for motor in samples), default=0)
+        return 1 + max((whole("motor", motor, 0) for motor in samples), default=0)
     shape = getattr(samples, "shape", None)
     if shape is not None:
         return int(shape[-1])
@@ -37,14 +46,17 @@ def _columns(samples: Samples) -> int:
 def _by_motor(samples: Samples, motors: int) -> dict[int, Any]:
     """The samples of each motor: of a mapping, or of an array of shape (time, motors), whose pins that stay at rest are left out."""
     if isinstance(samples, Mapping):
-        return {int(motor): um for motor, um in samples.items()}
+        return {whole("motor", motor, 0): um for motor, um in samples.items()}
     shape = getattr(samples, "shape", None)
     if shape is not None:
         if len(shape) != 2 or shape[1] != motors:
             raise ValueError(f"samples have the shape {tuple(shape)}: must be (time, {motors}), or a dict by motor")
         columns = {motor: samples[:, motor] for motor in range(motors)}
     else:
-        rows = [list(row) for row in samples]
+        rows = listed("samples", samples, _SUCH_AS)
+        if rows and not isinstance(rows[0], (list, tuple)) and not getattr(rows[0], "shape", ()):
+            raise TypeError(f"`samples` are one row of values: must be {_SUCH_AS}")
+        rows = [_row(f"samples[{place}]", row) for place, row in enumerate(rows)]
         wrong = next((number for number, row in enumerate(rows) if len(row) != motors), None)
         if wrong is not None:
             raise ValueError(f"samples at {wrong} are of {len(rows[wrong])} motors: must be of {motors}")
@@ -58,14 +70,19 @@ def _wave(motor: int, um: Iterable[float], rate: float, start: float, most_um: f
     shape = getattr(um, "shape", None)
     if shape is not None and len(shape) != 1:
         raise ValueError(f"motor {motor}: samples have the shape {tuple(shape)}: must be one row of numbers")
-    values = [float(value) for value in um]
+    try:
+        values = [float(value) for value in _row(f"samples[{motor}]", um)]
+    except (TypeError, ValueError) as error:
+        if "must be a list" in str(error):
+            raise
+        raise TypeError(f"`samples[{motor}]` has values that are no numbers: {error}") from None
     if len(values) < 2:
         raise ValueError(f"motor {motor} has {len(values)} samples: must be 2 or more")
-    for number, value in enumerate(values):
+    for place, value in enumerate(values):
         if not 0.0 <= value <= most_um + 0.001:
-            at = start + number / rate
+            at = start + place / rate
             wanted = f"0 to {most_um:g} um above rest" if math.isfinite(value) else "a number"
-            raise ValueError(f"motor {motor}: sample {number} at {at:g} s is {value:g}: must be {wanted}")
+            raise ValueError(f"motor {motor}: sample {place} at {at:g} s is {value:g}: must be {wanted}")
     packed = array.array("f", values)
     if sys.byteorder == "big":
         packed.byteswap()
@@ -90,7 +107,9 @@ def pattern(
     """
     keys: dict[str, Any] = {} if name is None else {"name": name}
     if samples is not None:
-        if rate is None or not RATE[0] <= rate <= RATE[1]:
+        if rate is None:
+            raise ValueError(f"`samples` need `rate`: how many are a second, {RATE[0]:g} to {RATE[1]:g} Hz")
+        if not RATE[0] <= number("rate", rate, ", Hz") <= RATE[1]:
             raise ValueError(f"`rate` is {rate} Hz: must be {RATE[0]:g} to {RATE[1]:g}")
         if not 0.0 <= start <= 1e8:
             raise ValueError(f"`start` is {start} s: must be 0 or more")
@@ -98,7 +117,7 @@ def pattern(
         of = _by_motor(samples, count)
         keys["wave"] = [_wave(motor, of[motor], float(rate), start, most_um, count) for motor in sorted(of)]
     if drives is not None:
-        keys["drive"] = [dict(drive) for drive in drives]
+        keys["drive"] = drive_list(drives)
     if not keys.get("wave") and not keys.get("drive"):
         raise ValueError("nothing would move: give `samples` with `rate`, or `drives`")
     return keys

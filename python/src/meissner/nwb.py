@@ -1,6 +1,6 @@
 """NWB: writes a recorded session as a file with a table of stimuli, the pins' displacement, and the device.
 
-`Client.export_nwb` uses it; it needs `pynwb`: `pip install 'meissner[nwb]'`. Times count from the session's start on the
+`Client.export_nwb` uses it; it needs `pynwb`: `pip install 'pynwb>=4'`. Times count from the session's start on the
 recording PC's clock. The displacement has samples during stimuli alone: in between all pins rest.
 
 Invariant: a file that is there is replaced whole, and only once everything was written.
@@ -23,7 +23,7 @@ from .bids import answer_cells, edge_cells, first_pulse_ns, losses, stimulus_row
 from .clocks import NS
 from .errors import MeissnerError, ProgramError
 from .motions import pattern_toml
-from .results import Status
+from .results import Status, reached_um
 from .traces import ArrayName, Grid
 
 _COLUMNS = {
@@ -70,7 +70,7 @@ def needs_pynwb() -> Any:
     try:
         import pynwb
     except ImportError as error:
-        raise ImportError(f"NWB needs the package pynwb: pip install 'meissner[nwb]' ({error})") from error
+        raise ImportError(f"NWB needs the package pynwb: pip install 'pynwb>=4' ({error})") from error
     return pynwb
 
 
@@ -188,6 +188,7 @@ def _table(pynwb: Any, rows: list[dict[str, Any]], labels: Labels, zero_ns: int)
             "timestamp": (row["onset_monotonic_ns"] - zero_ns) / NS,
             "duration": math.nan if row["played_ms"] is None else row["played_ms"] / 1000,
             "pattern_sha256": row["pattern_sha256"] or "",
+            "reached_um": reached_um(row),
             "mapped_from": row["mapped_from"] or "",
             **{name: cell or "" for name, cell in labels.cells(row).items()},
             "first_pulse": None if (pulse_ns := first_pulse_ns(row)) is None else (pulse_ns - zero_ns) / NS,
@@ -231,13 +232,17 @@ def _add_trials(nwb: Any, plays: list[dict[str, Any]], session: Mapping[str, Any
     if not plays:
         return
     labels = Labels(session, plays)
-    numbers = ("trial", "response_time", "level")
-    about = {name: _COLUMNS[name] for name in ("play", "trial", "response", "correct", "response_time", "level")}
+    numbers = ("trial", "response_time", "level", "reached_um")
+    about = {
+        name: _COLUMNS[name]
+        for name in ("play", "trial", "response", "correct", "response_time", "level", "reached_um")
+    }
     about |= {column.name: f"{column.description}; empty: none" for column in labels.columns}
     for name, meaning in about.items():
         nwb.add_trial_column(name=name, description=meaning)
     for play in plays:
-        cells = {"play": play["play"], "trial": play["trial"], **answer_cells(play), **labels.cells(play)}
+        known = {name: play[name] for name in ("play", "trial", "reached_um")}
+        cells = {**known, **answer_cells(play), **labels.cells(play)}
         nwb.add_trial(
             start_time=(play["onset_monotonic_ns"] - zero_ns) / NS,
             stop_time=(play["offset_monotonic_ns"] - zero_ns) / NS,

@@ -21,8 +21,9 @@ from pathlib import Path
 from typing import Any, Literal, Union
 
 from . import _ending
+from ._arguments import hinted, hints
 from ._endpoint import has_unix_sockets
-from ._http import plain
+from ._http import check_json, plain
 from .arrays import Array
 from .errors import ProgramError
 
@@ -61,9 +62,16 @@ def _run(arguments: Sequence[str], stdin: str | None = None) -> Any:
     command = [find_program(), *arguments, "--json"]
     ended = subprocess.run(command, input=stdin, capture_output=True, text=True, encoding="utf-8", check=False)
     if ended.returncode != 0:
-        lines = ended.stderr.strip().splitlines() or [f"exit code {ended.returncode}"]
-        raise ProgramError(f"`meissner {arguments[0]}` failed: {lines[-1]}")
+        raise failure(arguments[0], ended.stderr, ended.returncode)
     return json.loads(ended.stdout)
+
+
+def failure(command: str, stderr: str, code: int) -> ProgramError:
+    """Why a command has failed."""
+    lines = stderr.strip().splitlines() or [f"exit code {code}"]
+    # What is wrong with the arguments stands in front of the usage; other errors are the last line.
+    said = next((line.removeprefix("error: ") for line in lines if line.startswith("error: ")), lines[-1])
+    return ProgramError(f"`meissner {command}` failed: {said}")
 
 
 def find_array(array: str | os.PathLike[str]) -> Array:
@@ -92,6 +100,7 @@ class Simulation:
     """The program's whole answer."""
 
 
+@hinted
 def simulate(scene: Scene, *, model: str | None = None, rates_only: bool = False) -> Simulation:
     """Predict the spikes of a scene's afferents.
 
@@ -101,6 +110,7 @@ def simulate(scene: Scene, *, model: str | None = None, rates_only: bool = False
     arguments = ["simulate"]
     if isinstance(scene, Mapping):
         arguments.append("-")
+        check_json("scene", scene)
         text = json.dumps(scene, default=plain)
     else:
         arguments.append(os.fspath(scene))
@@ -125,6 +135,7 @@ class Design:
     """What the search says: objective, rates, and what two rules of thumb reach (`baselines`)."""
 
 
+@hinted
 def design(
     target: str,
     *,
@@ -193,6 +204,7 @@ class Rendering:
     """What the program says: `duration_s`, `motors`, `highest_um`, `method`, and the times that it took."""
 
 
+@hinted
 def render(
     object: Object,
     *,
@@ -271,6 +283,7 @@ Board = Union[bool, Literal["lower-stop"]]
 keeps them at rest, or without one."""
 
 
+@hints
 class Daemon:
     """A daemon with the simulated array, for a script or a test. It keeps its files in a folder that goes with it."""
 
@@ -278,6 +291,8 @@ class Daemon:
         """Starts it. `config` is text for its configuration file, such as `session_silence_s = 5`. `board`: whether the simulated array is as
         a board is; `"lower-stop"`: as one whose array has a lower stop.
         """
+        if board not in (True, False, "lower-stop"):
+            raise ValueError(f"`board` is {board!r}: must be True, False or 'lower-stop'")
         program = find_program()
         if not has_unix_sockets():
             raise ProgramError("the daemon runs on Linux only: connect to the URL of a PC where it runs")

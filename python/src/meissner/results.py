@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -72,6 +73,12 @@ class PlanCheck:
         )
 
 
+def reached_um(row: Mapping[str, Any]) -> float | None:
+    """What the drives of a recorded play or an item reach, µm; None: not known. A motion without drives is recorded as 0."""
+    reached: float | None = row["reached_um"]
+    return None if reached == 0 and row["ordered_um"] else reached
+
+
 @dataclass(frozen=True)
 class Item:
     """What became of an item of a sequence."""
@@ -82,6 +89,8 @@ class Item:
     onset: Instant | None
     offset: Instant | None
     scale: float
+    reached_um: float | None
+    """The largest amplitude that its drives reach, peak to peak, µm, by the motor model; None: not known, as of motions."""
     raw: dict[str, Any] = field(repr=False)
 
 
@@ -134,6 +143,15 @@ class Receipt:
         """Whether the play has ended."""
         return self.state not in ("queued", "running")
 
+    @property
+    def reached_um(self) -> float | None:
+        """The largest amplitude that the drives reach, peak to peak, µm, by the motor model, whatever was ordered.
+
+        Of a sequence that is over, that of its items. None: not known, as of motions.
+        """
+        drives: list[float] = [drive["reached_um"] for drive in self.raw["drives"]]
+        return max(drives + [item.reached_um for item in self.items if item.reached_um is not None], default=None)
+
     @staticmethod
     def of(raw: dict[str, Any], clock: ClientClock) -> Receipt:
         """The receipt in a document that names its array, with instants by this clock."""
@@ -167,6 +185,7 @@ class Receipt:
                     onset=instant(item["onset"]),
                     offset=instant(item["offset"]),
                     scale=item["scale"],
+                    reached_um=reached_um(item),
                     raw=item,
                 )
                 for item in raw["items"] or ()

@@ -16,9 +16,10 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import IO, Any, Literal
 
+from ._arguments import hinted
 from .clocks import NS
 from .errors import ProgramError
-from .program import as_array, find_array, find_program
+from .program import as_array, failure, find_array, find_program
 
 ArrayName = str | os.PathLike[str]
 """The name of an array that the program ships, or the file of a description."""
@@ -37,6 +38,7 @@ class Displacement:
     """A row per sample with a column per motor, µm upwards: an array with NumPy, else lists."""
 
 
+@hinted
 def displacement(
     pattern: str | os.PathLike[str],
     seconds: float | None = None,
@@ -94,8 +96,7 @@ class _Samples:
                     run.stdout.close()
             if run.returncode != 0:
                 complaint.seek(0)
-                lines = complaint.read().strip().splitlines() or [f"exit code {run.returncode}"]
-                raise ProgramError(f"`meissner displacement` failed: {lines[-1]}")
+                raise failure("displacement", complaint.read(), run.returncode)
 
     def _read(self, out: IO[str]) -> Iterator[Row]:
         names = out.readline().split(",")[1:]

@@ -15,11 +15,10 @@ Nothing here is needed to use it but the standard library. What each takes and l
 
 from __future__ import annotations
 
-from .ahap import from_ahap
-from .braille import braille_text
-from .hjif import from_hjif
+from .._arguments import hinted
+from . import ahap, braille, hjif, touchsim
 from .imported import Imported
-from .touchsim import Spikes, Traces, from_touchsim, from_touchsim_response, to_touchsim, to_touchsim_response
+from .touchsim import Spikes, Traces
 
 __all__ = [
     "Imported",
@@ -33,3 +32,8 @@ __all__ = [
     "to_touchsim",
     "to_touchsim_response",
 ]
+
+from_ahap, from_hjif, braille_text = hinted(ahap.from_ahap), hinted(hjif.from_hjif), hinted(braille.braille_text)
+to_touchsim, from_touchsim = hinted(touchsim.to_touchsim), hinted(touchsim.from_touchsim)
+to_touchsim_response = hinted(touchsim.to_touchsim_response)
+from_touchsim_response = hinted(touchsim.from_touchsim_response)

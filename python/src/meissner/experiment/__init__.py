@@ -9,7 +9,7 @@
             log.add(trial, play, answer=answer)
 
 - `trials`, `constant_stimuli`, `two_afc`, `counterbalanced`: lists, random by seed.
-- `Staircase`, `QuestPlus`: the next level from the answers so far.
+- `Staircase`, `QuestPlus`: the next level from the answers so far; `Interleaved`: several of them.
 - `Log`: a CSV file, each trial on the disk before the next one begins.
 - `SimulatedObserver`, `ask`: who answers. `Keys`, `ButtonBox`: answers with times.
 """
@@ -19,11 +19,12 @@ from .answers import SimulatedObserver, ask
 from .devices import ButtonBox, Keys
 from .log import Log, LogError
 from .quest import QuestPlus
-from .staircase import Staircase
+from .staircase import Interleaved, Staircase
 from .trials import Trial, constant_stimuli, counterbalanced, trials, two_afc
 
 __all__ = [
     "ButtonBox",
+    "Interleaved",
     "Keys",
     "Log",
     "LogError",

@@ -9,9 +9,11 @@
 
 The kernel stamps a key when the keyboard reports it; a thread stamps a byte of a button box when it arrives. Both are times of
 `time.monotonic()`, as `play.onset.monotonic`. How late the device itself reports, `uncertainty` tells: its data sheet or a measurement
-has it. `Press.at(play.onset)` is the press on every clock, also the array's.
+has it. `Press.at(play.onset)` is the press on every clock, also the array's. `Press.is_early(play.onset)`: nobody reacts so soon.
 
-Needs `pip install 'meissner[keys]'` (evdev, Linux) and `pip install 'meissner[buttons]'` (pyserial).
+A thread reads the device from the start, so that no press is lost while a play runs. A key that is held is one press.
+
+Needs `pip install evdev` (Linux) and `pip install pyserial`.
 """
 
 from __future__ import annotations
@@ -24,12 +26,13 @@ import select
 import struct
 import threading
 import time
+import warnings
 from abc import ABC, abstractmethod
-from collections import deque
 from collections.abc import Iterable, Mapping
 from types import TracebackType
-from typing import Any, Protocol
+from typing import Any, ClassVar, NamedTuple, Protocol
 
+from .._arguments import hints, number, table
 from .._presses import Press
 from ..clocks import NS, Instant
 from ..errors import MeissnerError
@@ -39,33 +42,90 @@ _SET_CLOCK = 0x4004_45A0
 """`EVIOCSCLOCKID` of linux/input.h."""
 
 
-class _Presses(ABC):
-    """What keyboards and button boxes have in common."""
+class _Loss(NamedTuple):
+    """The kernel has dropped events."""
 
-    def __init__(self, uncertainty: float) -> None:
-        self._uncertainty = uncertainty
+    monotonic_ns: int
+
+
+class _Presses(ABC):
+    """What keyboards and button boxes have in common: a thread that reads presses, and who waits for them."""
+
+    def __init__(self, uncertainty: float, least_reaction: float) -> None:
+        self._uncertainty, self._least_reaction = uncertainty, least_reaction
         self._since_ns = time.monotonic_ns()
+        self._came: queue.SimpleQueue[Press | _Loss | Exception] = queue.SimpleQueue()
+        self._is_closed = False
+        self._thread = threading.Thread(target=self._run, name="meissner-presses", daemon=True)
+
+    def _run(self) -> None:
+        try:
+            while not self._is_closed:
+                for came in self._read():
+                    self._came.put(came)
+        except Exception as error:
+            self._came.put(error)
 
     def flush(self) -> None:
         """Forget all presses so far: call it before each trial."""
         self._since_ns = time.monotonic_ns()
 
     def wait(self, timeout: float | None = None, *, after: Instant | None = None) -> Press | None:
-        """The next press since `flush`, and since the onset `after`; None: there was none for `timeout` s."""
-        deadline = math.inf if timeout is None else time.monotonic() + timeout
+        """The next press since `flush`, and since the onset `after`; None: there was none for `timeout` s.
+
+        A press within the least reaction time after an onset is a press, too: `press.is_early(onset)` tells it. Warns if the system has
+        lost presses meanwhile.
+        """
+        if after is not None and not isinstance(after, Instant):
+            raise TypeError(f"`after` is {after!r}: must be an onset, such as `play.onset`")
+        deadline = math.inf if timeout is None else time.monotonic() + number("timeout", timeout)
         since_ns = self._since_ns if after is None else max(self._since_ns, after.monotonic_ns)
-        while (press := self._next(deadline - time.monotonic())) is not None:
-            if press.monotonic_ns >= since_ns:
-                return press
+        while (came := self._next(deadline - time.monotonic())) is not None:
+            if came.monotonic_ns < since_ns:
+                continue
+            if isinstance(came, Press):
+                return came
+            warnings.warn(
+                f"the system has lost events of the {self._what}: a press may be missing; repeat the trial",
+                stacklevel=2,
+            )
         return None
 
-    @abstractmethod
-    def _next(self, seconds: float) -> Press | None:
-        """The next press, also an old one, within so many seconds, which may be infinite or below 0."""
+    def _next(self, seconds: float) -> Press | _Loss | None:
+        """What came next, also an old one, within so many seconds, which may be infinite or below 0."""
+        try:
+            came = self._came.get(timeout=None if math.isinf(seconds) else max(0.0, seconds))
+        except queue.Empty:
+            return None
+        if isinstance(came, Exception):
+            # The thread has ended: who asks again is told again.
+            self._came.put(came)
+            raise (
+                came
+                if isinstance(came, MeissnerError)
+                else MeissnerError(f"the {self._what} is gone: {getattr(came, 'strerror', None) or came}")
+            ) from came
+        return came
+
+    def _pressed(self, name: str, stamp_ns: int) -> Press:
+        return Press(name, stamp_ns, self._uncertainty, self._least_reaction)
+
+    _what: ClassVar[str]
 
     @abstractmethod
+    def _read(self) -> Iterable[Press | _Loss]:
+        """The presses that wait, or come within 0.1 s."""
+
+    @abstractmethod
+    def _close(self) -> None:
+        """Close the device, which nobody reads any more."""
+
     def close(self) -> None:
         """Close the device."""
+        self._is_closed = True
+        if self._thread.ident is not None:
+            self._thread.join()
+        self._close()
 
     def __enter__(self) -> Any:
         return self
@@ -89,8 +149,11 @@ class InputDevice(Protocol):
         """Close it."""
 
 
+@hints
 class Keys(_Presses):
     """The keys of a keyboard, with the kernel's times. It may be read while another program has the keyboard, too."""
+
+    _what = "keyboard"
 
     def __init__(
         self,
@@ -98,21 +161,23 @@ class Keys(_Presses):
         *,
         keys: Mapping[str, str] | None = None,
         uncertainty: float = 0.008,
+        least_reaction: float = 0.1,
     ) -> None:
         """`device`: a path such as `/dev/input/event3`, or an `evdev.InputDevice`; None: the first keyboard that this user may read.
 
         `keys`: the names of the answers by evdev's names of the keys, such as `{"KEY_LEFT": "left"}`; other keys are no answers. Without it
         every key is one, by its name without `KEY_`, in lower case. `uncertainty`: how late the keyboard may report a key, s; a USB
-        keyboard is asked every 8 ms at least, and many debounce some ms more.
+        keyboard is asked every 8 ms at least, and many debounce some ms more. `least_reaction`: a press so soon after an onset, s, is
+        marked as too early.
         """
         try:
             import evdev
         except ImportError as error:
-            raise ImportError(f"keys need the package evdev: pip install 'meissner[keys]' ({error})") from error
-        super().__init__(uncertainty)
+            raise ImportError(f"keys need the package evdev: pip install evdev ({error})") from error
+        super().__init__(uncertainty, least_reaction)
         self._codes: Any = evdev.ecodes
         self._names = keys
-        for name in keys or ():
+        for name in () if keys is None else table("keys", keys, "{'KEY_LEFT': 'left'}"):
             if name not in self._codes.ecodes:
                 raise ValueError(f"`keys` has `{name}`, which is no key: names are as `KEY_LEFT`, `KEY_1`, `KEY_SPACE`")
         try:
@@ -127,12 +192,14 @@ class Keys(_Presses):
             raise MeissnerError(
                 f"the keyboard {device} cannot be opened: {error.strerror}: may this user read it?"
             ) from error
-        self._came: deque[Press] = deque()
+        self._is_cut = False
+        """Whether the kernel has dropped events, up to the next report."""
         # A device of one's own making has no such clock to set: `_press` checks what it tells.
         with contextlib.suppress(OSError, ImportError):
             import fcntl
 
             fcntl.ioctl(self._device.fileno(), _SET_CLOCK, struct.pack("i", time.CLOCK_MONOTONIC))
+        self._thread.start()
 
     def _first(self, evdev: Any) -> InputDevice:
         for path in evdev.list_devices():
@@ -145,22 +212,19 @@ class Keys(_Presses):
             "this user may read no keyboard: add the user to the group `input`, log in again, or give `device`"
         )
 
-    def _next(self, seconds: float) -> Press | None:
-        deadline = time.monotonic() + seconds
-        while not self._came:
-            left = deadline - time.monotonic()
-            ready, _, _ = select.select([self._device], [], [], None if math.isinf(left) else max(0.0, left))
-            try:
-                self._came += [
-                    press for event in (self._device.read() if ready else ()) if (press := self._press(event))
-                ]
-            except OSError as error:
-                raise MeissnerError(f"the keyboard is gone: {error.strerror}") from error
-            if not ready:
-                return None
-        return self._came.popleft()
+    def _read(self) -> Iterable[Press | _Loss]:
+        ready, _, _ = select.select([self._device], [], [], 0.1)
+        return [press for event in (self._device.read() if ready else ()) if (press := self._press(event))]
 
-    def _press(self, event: Any) -> Press | None:
+    def _press(self, event: Any) -> Press | _Loss | None:
+        is_sync = event.type == self._codes.EV_SYN
+        if is_sync and event.code == self._codes.SYN_DROPPED:
+            self._is_cut = True
+            return _Loss(time.monotonic_ns())
+        if self._is_cut:
+            # What comes up to the next report is not whole.
+            self._is_cut = not (is_sync and event.code == self._codes.SYN_REPORT)
+            return None
         # A release is 0, and a key that is held repeats as 2.
         if event.type != self._codes.EV_KEY or event.value != 1:
             return None
@@ -174,17 +238,19 @@ class Keys(_Presses):
                 return None
             name = known[0]
         stamp_ns = event.sec * NS + event.usec * 1000
-        if not 0 <= time.monotonic_ns() - stamp_ns < _HOUR_NS:
+        if abs(time.monotonic_ns() - stamp_ns) > _HOUR_NS:
             raise MeissnerError("the keyboard's times are not of CLOCK_MONOTONIC: give the path of its device")
-        return Press(name, stamp_ns, self._uncertainty)
+        return self._pressed(name, stamp_ns)
 
-    def close(self) -> None:
-        """Close the device."""
+    def _close(self) -> None:
         self._device.close()
 
 
+@hints
 class ButtonBox(_Presses):
     """A box that sends a byte for each press on a serial line. A thread stamps each byte as it arrives."""
+
+    _what = "button box"
 
     def __init__(
         self,
@@ -193,52 +259,29 @@ class ButtonBox(_Presses):
         buttons: Mapping[bytes, str] | None = None,
         baudrate: int = 115_200,
         uncertainty: float = 0.016,
+        least_reaction: float = 0.1,
     ) -> None:
         """`port`: such as `/dev/ttyUSB0` or `COM3`. `buttons`: the names of the answers by byte; other bytes are no answers. Without it
         each byte is one, as its character. `uncertainty`: how late a byte may arrive, s; USB adapters hold bytes for up to 16 ms, unless
-        their latency timer is set to 1 ms.
+        their latency timer is set to 1 ms. `least_reaction`: as of `Keys`.
         """
         try:
             import serial
         except ImportError as error:
-            raise ImportError(
-                f"button boxes need the package pyserial: pip install 'meissner[buttons]' ({error})"
-            ) from error
-        super().__init__(uncertainty)
+            raise ImportError(f"button boxes need the package pyserial: pip install pyserial ({error})") from error
+        super().__init__(uncertainty, least_reaction)
         self._buttons = buttons
         try:
             self._serial: Any = serial.Serial(port, baudrate, timeout=0.1)
         except serial.SerialException as error:
             raise MeissnerError(f"the button box at {port} cannot be opened: {error}") from error
-        self._came: queue.SimpleQueue[Press | Exception] = queue.SimpleQueue()
-        self._is_closed = False
-        self._thread = threading.Thread(target=self._read, name="meissner-buttons", daemon=True)
         self._thread.start()
 
-    def _read(self) -> None:
-        while not self._is_closed:
-            try:
-                byte = self._serial.read(1)
-            except Exception as error:
-                self._came.put(error)
-                return
-            stamp_ns = time.monotonic_ns()
-            name = byte.decode("latin-1") if self._buttons is None else self._buttons.get(byte)
-            if byte and name is not None:
-                self._came.put(Press(name, stamp_ns, self._uncertainty))
+    def _read(self) -> Iterable[Press]:
+        byte = self._serial.read(1)
+        stamp_ns = time.monotonic_ns()
+        name = byte.decode("latin-1") if self._buttons is None else self._buttons.get(byte)
+        return [self._pressed(name, stamp_ns)] if byte and name is not None else []
 
-    def _next(self, seconds: float) -> Press | None:
-        try:
-            came = self._came.get(timeout=None if math.isinf(seconds) else max(0.0, seconds))
-        except queue.Empty:
-            return None
-        if isinstance(came, Exception):
-            self._came.put(came)
-            raise MeissnerError(f"the button box is gone: {came}") from came
-        return came
-
-    def close(self) -> None:
-        """Close the port."""
-        self._is_closed = True
-        self._thread.join()
+    def _close(self) -> None:
         self._serial.close()

@@ -21,8 +21,9 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from .._answers import Answerable
+from .._arguments import hints, listed
 from .._bodies import verdict
-from .._plays import KnownPlay, trial_answer
+from .._plays import KnownPlay, check_trial, trial_answer
 from ..clocks import Instant
 from ..errors import MeissnerError
 from .trials import Trial
@@ -54,17 +55,19 @@ class _Played(Protocol):
 
 
 def play_columns(play: KnownPlay) -> dict[str, Any]:
-    """What the log keeps of a play: pattern, onset and offset on each clock, of a sequence for each item."""
+    """What the log keeps of a play: pattern, what it reached, onset and offset on each clock, of a sequence for each item."""
     receipt = play.receipt
     columns: dict[str, Any] = {
         "play": receipt.id,
         "pattern": receipt.pattern,
         "state": receipt.state,
         "late": receipt.late,
+        "reached_um": receipt.reached_um,
     }
     columns |= _times(receipt, "")
     for number, item in enumerate(receipt.items, 1):
         columns |= {f"item{number}_pattern": item.pattern, f"item{number}_scale": item.scale}
+        columns |= {f"item{number}_reached_um": item.reached_um}
         columns |= _times(item, f"item{number}_")
     return columns
 
@@ -81,6 +84,7 @@ def _times(played: _Played, prefix: str) -> dict[str, Any]:
     }
 
 
+@hints
 class Log:
     """A CSV file with a row per trial. The first row that is added names the columns."""
 
@@ -90,6 +94,8 @@ class Log:
         `answers`: `add` also records what was answered, in the session that runs, so that exports have it in the row of the play.
         That is for blocking plays; with asyncio, `await session.answer(...)`.
         """
+        if not isinstance(path, (str, os.PathLike)):
+            raise TypeError(f"`path` is {path!r}: must be the path of a file")
         self.path = Path(path)
         self._answers = answers
         self._columns: list[str] | None = None
@@ -166,7 +172,10 @@ class Log:
 
         Trials that the log cannot take, or an answer, or that are others than those of its rows, are refused.
         """
-        trials, finished = list(trials), {row["trial"]: row for row in self.rows}
+        trials = listed("trials", trials, "that of `two_afc(...)`")
+        for place, trial in enumerate(trials):
+            check_trial(f"trials[{place}]", trial)
+        finished = {row["trial"]: row for row in self.rows}
         columns = self._columns or (["trial", *trials[0].factors] if trials else [])
         for trial in trials:
             unknown = [name for name in trial.factors if name not in columns]
@@ -191,6 +200,10 @@ class Log:
         Of a log with `answers` the columns `response`, `correct`, `rt_ms` and `level` are those of `play.answer`, and factors and other
         columns are its factors. Of a participant who has not answered, `response` is None. A refused answer leaves no row.
         """
+        if not isinstance(trial, (int, numbers.Integral)):
+            check_trial("trial", trial)
+        if play is not None and not isinstance(play, KnownPlay):
+            raise TypeError(f"`play` is {play!r}: must be what `m.play(...)` returns; give your own columns by name")
         number, factors = (
             (int(trial), {}) if isinstance(trial, (int, numbers.Integral)) else (trial.number, trial.factors)
         )

@@ -6,17 +6,20 @@ Lists come from Python's `random.Random`, so the same seed gives the same list o
 from __future__ import annotations
 
 import itertools
+import numbers
 import random
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
+from .._arguments import hinted, listed, whole
+
 T = TypeVar("T")
 
 # The columns that a log writes of a play (`play_columns` in log.py), and those of an answer (`Log.add`) but `level`, which a factor may be.
 _TAKEN = re.compile(
-    r"response|correct|rt_ms|trial|play|pattern|state|late|item\d+_(pattern|scale)|"
+    r"response|correct|rt_ms|trial|play|pattern|state|late|reached_um|item\d+_(pattern|scale|reached_um)|"
     r"(item\d+_)?(onset|offset)_(tick|monotonic_ns|wall_ns|uncertainty_s)"
 )
 
@@ -36,21 +39,26 @@ class Trial:
             )
 
     def __getitem__(self, factor: str) -> Any:
+        if factor not in self.factors:
+            there = ", ".join(f"`{name}`" for name in self.factors) or "none"
+            raise KeyError(f"trial {self.number} has no factor `{factor}`: it has {there}")
         return self.factors[factor]
 
     def intervals(self, target: T, other: T) -> list[T]:
         """Of a 2AFC trial: what each of its two intervals holds. The factor `interval` says where the target is."""
-        return [target, other] if self.factors["interval"] == 1 else [other, target]
+        return [target, other] if self["interval"] == 1 else [other, target]
 
 
+@hinted
 def trials(*, repeats: int = 1, seed: int, **factors: Iterable[Any]) -> list[Trial]:
     """Every combination of the factors, `repeats` times.
 
     The list consists of `repeats` blocks. Each block holds every combination once, in an order of its own.
     """
-    if repeats < 1:
-        raise ValueError(f"`repeats` is {repeats}: must be 1 or more")
-    names, values = list(factors), [list(levels) for levels in factors.values()]
+    whole("repeats", repeats, 1)
+    if not isinstance(seed, (int, str, numbers.Integral)):
+        raise TypeError(f"`seed` is {seed!r}: must be a whole number, such as 7")
+    names, values = list(factors), [listed(name, levels, "[0.2, 0.4]") for name, levels in factors.items()]
     for name, levels in zip(names, values, strict=True):
         if not levels:
             raise ValueError(f"the factor `{name}` has no values: give at least one")
@@ -62,27 +70,43 @@ def trials(*, repeats: int = 1, seed: int, **factors: Iterable[Any]) -> list[Tri
     return [Trial(number, factors) for number, factors in enumerate(made, 1)]
 
 
+@hinted
 def constant_stimuli(levels: Iterable[Any], *, repeats: int, seed: int, **factors: Iterable[Any]) -> list[Trial]:
     """The method of constant stimuli: each of the `levels` (factor `level`) equally often."""
-    return trials(repeats=repeats, seed=seed, level=levels, **factors)
+    return trials(repeats=repeats, seed=seed, **_beside(factors, level=levels))
 
 
+@hinted
 def two_afc(levels: Iterable[Any], *, repeats: int, seed: int, **factors: Iterable[Any]) -> list[Trial]:
     """Two-alternative forced choice: each level `repeats` times, the target as often in interval 1 as in 2.
 
     `repeats` must be even. The factor `interval` is 1 or 2.
     """
-    if repeats < 2 or repeats % 2:
+    if whole("repeats", repeats, 1) % 2:
         raise ValueError(f"`repeats` is {repeats}: must be even, so that each interval has the target equally often")
-    return trials(repeats=repeats // 2, seed=seed, level=levels, interval=(1, 2), **factors)
+    return trials(repeats=repeats // 2, seed=seed, **_beside(factors, level=levels, interval=(1, 2)))
 
 
+def _beside(factors: Mapping[str, Iterable[Any]], **own: Iterable[Any]) -> dict[str, Iterable[Any]]:
+    for name in own:
+        if name in factors:
+            raise ValueError(f"the factor `{name}` is this list's own: give yours another name")
+    return {**own, **factors}
+
+
+@hinted
 def counterbalanced(conditions: Sequence[T], participant: int) -> list[T]:
     """The order of the conditions for this participant (from 0), by a balanced Latin square (Williams design).
 
     Over `len(conditions)` participants (twice as many if that is odd) each condition stands at each place equally often,
     and follows each other condition equally often.
     """
+    conditions, participant = (
+        listed("conditions", conditions, "['left', 'right']"),
+        whole("participant", participant, 0),
+    )
+    if not conditions:
+        raise ValueError("`conditions` is empty: give at least one")
     count = len(conditions)
     row = [(place + 1) // 2 if place % 2 else (count - place // 2) % count for place in range(count)]
     order = [conditions[(index + participant) % count] for index in row]

@@ -1,0 +1,302 @@
+"""The usual mistakes at public calls: each error is one line that names what is wrong and what to do."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import meissner
+from meissner import exchange, experiment
+from meissner.errors import MeissnerError
+from meissner.experiment import Interleaved, Log, Press, QuestPlus, SimulatedObserver, Staircase, Trial
+
+Call = Callable[[Any], Any]
+
+OF_A_CLIENT: list[tuple[str, Call, str]] = [
+    # An argument of another name.
+    ("play", lambda m: m.play("pin-60", duration=0.1), "has no argument `duration`: did you mean `seconds`?"),
+    ("play", lambda m: m.play("pin-60", 0.1, amplitude=0.5), "has no argument `amplitude`: did you mean `scale`?"),
+    ("play", lambda m: m.play("pin-60", secnds=0.1), "has no argument `secnds`: did you mean `seconds`?"),
+    ("play", lambda m: m.play("pin-60", 0.1, gap=0.5), r"`gap`: pauses are those of `sequence\(..., isi=0.5\)`"),
+    ("play", lambda m: m.play("pin-60", 0.1, frequency=60), "`frequency`: frequencies are those of drives"),
+    ("sequence", lambda m: m.sequence(["pin-60"], 0.1), "takes `items` alone without a name: .* as `isi=`"),
+    ("sequence", lambda m: m.sequence(["pin-60"], gap=0.1), "has no argument `gap`: did you mean `isi`?"),
+    ("check", lambda m: m.check(["pin-60"], duration=0.1), "did you mean `seconds`?"),
+    ("live", lambda m: m.live("edge", duration=1), r"`live\(\)` has no argument `duration`: did you mean `timeout`?"),
+    ("arm", lambda m: m.arm(rest=True), "did you mean `assume_rest`?"),
+    ("arm", lambda m: m.arm(True), r"`arm\(\)` takes nothing without a name: .* as `assume_rest=`"),
+    ("reset", lambda m: m.reset(hard=True), r"`reset\(\)` has no argument `hard`: it has `force`"),
+    ("session", lambda m: m.session(subject="P07"), "did you mean `participant`?"),
+    ("session", lambda m: m.session(), r"`session\(\)` needs `participant`"),
+    ("events", lambda m: m.events(timeout=1), r"`events\(\)` has no argument `timeout`: it has `reconnect`"),
+    ("export_bids", lambda m: m.export_bids(), r"`export_bids\(\)` needs `session_id` and `root`"),
+    ("export_nwb", lambda m: m.export_nwb("x", path="y"), r"did you mean `file`?"),
+    ("design", lambda m: m.design("dot", seconds=1), "did you mean `budget`?"),
+    ("design", lambda m: m.design("dot", objective="x"), "invalid value 'x' for '--objective <NAME>'"),
+    ("render", lambda m: m.render("bar", speed=1), r"`render\(\)` has no argument `speed`"),
+    # A value of another kind.
+    ("play", lambda m: m.play("pin-60", "0.1"), '`seconds` is string "0.1": must be a number'),
+    ("play", lambda m: m.play("pin-60", math.nan), "`seconds` is nan: must be a finite number"),
+    ("play", lambda m: m.play("pin-60", np.float64("inf")), "`seconds` is inf: must be a finite number"),
+    ("play", lambda m: m.play("pin-60", -1), "`seconds`: -1 s: must be at least 0"),
+    ("play", lambda m: m.play("pin-60", 0.1, scale=2), "`scale` is 2: must be 0 to 1"),
+    ("play", lambda m: m.play(Path("pin-60")), "`pattern` is PosixPath.*: must be a pattern's name, or a dict"),
+    ("play", lambda m: m.play(5), "`pattern` is 5: must be a pattern's name"),
+    ("play", lambda m: m.play(), "give `pattern`, or `samples` with `rate`, or `drives`"),
+    ("play", lambda m: m.play("pin60", 0.1), "no pattern is called `pin60`: did you mean `pin-60`?"),
+    (
+        "play",
+        lambda m: m.play({"drive": [{"motor": {1, 2}}]}),
+        r"`pattern.drive\[0\].motor` is {1, 2}: must be a number",
+    ),
+    (
+        "play",
+        lambda m: m.play("pin-60", 0.1, trial=Trial(3, {})),
+        "`trial` is Trial.*: must be its number, `trial.number`",
+    ),
+    ("play", lambda m: m.play("pin-60", 0.1, labels=["a"]), r"`labels` is \['a'\]: must be a dict, such as"),
+    ("play", lambda m: m.play("pin-60", 0.1, trigger="1"), "`trigger` is '1': must be a dict, such as"),
+    ("play", lambda m: m.play("pin-60", 0.1, at="now"), "`at` is 'now': must be a number of seconds, such as `m.now"),
+    ("play", lambda m: m.play("pin-60", 0.1, map=True), "`map` is True: must be 'nearest' or None"),
+    ("play", lambda m: m.play("pin-60", 0.1, hold="x"), "`hold` is 'x': must be a number of seconds"),
+    ("play", lambda m: m.play(samples={9: [0, 1]}), "`samples` need `rate`"),
+    ("play", lambda m: m.play(samples=[0, 1, 2], rate=10), "`samples` are one row of values: must be {9:"),
+    ("play", lambda m: m.play(samples=5, rate=10), "`samples` is 5: must be a list, such as"),
+    ("play", lambda m: m.play(samples={9: ["a", "b"]}, rate=10), r"`samples\[9\]` has values that are no numbers"),
+    ("play", lambda m: m.play(samples={9: None}, rate=10), r"`samples\[9\]` is None: must be a list"),
+    ("play", lambda m: m.play(samples={"a": [0, 1]}, rate=10), "`motor` is 'a': must be a whole number"),
+    ("play", lambda m: m.play(samples={9: [0, 1]}, rate="10"), "`rate` is '10': must be a number"),
+    ("play", lambda m: m.play(drives={"motor": 9}), "`drives` is .*: must be a list, such as"),
+    ("play", lambda m: m.play(drives=[9]), r"`drives\[0\]` is 9: must be a dict, such as"),
+    ("sequence", lambda m: m.sequence("pin-60", seconds=0.1), "`items` is 'pin-60': must be a list, such as"),
+    ("sequence", lambda m: m.sequence(None), "`items` is None: must be a list, such as"),
+    ("sequence", lambda m: m.sequence([("pin-60", 0.1)]), r"`items\[0\]` is .*: must be a pattern's name, a dict"),
+    (
+        "sequence",
+        lambda m: m.sequence([{"pattern": "pin-60", "duration": 0.1}]),
+        r"`items\[0\]` has no key `duration`: did you mean `seconds`?",
+    ),
+    (
+        "sequence",
+        lambda m: m.sequence([{"pattern": "pin-60", "seconds": 0.1, "amplitude": 0.1}]),
+        r"`items\[0\]` has no key `amplitude`: did you mean `scale`?",
+    ),
+    ("sequence", lambda m: m.sequence(["pin-60"], seconds=0.1, isi="1"), "`isi` is '1': must be a number of seconds"),
+    ("live", lambda m: m.live(drives=9), "`drives` is 9: must be a list, such as"),
+    ("live", lambda m: m.live("edge", pose=(1, 2)), r"`pose` is \(1, 2\): must be a dict, such as"),
+    ("live", lambda m: m.live("edge", pose={"x_mm": "a"}), "`pose.x_mm` is 'a': must be a number"),
+    ("arm", lambda m: m.arm(silence="5"), "`silence` is '5': must be a number of seconds"),
+    ("edge", lambda m: m.edge(at=2.0), "`at` is 2.0: must be an instant, such as"),
+    ("receipt", lambda m: m.receipt("a b\n"), "a play's id is a number, or `last`"),
+    ("pattern", lambda m: m.pattern(None), "`name` is None: must be a text"),
+    (
+        "store_pattern",
+        lambda m: m.store_pattern("x", "x.toml"),
+        r"`toml` is 'x.toml': .* as `pathlib.Path\('x.toml'\)`",
+    ),
+    ("store_pattern", lambda m: m.store_pattern("x", {}), "`toml` is {}: must be a text"),
+    ("store_pattern", lambda m: m.store_pattern("pin-60", "format = 1\n"), "`pin-60`"),
+    ("remove_pattern", lambda m: m.remove_pattern("pin-60"), "removed.*exists: the library stays as it is"),
+    ("remove_pattern", lambda m: m.remove_pattern(None), "`name` is None: must be a text"),
+    ("session_plays", lambda m: m.session_plays("a/b c"), "no session a/b c is recorded"),
+    ("session_plays", lambda m: m.session_plays(None), "`session_id` is None: must be a text"),
+    ("simulate", lambda m: m.simulate(), r"`simulate\(\)` needs `scene`"),
+]
+
+
+def problem_of(call: Callable[[], Any]) -> str:
+    with pytest.raises((MeissnerError, TypeError, ValueError, KeyError)) as error:
+        call()
+    said = str(error.value)
+    assert "\n" not in said
+    return said
+
+
+@pytest.mark.parametrize(("name", "call", "message"), OF_A_CLIENT)
+def test_a_mistake_at_a_client_is_told_in_a_line(m: meissner.Client, name: str, call: Call, message: str) -> None:
+    assert re.search(message, problem_of(lambda: call(m)))
+
+
+def test_every_method_of_a_client_that_takes_something_has_a_mistake_here() -> None:
+    covered = {name for name, _, _ in OF_A_CLIENT}
+    public = {name for name, of in vars(meissner.Client).items() if not name.startswith("_") and callable(of)}
+    # Those of the package itself, and those that take nothing.
+    own = {"adopt", "end", "release", "run"}
+    alone = {"close", "disarm", "doctor", "estop", "home", "now", "patterns", "sessions", "status", "stop"}
+    assert public - covered == own | alone | {"synchronise", "wait_until_idle"}
+
+
+def test_the_asynchronous_client_tells_the_same(m: meissner.Client) -> None:
+    async def work() -> None:
+        async with await meissner.connect_async(m.core.endpoint.name) as connected:
+            client: Any = connected
+            calls: list[tuple[Callable[[], Any], str]] = [
+                (
+                    lambda: client.play("pin-60", duration=0.1),
+                    r"`play\(\)` has no argument `duration`: did you mean `seconds`",
+                ),
+                (lambda: client.sequence("pin-60"), "`items` is 'pin-60': must be a list"),
+                (lambda: client.play("pin-60", math.nan), "`seconds` is nan"),
+            ]
+            for call, message in calls:
+                with pytest.raises((TypeError, ValueError), match=message):
+                    await call()
+            with pytest.raises(TypeError, match="did you mean `participant`"):
+                client.session(subject="P07")
+        with pytest.raises(MeissnerError, match="the client is closed"):
+            await client.status()
+
+    asyncio.run(work())
+
+
+def test_mistakes_at_plays_and_answers(m: meissner.Client) -> None:
+    with m.session("P07") as session:
+        play: Any = m.play("pin-60", 0.05, trial=1)
+        any_session: Any = session
+        play.wait()
+        told: list[tuple[Callable[[], Any], str]] = [
+            (lambda: play.wait("5"), "`timeout` is '5': must be a number of seconds"),
+            (lambda: play.wait(seconds=1), r"`wait\(\)` has no argument `seconds`: did you mean `timeout`?"),
+            (lambda: play.wait(math.nan), "`timeout` is nan: must be a finite number"),
+            (lambda: play.answer(), r"`answer\(\)` needs `response`"),
+            (lambda: play.answer("a", rt=5), "did you mean `rt_ms`?"),
+            (lambda: play.answer("a", correct="yes"), "`correct` is 'yes': must be True, False or None"),
+            (lambda: play.answer("a", rt_ms="5"), "`rt_ms` is '5': must be a number"),
+            (lambda: play.answer("a", rt_ms=math.nan), "`rt_ms` is nan: must be a finite number"),
+            (lambda: play.answer("a", level=[1]), r"`level` is \[1\]: must be a number"),
+            (lambda: play.answer("a", factors=[1]), r"`factors` is \[1\]: must be a dict"),
+            (lambda: any_session.answer(99, "a"), "has played nothing in trial 99: play with `trial=99` first"),
+            (lambda: any_session.answer("1", "a"), "`trial` is '1': must be a `Trial`"),
+            (lambda: any_session.remaining([1]), r"`trials\[0\]` is 1: must be a `Trial`"),
+            (lambda: any_session.remaining(None), "`trials` is None: must be a list"),
+            (lambda: any_session.export_bids(), r"`export_bids\(\)` needs `root`"),
+        ]
+        for call, message in told:
+            assert re.search(message, problem_of(call))
+        play.answer("a")
+        said = problem_of(lambda: play.answer("b"))
+        assert said.endswith("has an answer already: a play has one at most [exists: the first one counts]")
+        # An answer without a level is no answer to a level.
+        assert session.answers() == []
+    alone = m.play("pin-60", 0.05)
+    alone.wait()
+    assert "play it in the block of `with m.session(...)`" in problem_of(lambda: alone.answer("a"))
+
+
+def test_a_session_exports_itself(m: meissner.Client, tmp_path: Path) -> None:
+    with m.session("P07", experiment="own") as session:
+        m.play("pin-60", 0.05).wait()
+    export = session.export_bids(tmp_path / "own", displacement_hz=None)
+    same = m.export_bids(session.id, tmp_path / "same", displacement_hz=None)
+    assert export.events.read_bytes() == same.events.read_bytes()
+    pytest.importorskip("pynwb")
+    assert session.export_nwb(tmp_path / "own.nwb", displacement_hz=None).file.exists()
+
+
+def test_a_closed_client_says_so(m: meissner.Client) -> None:
+    client = meissner.connect(m.core.endpoint.name)
+    client.close()
+    for call in (client.status, client.arm, lambda: client.play("pin-60", 0.1), lambda: next(client.events())):
+        assert problem_of(call) == "the client is closed: work inside its `with` block, or connect again"
+
+
+def test_mistakes_at_a_live_play_and_at_instants(m: meissner.Client) -> None:
+    play: Any = m.play("pin-60", 0.05)
+    play.wait()
+    array: Any = m.array
+    with m.live(drives=[], timeout=20.0) as started:
+        live: Any = started
+        told: list[tuple[Callable[[], Any], str]] = [
+            (lambda: live.set(9, 60, 30), r"`set\(\)` takes `motor` alone without a name: .* as `frequency_hz=`"),
+            (lambda: live.set("9", frequency_hz=60, amplitude_um=3), "`motor` is '9': must be a whole number"),
+            (lambda: live.set(9, frequency_hz="60", amplitude_um=3), "`frequency_hz` is '60': must be a number"),
+            (lambda: live.pose(x=1), r"`pose\(\)` has no argument `x`: it has `x_mm`"),
+            (lambda: live.scale(math.nan), "`scale` is nan: must be a finite number"),
+            (lambda: live.drives([9]), r"`drives\[0\]` is 9: must be a dict"),
+            (lambda: live.keep(1), r"`keep\(\)` takes no argument, and no more"),
+            (lambda: live.keep().wait("a"), "`timeout` is 'a': must be a number of seconds"),
+            (lambda: play.onset.later("1"), "`seconds` is '1': must be a number"),
+            (lambda: play.onset.later(ms=5), r"`later\(\)` has no argument `ms`: it has `seconds`"),
+            (lambda: array.ticks("a"), "`seconds` is 'a': must be a number"),
+        ]
+        for call, message in told:
+            assert re.search(message, problem_of(call))
+
+
+stairs: Any = Staircase
+OF_THE_PACKAGE: list[tuple[Callable[[], Any], str]] = [
+    (lambda: meissner.connect(5), "`address` is 5: must be the path of a socket, or a URL"),  # type: ignore[arg-type]
+    (lambda: meissner.connect("localhost:8765"), "must be a URL such as 'http://localhost:8765'"),
+    (lambda: meissner.connect("ftp://x"), "must be a URL such as 'http://x'"),
+    (lambda: meissner.connect("http://"), "`address` is 'http://': must be a URL"),
+    (lambda: meissner.connect("http://[x"), "must be a URL such as"),
+    (lambda: meissner.connect("http://pc:99999"), "must be a URL such as"),
+    (lambda: meissner.connect("http://a b"), "must be a URL such as"),
+    (lambda: meissner.connect("http://localhost:1", token="\u00e4\n"), "`token` has characters that no token has"),
+    (
+        lambda: meissner.connect("/none/x.sock"),
+        "no daemon answers at /none/x.sock .*: start one with `meissner daemon`",
+    ),
+    (lambda: meissner.connect(host="x"), "has no argument `host`: it has `address`"),  # type: ignore[call-arg]
+    (lambda: meissner.demo(bord=True), "has no argument `bord`: did you mean `board`?"),  # type: ignore[call-arg]
+    (lambda: meissner.demo(board="x"), "`board` is 'x': must be True, False or 'lower-stop'"),  # type: ignore[arg-type]
+    (lambda: meissner.displacement("pin-60", duration=1), "did you mean `seconds`?"),  # type: ignore[call-arg]
+    (lambda: meissner.displacement("pin-60", "x"), "invalid value .* for '--seconds <S>': must be a number"),  # type: ignore[arg-type]
+    (lambda: meissner.import_csv("x.csv"), r"`import_csv\(\)` needs `rate`"),  # type: ignore[call-arg]
+    (lambda: stairs(1, factor=2), r"`Staircase\(\)` has no argument `factor`: did you mean `ratio`?"),
+    (lambda: stairs(1, ratio=2, down=1.5), "`down` is 1.5: must be a whole number"),
+    (lambda: stairs(1, ratio=2, reversals=4), "`reversals` is 4: must be above `coarse`, 4"),
+    (lambda: stairs("1", ratio=2), "`start` is '1': must be a number"),
+    (lambda: stairs(1, ratio=2).resume([1]), r"`answers\[0\]` is 1: must be a level and whether"),
+    (lambda: stairs(1, ratio=2).resume(None), "`answers` is None: must be a list"),
+    (lambda: QuestPlus(5), "`levels` is 5: must be a list"),  # type: ignore[arg-type]
+    (lambda: QuestPlus([1, 2], slopes=3), "`slopes` is 3: must be a list"),  # type: ignore[arg-type]
+    (lambda: QuestPlus([1, 2]).answer(True, level=0), "`level` is 0: must be above 0"),
+    (lambda: SimulatedObserver(0), "`threshold` is 0: must be above 0"),
+    (lambda: SimulatedObserver(0.2).level_of(0.4), "`p_correct` is 0.4: must be above `guess`"),
+    (lambda: Interleaved([1], seed=1), r"`procedures` is \[1\]: must be a dict"),  # type: ignore[arg-type]
+    (lambda: experiment.trials(seed=1, level=5), "`level` is 5: must be a list"),  # type: ignore[arg-type]
+    (lambda: experiment.trials(seed=1, hand="left"), "`hand` is 'left': must be a list"),
+    (lambda: experiment.trials(level=[1]), r"`trials\(\)` needs `seed`"),  # type: ignore[call-arg]
+    (
+        lambda: experiment.two_afc([1], repeats=2, seed=1, level=[1]),
+        "`level` twice|the factor `level` is this list's own",
+    ),
+    (lambda: experiment.constant_stimuli([1], reps=2, seed=1), r"`constant_stimuli\(\)` needs `repeats`"),  # type: ignore[call-arg, arg-type]
+    (lambda: experiment.counterbalanced([], 0), "`conditions` is empty"),
+    (lambda: experiment.counterbalanced(["a"], -1), "`participant` is -1: must be 0 or more"),
+    (lambda: Trial(1, {"a": 1})["b"], "trial 1 has no factor `b`: it has `a`"),
+    (lambda: Trial(1, {"a": 1}).intervals(1, 2), "trial 1 has no factor `interval`: it has `a`"),
+    (lambda: meissner.simulate(None), "`scene` is None: must be a name, or the path of a file"),  # type: ignore[arg-type]
+    (lambda: meissner.simulate({"duration_s": math.nan}), "`scene.duration_s` is nan: must be a finite number"),
+    (lambda: meissner.design(5), "`target` is 5: must be a name, or the path"),  # type: ignore[arg-type]
+    (lambda: meissner.import_wav(None, scale_um=1), "`path` is None: must be a name, or the path"),  # type: ignore[arg-type]
+    (lambda: meissner.align([1, 2], [1.0], tick_hz="x"), "`tick_hz` is 'x': must be a number"),  # type: ignore[arg-type]
+    (lambda: exchange.from_ahap("x", motor=1), "has no argument `motor`: did you mean `motors`?"),  # type: ignore[call-arg]
+    (lambda: exchange.from_hjif(5), "`path` is 5: must be a name, or the path of a file"),  # type: ignore[arg-type]
+    (lambda: Press("a", 1, 0.1).after(5), "`onset` is 5: must be an instant"),  # type: ignore[arg-type]
+    (lambda: Log(5.5), "`path` is 5.5: must be the path of a file"),  # type: ignore[arg-type]
+    (lambda: experiment.ask(), r"`ask\(\)` needs `question`"),  # type: ignore[call-arg]
+]
+
+
+@pytest.mark.parametrize(("call", "message"), OF_THE_PACKAGE)
+def test_a_mistake_at_the_package_is_told_in_a_line(call: Callable[[], Any], message: str) -> None:
+    assert re.search(message, problem_of(call))
+
+
+def test_mistakes_at_a_log(tmp_path: Path) -> None:
+    with Log(tmp_path / "log.csv") as opened:
+        log: Any = opened
+        assert "`play` is 'x': must be what `m.play(...)` returns" in problem_of(lambda: log.add(1, "x"))
+        assert "`trial` is '1': must be a `Trial`" in problem_of(lambda: log.add("1"))
+        assert "`trials[0]` is 1: must be a `Trial`" in problem_of(lambda: log.remaining([1]))
+        assert "`add()` needs `trial`" in problem_of(lambda: log.add())
+        assert log.rows == []
