@@ -53,7 +53,12 @@ def trigger_of(trigger: Trigger) -> Any:
 
 
 def texts(labels: Labels) -> dict[str, str] | None:
-    return None if labels is None else {str(key): str(value) for key, value in labels.items()}
+    return None if labels is None else {whole(str(key)): whole(str(value)) for key, value in labels.items()}
+
+
+def whole(text: str) -> str:
+    """A text in which bytes that a terminal could not read are escaped: JSON and UTF-8 cannot hold them."""
+    return text.encode("utf-8", "backslashreplace").decode()
 
 
 def sequence_items(

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import contextlib
+import math
 from typing import Any
 
 from . import _http, _kept
-from ._bodies import Labels, Verdict, texts, verdict
+from ._bodies import Labels, Verdict, texts, verdict, whole
 from ._http import Op
 from ._operations import Accepted, Core, Owned, document, send, status, stop, wait_until_idle
 from ._presses import Press
@@ -129,9 +130,14 @@ def answer(
         given |= {"response_tick": at.tick, "response_uncertainty_s": f"{at.monotonic_uncertainty:.6f}"}
         rt_ms = response.after(onset) * 1000 if rt_ms is None else rt_ms
     said = response.name if isinstance(response, Press) else response
-    numbers = {"rt_ms": None if rt_ms is None else float(rt_ms), "level": None if level is None else float(level)}
-    body = {"response": str(said), "correct": verdict(correct), **numbers}
+    numbers = {name: _known(value) for name, value in (("rt_ms", rt_ms), ("level", level))}
+    body = {"response": whole(str(said)), "correct": verdict(correct), **numbers}
     yield from document(core, _http.post(f"/v1/plays/{accepted.id}/answer", {**body, "factors": texts(given)}))
+
+
+def _known(value: float | None) -> float | None:
+    """A number; None of NaN, which tables have for a number that is not known."""
+    return None if value is None or math.isnan(value) else float(value)
 
 
 def sessions(core: Core) -> Op[list[dict[str, Any]]]:
