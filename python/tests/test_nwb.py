@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 
 import meissner
+from meissner import errors
 from test_bids import forget, record
 
 pynwb = pytest.importorskip("pynwb", reason="pynwb is not installed")
@@ -31,8 +32,23 @@ def test_a_session_becomes_a_file_without_errors(m: meissner.Client, tmp_path: P
     session, play, pair = record(m)
     forget(m)
     file = tmp_path / "P07.nwb"
-    file.write_text("replaced whole")
-    export = m.export_nwb(session, file, subject={"age": "P30Y", "sex": "F"}, metadata={"keywords": ["touch"]})
+    file.write_text("of others")
+    (tmp_path / "link.nwb").symlink_to(tmp_path / "missing")
+    (tmp_path / "folder.nwb").mkdir()
+    refused = [
+        (file, False, "is there already.*overwrite=True"),
+        (tmp_path / "link.nwb", True, "is a symbolic link"),
+        (tmp_path / "folder.nwb", True, "cannot be written: name a file"),
+        (tmp_path / "none" / "P07.nwb", False, "cannot be written: name a file"),
+    ]
+    for place, overwrite, why in refused:
+        with pytest.raises(errors.MeissnerError, match=why):
+            m.export_nwb(session, place, overwrite=overwrite)
+    assert file.read_text() == "of others"
+    (tmp_path / "link.nwb").unlink()
+    (tmp_path / "folder.nwb").rmdir()
+    about: dict[str, Any] = {"subject": {"age": "P30Y", "sex": "F"}, "metadata": {"keywords": ["touch"]}}
+    export = m.export_nwb(session, file, overwrite=True, **about)
     m.remove_pattern("mine")
     spikes = m.export_nwb(session, tmp_path / "spikes.nwb", subject={"age": "P30Y", "sex": "F"}, spikes=True)
     assert export.file == file
