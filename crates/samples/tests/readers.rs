@@ -159,7 +159,7 @@ fn a_unit_of_a_header_is_um_or_needs_a_scale() {
         ("t,pin", 1, "CSV column 1 (pin) of 2, 1000 Hz"),
         ("height (filtered) [um]", 0, "CSV column 0 (height (filtered) [um]) of 1 in um, 1000 Hz"),
     ] {
-        let text = format!("{header}\n{}", if number == 0 { "1\n2\n" } else { "0,1\n1,2\n" });
+        let text = format!("{header}\n{}", if number == 0 { "1\n2\n" } else { "0,1\n0.001,2\n" });
         let found = good("a.csv", text.as_bytes(), &column(number));
         assert_eq!((found.um, &*found.note), (vec![1.0, 2.0], note));
     }
