@@ -440,6 +440,16 @@ def test_a_folder_in_the_way_is_told_before_anything_is_written(tmp_path: Path, 
     assert state(tmp_path) == before
 
 
+@pytest.mark.parametrize("name", ["participants.tsv", "dataset_description.json"])
+def test_a_file_that_is_read_only_is_not_replaced(tmp_path: Path, name: str) -> None:
+    (tmp_path / name).write_text("{}" if name.endswith("json") else "participant_id\n")
+    (tmp_path / name).chmod(0o444)
+    before = state(tmp_path)
+    with pytest.raises(errors.BidsConflict, match=f"{name} is read-only"):
+        export(tmp_path, recorded(), overwrite=True)
+    assert state(tmp_path) == before
+
+
 @pytest.mark.parametrize("name", ["sub-P07", "sub-P07/ses-1/beh"])
 def test_a_file_in_the_way_of_a_folder_is_told_before_anything_is_written(tmp_path: Path, name: str) -> None:
     (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)

@@ -29,7 +29,7 @@ from ._text_file import replacing, sync
 from .arrays import of_record
 from .errors import BidsConflict, MeissnerError, ProgramError
 from .motions import pattern_toml
-from .traces import ArrayName, Grid, is_blank
+from .traces import ArrayName, Grid, is_blank, unknown
 
 VERSION = "1.10.0"
 _HED_VERSION = "8.3.0"
@@ -151,7 +151,9 @@ def write(
     zero = zero_host_ns if zero_host_ns is not None else (rows[0]["onset_monotonic_ns"] if rows else 0)
     left_out = losses(recorded)
     for row in rows:
+        is_live = row.get("live") is not None
         line = f"the text of {row['pattern']} as played is not kept: its stim_file is n/a"
+        line = f"{unknown(row, texts)}: its stim_file is n/a" if is_live else line
         if row["pattern_sha256"] not in stimuli and line not in left_out and not is_blank(row):
             left_out.append(line)
     merged, has_hed = _dataset(root, names)
@@ -193,7 +195,10 @@ def write(
 
 def _holds(file: Path, data: bytes) -> bool:
     """Whether a file has this content already."""
-    return file.is_file() and file.read_bytes() == data
+    try:
+        return file.read_bytes() == data
+    except OSError:
+        return False
 
 
 def _check_places(root: Path, files: list[Path]) -> None:
@@ -209,6 +214,8 @@ def _check_places(root: Path, files: list[Path]) -> None:
             if os.path.lexists(place) and not (place.is_file() if place == file else place.is_dir()):
                 kind = "file" if place == file else "folder"
                 raise BidsConflict(f"{place} is no {kind}: move it away; nothing was written")
+        if file.exists() and not file.stat().st_mode & 0o222:
+            raise BidsConflict(f"{file} is read-only: make it writable; nothing was written")
 
 
 def _is_own(events: Path, names: Names) -> bool:

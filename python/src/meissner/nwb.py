@@ -82,6 +82,8 @@ def check_place(file: Path, overwrite: bool) -> None:
         raise MeissnerError(f"{file} cannot be written: name a file in a folder that is there")
     if file.exists() and not overwrite:
         raise MeissnerError(f"{file} is there already: name another file, or replace it by overwrite=True")
+    if file.exists() and not file.stat().st_mode & 0o222:
+        raise MeissnerError(f"{file} is read-only: name another file, or make it writable")
 
 
 def write(
@@ -138,7 +140,7 @@ def write(
         else:
             left_out += _add_displacement(pynwb, nwb, grid)
     if spikes:
-        predicted = predict(rows, patterns)
+        predicted = predict(rows, texts, array)
         left_out += predicted.problems
         if any(predicted.spikes_ns):
             _add_units(pynwb, nwb, predicted, zero_ns)
@@ -257,7 +259,7 @@ def _add_trials(nwb: Any, plays: list[dict[str, Any]], session: Mapping[str, Any
 def _add_units(pynwb: Any, nwb: Any, predicted: Predicted, zero_ns: int) -> None:
     """A unit per afferent."""
     about = (
-        "Afferents of a simulated fingertip, 1 mm apart. Their spikes are PREDICTED from what was ordered by the model `membrane`: "
+        "RA afferents of a simulated fingertip. Their spikes are PREDICTED from what was ordered by the model `membrane`: "
         "nothing was recorded. Each stimulus is predicted by itself, from rest."
     )
     nwb.units = pynwb.misc.Units(name="units", description=about, resolution=1 / NS)
