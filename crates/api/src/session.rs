@@ -338,7 +338,7 @@ pub struct RecordedPlay {
     #[serde(default)]
     #[schema(required)]
     pub stop_edge: Option<EdgeRecord>,
-    /// What became of the updates of a live play; null of other plays. The record has the updates' numbers, not the moves.
+    /// What became of the updates of a live play; null of other plays. The record has their counts, not the moves.
     #[serde(default)]
     #[schema(required)]
     pub live: Option<LiveRecord>,
