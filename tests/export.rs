@@ -115,7 +115,7 @@ fn answers_of_the_participant_stand_in_the_rows_of_their_plays() {
     }
     let endless: Value = client.post("/v1/play", &json!({"pattern": "pin-60", "endless": true})).unwrap();
     assert_eq!(began(&mut events), 4, "{endless}");
-    let response = "x".repeat(200);
+    let response = format!("\ta\r\nb\0{}", "x".repeat(2000));
     let whole = json!({"response": response, "correct": true, "rt_ms": 512.5, "level": -0.4, "factors": {"b": "2", "a": "1"}});
     for (play, answer) in [
         (4, json!({"response": "right", "correct": false, "factors": {"c": "x, y"}})),
@@ -134,7 +134,8 @@ fn answers_of_the_participant_stand_in_the_rows_of_their_plays() {
         once,
         ("exists".to_owned(), "play 1 has an answer already: a play has one at most".to_owned())
     );
-    assert_eq!(refused(&mut client, "3", &json!({"response": "x".repeat(201)})).0, "bad-request");
+    assert_eq!(refused(&mut client, "3", &json!({"response": "x".repeat(8192)})).0, "bad-request");
+    assert_eq!(client.post::<Value>("/v1/plays/3/answer", &json!({"response": ""})).unwrap(), json!({}));
     assert_eq!(refused(&mut client, "77", &whole).0, "not-found");
     assert_eq!(refused(&mut client, "last", &whole).0, "bad-request");
     // Only the owner of an exclusive session.
@@ -158,7 +159,6 @@ fn answers_of_the_participant_stand_in_the_rows_of_their_plays() {
             places.iter().map(|&place| row[place].to_owned()).collect()
         })
         .collect();
-    let none = [""; 7];
     let of_sequence = ["2", "", "", "", "", "", ""];
     assert_eq!(
         rows,
@@ -166,13 +166,14 @@ fn answers_of_the_participant_stand_in_the_rows_of_their_plays() {
             [&*response, "true", "0.5125", "-0.4", "1", "2", ""],
             of_sequence,
             of_sequence,
-            none,
+            ["\"\"", "", "", "", "", "", ""],
             ["right", "false", "", "", "", "", "x, y"]
         ]
     );
     let (exported, _) = exported(&daemon, &started.id);
     let answers: Vec<_> = exported["plays"].as_array().unwrap().iter().map(|play| &play["answer"]).collect();
-    assert_eq!((answers.len(), answers[0], answers[4]), (6, &whole, &Value::Null));
+    let silent = json!({"response": "", "correct": null, "factors": {}});
+    assert_eq!((answers.len(), answers[0], answers[4]), (6, &whole, &silent));
     // The record has answers, and a replay plays on.
     let plan = printed(daemon.meissner().args(["session", "replay", &started.id, "--dry-run"]));
     assert!(plan.contains("pin-60"), "{plan}");

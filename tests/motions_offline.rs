@@ -200,8 +200,18 @@ fn motions_are_simulated_by_both_models() {
     assert!(endless.contains("`pin-60` has no end: say for how long with --seconds"), "{endless}");
     let refused = meissner().args(["simulate", "press-hold", "--method", "exact"]).output().unwrap();
     assert_eq!(refused.status.code(), Some(2));
-    let scene = meissner().args(["simulate", "scenes/sixty-hertz.toml", "--seconds", "1"]).output().unwrap();
-    assert_eq!(scene.status.code(), Some(2));
+    for option in [["--seconds", "1"], ["--scale", "0.5"], ["--fit", "cover"]] {
+        let scene = meissner().args(["simulate", "scenes/sixty-hertz.toml"]).args(option).output().unwrap();
+        assert_eq!(scene.status.code(), Some(2));
+    }
+    let rates = |options: &[&str]| {
+        let found = document(meissner().args(["simulate", "edge-45", "--json"]).args(options));
+        (found["seconds"].as_f64().unwrap(), found["classes"][0]["mean_hz"].as_f64().unwrap())
+    };
+    let [whole, half] = ["1", "0.5"].map(|scale| rates(&["--seconds", "0.3", "--scale", scale]));
+    assert!(whole.0 == half.0 && 0.0 < half.1 && half.1 < whole.1, "{whole:?} {half:?}");
+    let [whole, cover] = ["whole", "cover"].map(|fit| rates(&["--seconds", "0.333", "--fit", fit]).0);
+    assert!(whole < cover, "{whole} {cover}");
 }
 
 #[test]

@@ -46,7 +46,7 @@ fn walk(schema: &Value, way: &str, see: &mut dyn FnMut(&Value, &str)) {
 #[test]
 fn every_key_has_a_description_and_every_number_its_unit_and_range() {
     // Offsets and differences may be negative, and so may a reached lead.
-    const SIGNED: [&str; 13] = [
+    const SIGNED: [&str; 14] = [
         "level",
         "rest_error_um",
         "onset_um",
@@ -56,6 +56,7 @@ fn every_key_has_a_description_and_every_number_its_unit_and_range() {
         "searched",
         "rule",
         "lead_ms",
+        "rt_ms",
         "items",
         "value",
         "travel_um",

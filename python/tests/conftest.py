@@ -5,6 +5,7 @@ The program is found as `meissner.program.find_program` does: `MEISSNER_PROGRAM`
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 
 import pytest
@@ -12,6 +13,12 @@ import pytest
 import meissner
 from network import Network
 from patience import LEAD, kept
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _state(tmp_path_factory: pytest.TempPathFactory) -> None:
+    """The user's kept answers are none of the tests'."""
+    os.environ["XDG_STATE_HOME"] = str(tmp_path_factory.mktemp("state"))
 
 
 @pytest.fixture(scope="session")

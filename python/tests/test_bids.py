@@ -282,6 +282,28 @@ def test_the_official_validator_finds_no_error(m: meissner.Client, tmp_path: Pat
 
 
 @NEEDS_VALIDATOR
+@pytest.mark.parametrize("readme", ["README", "README.rst"])
+def test_a_valid_dataset_of_others_stays_valid(m: meissner.Client, tmp_path: Path, readme: str) -> None:
+    (tmp_path / readme).write_text("A dataset of another lab, described at some length. " * 5)
+    (tmp_path / "CHANGES").write_text("1.0.0 2026-01-01\n - Began.\n")
+    description = '{"Name": "Ours", "BIDSVersion": "1.8.0", "License": "CC0", "Authors": ["A. Lab"]}'
+    (tmp_path / "dataset_description.json").write_text(description)
+    (tmp_path / "participants.tsv").write_bytes(b"participant_id\tage\nsub-01\t30\n")
+    (tmp_path / "participants.json").write_text('{"age": {"Description": "Age", "Units": "year"}}')
+    events = tmp_path / "sub-01" / "beh" / "sub-01_task-rest_events.tsv"
+    events.parent.mkdir(parents=True)
+    events.write_text("onset\tduration\n0\t1\n")
+    events.with_suffix(".json").write_text('{"TaskName": "rest"}')
+    validated(tmp_path)
+    with m.session("P07") as session:
+        play = m.play("pin-60", 0.05, trial=1)
+        play.wait()
+        play.answer("a\tb\n", correct=True)
+    m.export_bids(session.id, tmp_path)
+    validated(tmp_path)
+
+
+@NEEDS_VALIDATOR
 def test_odd_sessions_are_valid_datasets(m: meissner.Client, tmp_path: Path) -> None:
     """Odd names and answers, a session without plays, one over midnight, and two of one person."""
     with m.session("Zoë #7 (left)", experiment="bords & coins", labels={"étude": "1/2", "a b": "x;y"}) as odd:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import errno
 import json
 from pathlib import Path
 from typing import Any
@@ -151,28 +152,38 @@ def test_what_is_in_the_dataset_already_counts(tmp_path: Path) -> None:
     rows = table(tmp_path / "participants.tsv")
     assert [(row["age"], row["meissner_participant"]) for row in rows] == [("30", "P07"), ("31", "P-08"), ("32", "n/a")]
     assert set(json.loads((tmp_path / "participants.json").read_text())) == {"meissner_participant"}
-    # An export of an earlier version has no sources: the same session may be exported again.
+    # A file that names no session is not this session's.
     sidecar = next(tmp_path.rglob("sub-P07*_events.json"))
     about = json.loads(sidecar.read_text())
     for key in ("MeissnerSession", "MeissnerParticipant"):
         del about[key]
     sidecar.write_text(json.dumps(about))
-    export(tmp_path, recorded("P07", "1"))
+    with pytest.raises(errors.BidsConflict, match="not from an export of this session"):
+        export(tmp_path, recorded("P07", "1"))
+    export(tmp_path, recorded("P07", "1"), overwrite=True)
     assert json.loads(sidecar.read_text())["MeissnerSession"] == "1"
     sidecar.write_text("{")
     with pytest.raises(errors.BidsConflict, match="cannot be read"):
         export(tmp_path, recorded("P07", "1"))
 
 
-@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16"])
+@pytest.mark.parametrize("mark", ["", "\ufeff"])
 @pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
-def test_a_list_of_participants_of_any_encoding_is_kept(tmp_path: Path, encoding: str, end: str) -> None:
-    text = "participant_id\tname\nsub-P01\tJosé\nsub-P02\n".replace("\n", end)
-    (tmp_path / "participants.tsv").write_bytes(text.encode(encoding))
+@pytest.mark.parametrize("last", ["", "\n", "\n\n"])
+def test_what_others_wrote_of_participants_is_kept_to_the_byte(tmp_path: Path, mark: str, end: str, last: str) -> None:
+    text = mark + "participant_id\tname \tnote\n\nsub-P01\t José\t\nsub-P03" + last
+    (tmp_path / "participants.tsv").write_bytes(text.replace("\n", end).encode())
     export(tmp_path, recorded("P02", "1"))
-    assert (tmp_path / "participants.tsv").read_bytes().decode() == (
-        "participant_id\tname\tmeissner_participant\nsub-P01\tJosé\tn/a\nsub-P02\tn/a\tP02\n"
+    expected = (
+        mark
+        + "participant_id\tname \tnote\tmeissner_participant\n\nsub-P01\t José\t\tn/a\nsub-P03\tn/a\tn/a\tn/a\n"
+        + "sub-P02\tn/a\tn/a\tP02\n"
+        + last[1:]
     )
+    assert (tmp_path / "participants.tsv").read_bytes() == expected.replace("\n", end).encode()
+    before = contents(tmp_path)
+    export(tmp_path, recorded("P02", "1"))
+    assert contents(tmp_path) == before
 
 
 @pytest.mark.parametrize(
@@ -183,6 +194,8 @@ def test_a_list_of_participants_of_any_encoding_is_kept(tmp_path: Path, encoding
             "the row of sub-P01 has 3 cells, the header has 2",
         ),
         (b"participant_id\nsub-\xff\n", "is no text in UTF-8"),
+        ("participant_id\nsub-P01\n".encode("utf-16"), "is no text in UTF-8"),
+        (b"age\tparticipant_id\n30\tsub-P01\n", "its first column is `age`"),
     ],
 )
 def test_a_list_of_participants_that_cannot_be_read_stays_as_it_is(tmp_path: Path, text: bytes, says: str) -> None:
@@ -281,3 +294,213 @@ def test_a_session_that_runs_is_not_exported(m: meissner.Client, tmp_path: Path)
         made = m.export_bids(session.id, tmp_path, subject="07", session="1", run=1, incomplete=True)
     assert made.events.name == "sub-07_ses-1_task-tactile_run-1_events.tsv"
     m.export_bids(session.id, tmp_path, subject="07", session="1", run=1)
+
+
+def state(root: Path) -> dict[str, Any]:
+    """Everything below a folder: links, folders and files with their bytes and inodes."""
+    return {
+        str(each.relative_to(root)): (
+            each.lstat().st_ino, each.readlink() if each.is_symlink() else each.is_dir() or each.read_bytes()
+        )
+        for each in root.rglob("*")
+    }  # fmt: skip
+
+
+DESCRIPTION = b'{\r\n\t"Name": "Ours", "BIDSVersion": "1.8.0",\r\n\t"Authors": ["A. Lab"]\r\n}\r\n'
+
+
+@pytest.mark.parametrize("readme", ["README", "README.md", "README.txt", "README.rst", "readme.TXT", "Readme"])
+def test_a_dataset_of_others_keeps_its_files(tmp_path: Path, readme: str) -> None:
+    (tmp_path / readme).write_bytes(b"kept")
+    (tmp_path / "dataset_description.json").write_bytes(DESCRIPTION)
+    (tmp_path / "participants.json").write_bytes(b'\xef\xbb\xbf{"age": {"Units": "year"}}')
+    (tmp_path / "participants.tsv").write_bytes(b"participant_id\tage\r\nsub-P01\t30")
+    (tmp_path / "participants.tsv").chmod(0o640)
+    export(tmp_path, recorded("P02", "1"))
+    names = [each.name for each in tmp_path.iterdir()]
+    assert [name for name in names if name.casefold().startswith("readme")] == [readme]
+    assert [name for name in names if name.startswith(".")] == []
+    assert (tmp_path / readme).read_bytes() == b"kept"
+    merged = (tmp_path / "dataset_description.json").read_bytes()
+    assert merged == DESCRIPTION[:-5] + b',\n  "HEDVersion": "8.3.0"\n}\r\n'
+    assert json.loads(merged) == {**json.loads(DESCRIPTION), "HEDVersion": "8.3.0"}
+    columns = (tmp_path / "participants.json").read_bytes()
+    assert columns.startswith(b'\xef\xbb\xbf{"age": {"Units": "year"},\n  "meissner_participant": ')
+    assert set(json.loads(columns.decode("utf-8-sig"))) == {"age", "meissner_participant"}
+    assert (tmp_path / "participants.tsv").stat().st_mode & 0o777 == 0o640
+
+
+@pytest.mark.parametrize(
+    ("version", "has_hed"),
+    [("8.0.0", True), (["8.3.0", "sc:score_2.0.0"], True), ("7.2.0", False), ("", False), (None, False)],
+)
+def test_hed_tags_fit_the_datasets_version(tmp_path: Path, version: Any, has_hed: bool) -> None:
+    description = json.dumps({"Name": "Ours", "BIDSVersion": "1.8.0", "HEDVersion": version}).encode()
+    (tmp_path / "dataset_description.json").write_bytes(description)
+    made = export(tmp_path, recorded())
+    assert (tmp_path / "dataset_description.json").read_bytes() == description
+    sidecar = made.events.with_suffix(".json").read_text()
+    told = any("HEDVersion is not 8" in line for line in made.left_out)
+    assert ('"HED"' in sidecar, told) == (has_hed, not has_hed)
+
+
+LINKS = [
+    "participants.tsv",
+    "dataset_description.json",
+    "participants.json",
+    "sub-P07",
+    "sub-P07/ses-1",
+    "sub-P07/ses-1/beh",
+    "sub-P07/ses-1/beh/sub-P07_ses-1_task-tactile_events.tsv",
+    "sub-P07/ses-1/beh/sub-P07_ses-1_task-tactile_events.json",
+]
+
+
+@pytest.mark.parametrize("overwrite", [False, True])
+@pytest.mark.parametrize("target", ["there", "missing"])
+@pytest.mark.parametrize("link", LINKS)
+def test_no_link_is_written_through(tmp_path: Path, link: str, target: str, overwrite: bool) -> None:
+    root, annex = tmp_path / "dataset", tmp_path / "annex"
+    (root / link).parent.mkdir(parents=True)
+    annex.mkdir()
+    aim = annex / "object"
+    if target == "there":
+        aim.write_bytes(b"{}") if link.endswith(".json") else None
+        aim.write_bytes(b"participant_id\n") if link.endswith(".tsv") else None
+        aim.mkdir() if not link.endswith(("json", "tsv")) else None
+    (root / link).symlink_to(aim)
+    before = state(tmp_path)
+    with pytest.raises(errors.BidsConflict, match=r"is a symbolic link.*(unlock|copy)"):
+        export(root, recorded(), overwrite=overwrite)
+    assert state(tmp_path) == before
+
+
+def test_a_link_that_needs_no_change_is_left(tmp_path: Path) -> None:
+    """As of a dataset whose files git-annex has locked since the last export."""
+    root, annex = tmp_path / "dataset", tmp_path / "annex"
+    export(root, recorded())
+    annex.mkdir()
+    for number, file in enumerate([each for each in root.rglob("*") if each.is_file()]):
+        file.rename(annex / str(number))
+        file.symlink_to(annex / str(number))
+    before = state(tmp_path)
+    export(root, recorded())
+    assert state(tmp_path) == before
+    with pytest.raises(errors.BidsConflict, match="is a symbolic link"):
+        export(root, recorded("P08", "2"))
+    assert state(tmp_path) == before
+
+
+EVENTS = "sub-P07/ses-1/beh/sub-P07_ses-1_task-tactile_events"
+
+
+@pytest.mark.parametrize("name", [EVENTS + ".tsv", EVENTS + ".json"])
+@pytest.mark.parametrize("by_session", [None, "1"])
+def test_no_file_of_others_is_replaced_unasked(tmp_path: Path, name: str, by_session: str | None) -> None:
+    file = tmp_path / name
+    file.parent.mkdir(parents=True)
+    file.write_text("{}")
+    if by_session is not None and name.endswith(".tsv"):
+        file.with_suffix(".json").write_text('{"MeissnerSession": "another", "TaskName": "tactile"}')
+    before = state(tmp_path)
+    with pytest.raises(errors.BidsConflict, match=r"overwrite=True|has the session `another`"):
+        export(tmp_path, recorded())
+    assert state(tmp_path) == before
+    if by_session is None:
+        export(tmp_path, recorded(), overwrite=True)
+        assert len(table(tmp_path / (EVENTS + ".tsv"))) == 1
+
+
+def test_a_stimulus_that_was_changed_is_not_replaced_unasked(tmp_path: Path) -> None:
+    keys = {"format": 1, "name": "pin", "duration_s": 0.1, "drive": []}
+    session = recorded(plays=[{**stimulus(), "pattern_sha256": "a" * 64}])
+
+    def write(**more: Any) -> bids.Export:
+        return bids.write(tmp_path, session, {"a" * 64: keys}, task=None, zero_host_ns=None, software=None, **more)
+
+    write()
+    stimulus_file = tmp_path / "stimuli" / "pin_aaaaaaaa.toml"
+    stimulus_file.write_text("mine")
+    before = state(tmp_path)
+    with pytest.raises(errors.BidsConflict, match="overwrite=True"):
+        write()
+    assert state(tmp_path) == before
+    write(overwrite=True)
+    assert 'name = "pin"' in stimulus_file.read_text()
+
+
+@pytest.mark.parametrize(
+    "name", ["participants.tsv", "dataset_description.json", "participants.json", EVENTS + ".tsv", EVENTS + ".json"]
+)
+def test_a_folder_in_the_way_is_told_before_anything_is_written(tmp_path: Path, name: str) -> None:
+    (tmp_path / name).mkdir(parents=True)
+    before = state(tmp_path)
+    with pytest.raises(errors.MeissnerError, match=name.split("/")[-1]):
+        export(tmp_path, recorded())
+    assert state(tmp_path) == before
+
+
+@pytest.mark.parametrize("name", ["participants.tsv", "dataset_description.json"])
+def test_a_file_that_is_read_only_is_not_replaced(tmp_path: Path, name: str) -> None:
+    (tmp_path / name).write_text("{}" if name.endswith("json") else "participant_id\n")
+    (tmp_path / name).chmod(0o444)
+    before = state(tmp_path)
+    with pytest.raises(errors.BidsConflict, match=f"{name} is read-only"):
+        export(tmp_path, recorded(), overwrite=True)
+    assert state(tmp_path) == before
+
+
+@pytest.mark.parametrize("name", ["sub-P07", "sub-P07/ses-1/beh"])
+def test_a_file_in_the_way_of_a_folder_is_told_before_anything_is_written(tmp_path: Path, name: str) -> None:
+    (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+    (tmp_path / name).write_text("")
+    before = state(tmp_path)
+    with pytest.raises(errors.MeissnerError):
+        export(tmp_path, recorded())
+    assert state(tmp_path) == before
+
+
+@pytest.mark.parametrize("bad", [b"{", b"[]", '{"Name": "é"}'.encode("latin-1")])
+@pytest.mark.parametrize("name", ["dataset_description.json", "participants.json"])
+def test_what_cannot_be_merged_is_told_before_anything_is_written(tmp_path: Path, name: str, bad: bytes) -> None:
+    (tmp_path / name).write_bytes(bad)
+    before = state(tmp_path)
+    with pytest.raises(errors.BidsConflict, match=f"{name} .*correct it"):
+        export(tmp_path, recorded())
+    assert state(tmp_path) == before
+
+
+@pytest.mark.parametrize("room", range(12))
+def test_a_full_disk_leaves_the_dataset_as_it_was(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, room: int) -> None:
+    """The disk takes so many files, then half of one."""
+    root = tmp_path / "dataset"
+    export(root, recorded("P01", "1"))
+    before, whole, count = state(tmp_path), Path.write_bytes, 0
+
+    def write(path: Path, data: bytes) -> int:
+        nonlocal count
+        count += 1
+        if count > room:
+            whole(path, data[: len(data) // 2])
+            raise OSError(errno.ENOSPC, "No space left on device", str(path))
+        return whole(path, data)
+
+    monkeypatch.setattr(Path, "write_bytes", write)
+    if room >= 3:  # participants.tsv, and the two files of events.
+        export(root, recorded("P02", "2"))
+        return
+    with pytest.raises(errors.MeissnerError, match=r"No space left on device.*nothing was written"):
+        export(root, recorded("P02", "2"))
+    assert state(tmp_path) == before
+    with pytest.raises(errors.MeissnerError, match="nothing was written"):
+        export(tmp_path / "new" / "one", recorded("P02", "2"))
+    assert state(tmp_path) == before
+
+
+def test_a_place_that_cannot_be_written_is_one_line(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    for root in (tmp_path / "file", tmp_path / "file" / "below", Path("/proc/none")):
+        with pytest.raises(errors.MeissnerError, match="nothing was written") as caught:
+            export(root, recorded())
+        assert "\n" not in str(caught.value)
+    assert (tmp_path / "file").read_text() == ""

@@ -5,8 +5,10 @@ from __future__ import annotations
 import asyncio
 import collections
 import csv
+import errno
 import io
 import itertools
+import json
 import math
 import os
 import random
@@ -24,6 +26,7 @@ import pytest
 
 import meissner
 from meissner import errors
+from meissner._labels import exact
 from meissner.experiment import (
     Interleaved,
     Log,
@@ -370,10 +373,6 @@ def test_a_log_has_the_plays_times(m: meissner.Client, tmp_path: Path) -> None:
     with Log(tmp_path / "log.csv") as log:
         log.add(trial, play, answer='a,\n"b"')
         log.add(Trial(2, {"level": 0.7}), play)
-        with pytest.raises(LogError, match="no column `extra`"):
-            log.add(3, extra=1)
-        with pytest.raises(LogError, match="`level` is there twice"):
-            log.add(trial, level=1)
     with (tmp_path / "log.csv").open(newline="", encoding="utf-8") as file:
         first, second = csv.DictReader(file)
     assert (first["trial"], first["level"], first["answer"]) == ("1", "0.5", 'a,\n"b"')
@@ -501,51 +500,136 @@ def answers_of(session: meissner.Session) -> list[Any]:
     return [row["answer"] and (row["answer"]["response"], row["answer"]["factors"]) for row in session.plays]
 
 
-def test_a_refused_answer_leaves_no_row(m: meissner.Client, tmp_path: Path) -> None:
+def kept_answers() -> list[dict[str, Any]]:
+    file = Path(os.environ["XDG_STATE_HOME"], "meissner", "answers.jsonl")
+    return [json.loads(line) for line in file.read_text().splitlines()] if file.exists() else []
+
+
+ODD = ["a\tb", "a\nb", "a\r\nb", "", " ", "\0", "\x1b[2J", '"', "n/a", "x" * 201, "é" * 500, "\u2028", "\udc80"]
+
+
+def test_odd_answers_are_kept_as_they_are(m: meissner.Client, tmp_path: Path) -> None:
     file = tmp_path / "log.csv"
+    expected = [text.encode("utf-8", "backslashreplace").decode() for text in ODD]
+    before = kept_answers()
     with m.session("P07") as session, Log(file, answers=True) as log:
+        for number, text in enumerate(ODD, 1):
+            play = m.play("pin-60", 0.02, trial=number)
+            play.wait()
+            log.add(number, play, response=text, rt_ms=-3.0, level=math.nan, note=text, **{text + " of": number})
+        assert answers_of(session) == [
+            (text, {"note": text, text + " of": str(number)}) for number, text in enumerate(expected, 1)
+        ]
+        assert [row["answer"]["rt_ms"] for row in session.plays] == [-3.0] * len(ODD)
+        assert session.answers() == []
+    assert kept_answers() == before
+    with Log(file, resume=True) as log:
+        assert [row["response"] for row in log.rows] == [row["note"] for row in log.rows] == expected
+        assert [row[text + " of"] for row, text in zip(log.rows, expected, strict=True)] == list(
+            map(str, range(1, len(ODD) + 1))
+        )
+    export = m.export_bids(session.id, tmp_path / "bids", displacement_hz=None)
+    lines = export.events.read_text(encoding="utf-8").split("\n")
+    place = lines[0].split("\t").index("response")
+    assert [line.split("\t")[place] for line in lines[1:-1]] == list(map(exact, expected))
+
+
+def test_a_new_column_at_any_trial_loses_no_answer(tmp_path: Path) -> None:
+    file = tmp_path / "log.csv"
+    (tmp_path / "link.csv").symlink_to(file)
+    with Log(tmp_path / "link.csv", resume=True) as log:
+        for number in range(1, 50):
+            log.add(Trial(number, {"level": 0.5}), answer="a\nb")
+        mode = file.stat().st_mode
+        log.add(Trial(50, {"level": 0.7}), answer="c", level=1, late_note="coughed")
+        log.add(51, other=3)
+        assert [row["late_note"] for row in log.rows] == [""] * 49 + ["coughed", ""]
+        with pytest.raises(LogError, match="written by another program"):
+            Log(file, resume=True)
+    assert file.stat().st_mode == mode
+    assert sorted(each.name for each in tmp_path.iterdir()) == ["link.csv", "log.csv"]
+    with Log(file, resume=True) as log:
+        assert len(log.rows) == 51
+        assert log.rows[0] == {
+            "trial": "1", "level": "0.5", "answer": "a\nb", "level_2": "", "late_note": "", "other": ""
+        }  # fmt: skip
+        assert log.rows[49]["level"] == "0.7"
+        assert log.rows[49]["level_2"] == "1"
+        log.add(52)
+
+
+def test_a_disk_that_is_full_leaves_whole_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    file = tmp_path / "log.csv"
+    real = os.write
+
+    def full(descriptor: int, data: bytes) -> int:
+        if len(data) < 6:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return real(descriptor, data[:4])
+
+    with Log(file) as log:
+        log.add(1, answer="a")
+        whole = file.read_bytes()
+        with monkeypatch.context() as patched:
+            patched.setattr(os, "write", full)
+            with pytest.raises(LogError, match=r"No space left on device.*write this row down: 2,left"):
+                log.add(2, answer="left")
+        assert (file.read_bytes(), len(log.rows)) == (whole, 1)
+        log.add(2, answer="left")
+    assert file.read_bytes() == whole + b"2,left\n"
+
+
+def test_what_the_daemon_does_not_take_is_in_the_log_and_kept(m: meissner.Client, tmp_path: Path) -> None:
+    with m.session("P07") as session, Log(tmp_path / "log.csv", answers=True) as log:
         play = m.play("pin-60", 0.05, trial=1)
         play.wait()
-        refused: list[tuple[dict[str, Any], type[Exception]]] = [
-            ({"response": "left", "note": "x" * 101}, errors.BadRequest),
-            ({"response": ""}, errors.BadRequest),
-            ({"response": "left", "rt_ms": -1.0}, errors.BadRequest),
-            ({"response": "left", "correct": "False"}, TypeError),
-            ({"said": "left"}, LogError),
+        refused: list[tuple[dict[str, Any], str]] = [
+            ({"response": "x" * 9000}, "at most 8192 are kept"),
+            ({"response": "left", "correct": "False"}, "must be True, False or None"),
+            ({"response": "left", "level": math.inf}, "answer is kept in"),
+            ({"said": "left"}, "give `response` or `correct`"),
         ]
-        for columns, error in refused:
-            with pytest.raises(error):
-                log.add(1, play, **columns)
-        assert file.read_bytes() == b""
-        assert log.rows == []
+        for number, (columns, why) in enumerate(refused, 1):
+            with pytest.raises(LogError, match=f"has the row of trial {number}, but the session record has not.*{why}"):
+                log.add(number, play, **columns)
+            told = {name: str(value) for name, value in columns.items()}
+            assert {name: log.rows[-1][name] for name in columns} == told
+        # The log has seen by itself that the verdict is a text.
+        assert [each["response"] for each in kept_answers()[-2:]] == ["x" * 9000, "left"]
         # NumPy's kinds of numbers.
-        log.add(np.int64(1), play, response="left", correct=np.bool_(False), level=np.float32(0.5))
-        assert [row["trial"] for row in log.rows] == ["1"]
+        log.add(np.int64(5), play, response="left", correct=np.bool_(False), level=np.float32(0.5))
+        assert [row["trial"] for row in log.rows] == ["1", "2", "3", "4", "5"]
         silent = m.play("pin-60", 0.05, trial=2)
         silent.wait()
-        log.add(2, silent, response=None, correct=None, level=0.25)
+        log.add(6, silent, response=None, correct=None, level=0.25)
         assert answers_of(session) == [("left", {}), None]
         assert session.answers() == [(0.5, False)]
+        with pytest.raises(errors.MeissnerError, match=r"nothing in trial 9.*the answer is kept in .*answers\.jsonl"):
+            session.answer(9, "right", correct=True)
+        assert kept_answers()[-1] == {"trial": 9, "response": "right", "correct": True, "factors": {}}
+        with pytest.raises(errors.ApiError, match=r"has an answer already.*the answer is kept in"):
+            play.answer("again", level=np.float32(0.5))
+        assert kept_answers()[-1] == {"play": play.id, "response": "again", "level": "0.5"}
+    assert os.stat(Path(os.environ["XDG_STATE_HOME"], "meissner", "answers.jsonl")).st_mode & 0o777 == 0o600
 
 
-def test_factors_that_no_answer_can_have_are_refused_before_the_first_trial(m: meissner.Client, tmp_path: Path) -> None:
-    most = {f"{number:x<100}": "y" * 100 for number in range(16)}
-    with m.session("P07") as session, Log(tmp_path / "log.csv", answers=True) as log:
-        refused: list[tuple[dict[str, Any], str]] = [
-            ({**most, "more": 1}, "has 17 factors beside `level`"),
-            ({"side": ""}, "has the factor ''"),
-            ({"side": "x" * 101}, "1 to 100 printable"),
-            ({"x" * 101: 1}, "1 to 100 printable"),
-            ({"side": "a\nb"}, "1 to 100 printable"),
-        ]
-        for factors, why in refused:
-            with pytest.raises(LogError, match=why):
-                log.remaining([Trial(1, factors)])
-        (trial,) = log.remaining([Trial(1, {**most, "level": 0.5})])
-        play = m.play("pin-60", 0.05, trial=1)
-        play.wait()
-        log.add(trial, play, correct=True)
-        assert answers_of(session) == [("true", most)]
+def test_an_answer_that_no_file_keeps_is_in_the_error(
+    m: meissner.Client, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "file").write_text("")
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "file"))
+    with m.session("P07") as session:
+        with pytest.raises(errors.MeissnerError, match=r'write it down: \{"trial": 9, "response": "right"'):
+            session.answer(9, "right")
+
+
+def test_answers_without_a_level_are_no_points_of_a_procedure(m: meissner.Client) -> None:
+    with m.session("P07") as session:
+        for trial, level in ((1, None), (2, 0.5), (3, None)):
+            m.play("pin-60", 0.05, trial=trial).wait()
+            session.answer(trial, "yes", correct=True, level=level)
+        assert session.answers() == [(0.5, True)]
+        assert session.remaining([Trial(number, {}) for number in (1, 2, 3, 4)]) == [Trial(4, {})]
 
 
 def test_a_log_with_answers_refuses_an_asynchronous_play(m: meissner.Client, tmp_path: Path) -> None:
@@ -557,7 +641,7 @@ def test_a_log_with_answers_refuses_an_asynchronous_play(m: meissner.Client, tmp
                 with Log(tmp_path / "answers.csv", answers=True) as log:
                     with pytest.raises(LogError, match=r"`await session.answer\(...\)`"):
                         log.add(1, play, response="left")
-                    assert log.rows == []
+                    assert [row["response"] for row in log.rows] == ["left"]
                 with Log(tmp_path / "log.csv") as log:
                     log.add(1, play, response="left")
 

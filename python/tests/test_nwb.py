@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 
 import meissner
+from meissner import errors
 from test_bids import forget, record
 
 pynwb = pytest.importorskip("pynwb", reason="pynwb is not installed")
@@ -31,8 +32,23 @@ def test_a_session_becomes_a_file_without_errors(m: meissner.Client, tmp_path: P
     session, play, pair = record(m)
     forget(m)
     file = tmp_path / "P07.nwb"
-    file.write_text("replaced whole")
-    export = m.export_nwb(session, file, subject={"age": "P30Y", "sex": "F"}, metadata={"keywords": ["touch"]})
+    file.write_text("of others")
+    (tmp_path / "link.nwb").symlink_to(tmp_path / "missing")
+    (tmp_path / "folder.nwb").mkdir()
+    refused = [
+        (file, False, "is there already.*overwrite=True"),
+        (tmp_path / "link.nwb", True, "is a symbolic link"),
+        (tmp_path / "folder.nwb", True, "cannot be written: name a file"),
+        (tmp_path / "none" / "P07.nwb", False, "cannot be written: name a file"),
+    ]
+    for place, overwrite, why in refused:
+        with pytest.raises(errors.MeissnerError, match=why):
+            m.export_nwb(session, place, overwrite=overwrite)
+    assert file.read_text() == "of others"
+    (tmp_path / "link.nwb").unlink()
+    (tmp_path / "folder.nwb").rmdir()
+    about: dict[str, Any] = {"subject": {"age": "P30Y", "sex": "F"}, "metadata": {"keywords": ["touch"]}}
+    export = m.export_nwb(session, file, overwrite=True, **about)
     m.remove_pattern("mine")
     spikes = m.export_nwb(session, tmp_path / "spikes.nwb", subject={"age": "P30Y", "sex": "F"}, spikes=True)
     assert export.file == file
@@ -172,11 +188,15 @@ def test_motions_are_exported_as_they_were_played(m: meissner.Client, tmp_path: 
         m.play({"name": "two", "tone": [tone], "noise": [noise]}).wait()
     export = m.export_nwb(session.id, tmp_path / "motions.nwb", subject={"age": "P30Y", "sex": "F"}, spikes=True)
     assert problems(export.file) == []
-    assert [line.partition(": ")[2] for line in export.left_out[:2]] == [
-        "its pattern has motions, which have no predicted spikes"
-    ] * 2
+    assert [line for line in export.left_out if "late strokes" not in line] == []
     with pynwb.NWBHDF5IO(str(export.file), "r") as io:
-        highest = io.read().stimulus["pin_displacement"].data[:].max(axis=0)
+        file = io.read()
+        highest = file.stimulus["pin_displacement"].data[:].max(axis=0)
+        onsets = file.get_events_table("stimuli")["timestamp"][:]
+        spikes = sorted(time for times in file.units["spike_times"][:] for time in times)
+    # The first one is too slow for these afferents.
+    assert len(spikes) > 5
+    assert onsets[1] < spikes[0] <= spikes[-1] < onsets[1] + 0.3
     assert highest[9:12] == pytest.approx([50, 38, 19], abs=3)
     bids = m.export_bids(session.id, tmp_path / "data")
     assert bids.left_out == ()
@@ -188,3 +208,27 @@ def test_without_pynwb_the_remedy_is_told() -> None:
     code = "import sys; sys.modules['pynwb'] = None; from meissner import nwb; nwb.needs_pynwb()"
     ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert "pip install 'pynwb>=4'" in ended.stderr
+
+
+def test_a_live_play_is_said_to_have_no_moves_in_the_record(m: meissner.Client, tmp_path: Path) -> None:
+    """The participant felt it, so it is a stimulus; what moved is not known, and that is said of each play."""
+    with m.session("P07", experiment="live") as session:
+        with m.live(drives=[{"motor": 9, "frequency_hz": 60.0, "amplitude_um": 40.0}], trial=1) as live:
+            live.set(10, frequency_hz=60.0, amplitude_um=20.0).wait()
+        live.answer("felt", correct=True)
+        play = m.play("pin-60", 0.05, trial=2)
+        play.wait()
+    recorded = m.session_plays(session.id)["plays"]
+    assert [row["live"] and row["live"]["updates"] for row in recorded] == [1, None]
+    said = f"play {live.id} was live: the record has the number of its updates (1), not its moves"
+    export = m.export_nwb(session.id, tmp_path / "live.nwb", subject={"age": "P30Y", "sex": "F"}, spikes=True)
+    assert [line for line in export.left_out if "late strokes" not in line] == [
+        f"{said}, so its displacement is n/a",
+        f"{said}, so it has no predicted spikes",
+    ]
+    bids = m.export_bids(session.id, tmp_path / "data")
+    assert [line for line in bids.left_out if "late strokes" not in line] == [
+        f"{said}: its stim_file is n/a",
+        f"{said}, so its displacement is n/a",
+    ]
+    assert [line.split("\t")[2] for line in bids.events.read_text().splitlines()[1:]] == ["live", "pin-60"]

@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 
 import meissner
+from meissner import motions
 
 WANTED = [1.5, 2.75, 3.25]
 
@@ -58,9 +59,9 @@ def test_one_column_is_read(tmp_path: Path, text: str | bytes) -> None:
         ("1,5 2,5\n2,75 3,5\n3,25 1,5\n", 0),
         ('t,um\n0,"1,5"\n1,"2,75"\n2,"3,25"\n', "um"),
         ("t , um \n0, 1.5\n1 ,2.75\n2, 3.25,,\n", "um"),
-        ("t,height\ns,um\n0,1.5\n1,2.75\n2,3.25\n", "height"),
-        ("t,height\n[s],[\u03bcm]\n\n0,1.5\n1,2.75\n2,3.25\n", 1),
-        ("t [s],height [um],force [N]\n0,1.5,7\n1,2.75,8\n2,3.25,\n", 1),
+        ("t,height\ns,um\n0,1.5\n0.1,2.75\n0.2,3.25\n", "height"),
+        ("t,height\n[s],[\u03bcm]\n\n0,1.5\n0.1,2.75\n0.2,3.25\n", 1),
+        ("t [ms],height [um],force [N]\n0,1.5,7\n100,2.75,8\n200,3.25,\n", 1),
         ("# t,um\n0,1.5\n1,2.75\n2,3.25\n", "um"),
         ("time,9\n0,1.5\n1,2.75\n2,3.25\n", "9"),
         ("13:05:07,1.5\n13:05:08,2.75\n13:05:09,3.25\n", 1),
@@ -206,6 +207,111 @@ def test_wav_files_are_read(tmp_path: Path, width: int) -> None:
         meissner.import_wav(path, scale_um=1, channel=2)
 
 
+def raw_wav(kind: int, bits: int, width: int, is_extensible: bool, samples: bytes) -> bytes:
+    """A mono WAV file of 1 kHz with a plain or an extensible header, of a length that may be odd."""
+    tag = 0xFFFE if is_extensible else kind
+    header = struct.pack("<HHIIHH", tag, 1, 1000, 1000 * width, width, 8 * width if is_extensible else bits)
+    if is_extensible:
+        header += struct.pack("<HHIH", 22, bits, 4, kind) + b"\0\0\0\0\x10\0\x80\0\0\xaa\0\x38\x9b\x71"
+    chunks = [(b"LIST", b"odd"), (b"fmt ", header), (b"fact", bytes(4)), (b"data", samples)]
+    return b"RIFF\0\0\0\0WAVE" + b"".join(
+        name + struct.pack("<I", len(data)) + data + bytes(len(data) % 2) for name, data in chunks
+    )
+
+
+# What recorders, Audacity, SciPy and `soundfile` write. The program's reader has the same test.
+@pytest.mark.parametrize("is_extensible", [False, True])
+@pytest.mark.parametrize(
+    ("kind", "bits", "width", "samples"),
+    [
+        (1, 8, 1, bytes([192, 0, 128])),
+        (1, 12, 2, bytes([0, 64, 0, 128, 0, 0])),
+        (1, 16, 2, bytes([0, 64, 0, 128, 0, 0])),
+        (1, 24, 3, bytes([0, 0, 64, 0, 0, 128, 0, 0, 0])),
+        (1, 24, 4, bytes([0, 0, 0, 64, 0, 0, 0, 128, 0, 0, 0, 0])),
+        (1, 32, 4, bytes([0, 0, 0, 64, 0, 0, 0, 128, 0, 0, 0, 0])),
+        (3, 32, 4, struct.pack("<3f", 0.5, -1, 0)),
+        (3, 64, 8, struct.pack("<3d", 0.5, -1, 0)),
+    ],
+    ids=["8", "12", "16", "24", "24 in 32", "32", "float", "double"],
+)
+def test_wav_of_each_form_is_read(
+    tmp_path: Path, kind: int, bits: int, width: int, samples: bytes, is_extensible: bool
+) -> None:
+    path = tmp_path / "trace.wav"
+    path.write_bytes(raw_wav(kind, bits, width, is_extensible, samples))
+    read = meissner.import_wav(path, scale_um=100, offset_um=100)
+    assert (list(read.um), read.rate) == ([150.0, 0.0, 100.0], 1000.0)
+    # The program reads the same.
+    pattern = tmp_path / "wav.toml"
+    pattern.write_text(
+        'format = 2\nname = "wav"\n[[wave]]\nmotor = 9\nfile = "trace.wav"\nscale_um = 100\noffset_um = 100\n'
+    )
+    assert meissner.displacement(pattern).motors == (9,)
+
+
+@pytest.mark.parametrize(
+    ("kind", "bits", "width"), [(6, 8, 1), (2, 4, 1), (1, 64, 8), (3, 16, 2), (1, 24, 2), (1, 0, 0), (85, 0, 1)]
+)
+def test_other_forms_of_wav_are_refused(tmp_path: Path, kind: int, bits: int, width: int) -> None:
+    path = tmp_path / "trace.wav"
+    path.write_bytes(raw_wav(kind, bits, width, False, bytes(24)))
+    with pytest.raises(ValueError, match=r"not a WAV file of samples: .*save it as PCM"):
+        meissner.import_wav(path, scale_um=1)
+
+
+def test_a_sample_that_is_no_number_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "trace.wav"
+    path.write_bytes(raw_wav(3, 32, 4, False, struct.pack("<3f", 0.5, float("nan"), 0)))
+    with pytest.raises(ValueError, match="sample 1 is nan: must be a number"):
+        meissner.import_wav(path, scale_um=1)
+
+
+# The program's reader has the same test.
+@pytest.mark.parametrize(
+    ("text", "rate", "own"),
+    [
+        ("t,um\n0,1\n0.001,2\n0.002,3\n0.003,4\n", 1000, None),
+        ("t,um\n0,1\n0.001,2\n0.002,3\n0.003,4\n", 1009, None),
+        ("t,um\n0,1\n0.001,2\n0.002,3\n0.003,4\n", 500, "1000 Hz"),
+        ("um,time\n1,0\n2,0.001\n3,0.002\n4,0.003\n", 8000, "1000 Hz"),
+        ("um;Zeit [ms]\n1;5\n2;5,5\n3;6\n4;6,5\n", 2000, None),
+        ("um;Zeit [ms]\n1;5\n2;5,5\n3;6\n4;6,5\n", 1000, "2000 Hz"),
+        ("s,um\n0,1\n1,2\n2,3\n", 1, None),
+        ("s,um\n0,1\n1,2\n2,3\n", 10, "1 Hz"),
+        ("Time,height\nms,um\n0,1\n1,2\n2,3\n", 1000, None),
+        ("Time,height\nms,um\n0,1\n1,2\n2,3\n", 44_100, "1000 Hz"),
+        # Without a unit they may be in any, or numbers of rows.
+        ("t,um\n0,1\n0.5,2\n1,3\n1.5,4\n", 2000, None),
+        ("t,um\n0,1\n1,2\n2,3\n", 10, None),
+        ("time [frames],um\n0,1\n2,2\n4,3\n", 10, None),
+        # Rounded times, and those that are no measure.
+        ("t,um\n0.000,1\n0.000,2\n0.000,3\n0.000,4\n0.001,5\n0.001,6\n", 8000, None),
+        ("t,um\n0.000,1\n0.000,2\n0.001,3\n0.001,4\n0.002,5\n0.002,6\n0.003,7\n", 500, "2000 Hz"),
+        ("t,um\n5,1\n5,2\n5,3\n", 10, None),
+        ("t,um\n0,1\nnan,2\n0.2,3\n", 70, None),
+        ("force,um\n0,1\n0.001,2\n0.002,3\n", 10, None),
+    ],
+)
+def test_times_that_contradict_the_rate_are_refused(tmp_path: Path, text: str, rate: float, own: str | None) -> None:
+    column = 0 if text.startswith("um") else 1
+    if own is None:
+        assert len(trace(tmp_path, text, rate=rate, column=column)) >= 3
+        return
+    with pytest.raises(ValueError, match=f"say {own}: correct") as raised:
+        trace(tmp_path, text, rate=rate, column=column)
+    assert "\n" not in str(raised.value)
+
+
+def test_what_is_too_fast_says_how_to_resample_it() -> None:
+    with pytest.raises(
+        ValueError, match=r"must be 1 to 8000; scipy\.signal\.resample_poly\(um, 80, 441, .* to rate=8000"
+    ):
+        motions.pattern({9: [0.0, 1.0]}, 44_100)
+    with pytest.raises(ValueError, match=r"must be 1 to 8000$"):
+        motions.pattern({9: [0.0, 1.0]}, 0.5)
+
+
 @pytest.mark.parametrize("width", [1, 2, 3, 4])
 def test_a_wav_file_that_is_cut_is_refused(tmp_path: Path, width: int) -> None:
     path = tmp_path / "trace.wav"
@@ -220,7 +326,7 @@ def test_a_wav_file_that_is_cut_is_refused(tmp_path: Path, width: int) -> None:
             meissner.import_wav(path, scale_um=1, channel=0)
     for kept in (0, 3, 12, header - 5):
         path.write_bytes(whole[:kept])
-        with pytest.raises(ValueError, match=r"not a WAV file of PCM samples: .") as raised:
+        with pytest.raises(ValueError, match=r"not a WAV file: .") as raised:
             meissner.import_wav(path, scale_um=1, channel=0)
         assert "\n" not in str(raised.value)
     path.write_bytes(struct.pack("<I", 7) * 9)

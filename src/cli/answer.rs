@@ -11,7 +11,7 @@ use std::process::ExitCode;
 pub(super) struct Answer {
     /// Answer the play with this id
     play: u64,
-    /// Record this response, up to 200 characters
+    /// Record this response: any text, as it is
     #[arg(allow_hyphen_values = true)]
     response: String,
     /// Record that it is right
@@ -26,7 +26,7 @@ pub(super) struct Answer {
     /// Record the level of the stimulus
     #[arg(long, value_name = "X", allow_negative_numbers = true)]
     level: Option<f64>,
-    /// Record a factor of the trial; up to 16 of them
+    /// Record a factor of the trial; may be repeated
     #[arg(long = "factor", value_name = "KEY=VALUE", value_parser = label)]
     factors: Vec<(String, String)>,
     #[command(flatten)]

@@ -98,6 +98,12 @@ impl PlayOptions {
     }
 }
 
+/// The choices of `--fit`.
+pub(super) const FITS: &[(&str, &str)] = &[
+    ("whole", "Those that have ended by then: a little shorter than asked for"),
+    ("cover", "Those that begin before: a little longer"),
+];
+
 /// What the trigger output gives at the onset; without an option one pulse of 10 ms.
 #[derive(Debug, Args)]
 pub(super) struct TriggerOptions {

@@ -5,7 +5,7 @@
 //!
 //! Invariant: no request is sent twice, except an e-stop.
 
-use super::arguments::{ClientOptions, EdgeOptions, Onset, PlayOptions, choice, positive};
+use super::arguments::{ClientOptions, EdgeOptions, FITS, Onset, PlayOptions, choice, positive};
 use super::ending::Ending;
 use super::output::{give, say, shown};
 use super::progress::Progress;
@@ -45,7 +45,7 @@ pub(super) struct Play {
     #[command(flatten)]
     edge: EdgeOptions,
     /// Choose which strokes are played at the end
-    #[arg(long, default_value = "whole", value_parser = choice::<Fit>(&[("whole", "Those that have ended by then: a little shorter than asked for"), ("cover", "Those that begin before: a little longer")]))]
+    #[arg(long, default_value = "whole", value_parser = choice::<Fit>(FITS))]
     fit: Fit,
     /// Play a pattern for another array: each pin follows the nearest of the pattern's pins
     #[arg(long, value_parser = choice::<Mapping>(&[("nearest", "By position: a pin with none within a pitch rests")]))]

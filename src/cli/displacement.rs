@@ -2,7 +2,7 @@
 //!
 //! Rows are printed as they are computed, so the memory does not grow with the play.
 
-use super::arguments::{ArrayOption, Output, choice, positive};
+use super::arguments::{ArrayOption, FITS, Output, choice, positive};
 use super::pattern_file;
 use crate::receipts::fit;
 use anyhow::{Result, bail};
@@ -21,7 +21,7 @@ pub(super) struct Displacement {
     #[arg(long, value_name = "S", allow_negative_numbers = true, value_parser = positive)]
     seconds: Option<f64>,
     /// Choose which strokes are played at the end
-    #[arg(long, default_value = "whole", value_parser = choice::<Fit>(&[("whole", "Those that have ended by then: a little shorter than asked for"), ("cover", "Those that begin before: a little longer")]))]
+    #[arg(long, default_value = "whole", value_parser = choice::<Fit>(FITS))]
     fit: Fit,
     /// Multiply the amplitude of every drive and motion by X, 0 to 1
     #[arg(long, value_name = "X", default_value_t = 1.0, allow_negative_numbers = true, value_parser = positive)]

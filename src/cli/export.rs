@@ -8,8 +8,9 @@
 //! known is an empty field.
 
 use super::arguments::ClientOptions;
+use super::files;
 use super::output::{say_file, tell};
-use crate::file::dir_of;
+use crate::file::{PRIVATE, replace};
 use crate::session_record::json;
 use anyhow::{Context, Result, bail};
 use csv::Writer;
@@ -82,7 +83,10 @@ const COLUMNS: [Column; 59] = [
     ("tick_hz", |_, play| play.tick_hz.to_string()),
     ("mapped_from", |_, play| field(play.mapped_from.as_ref())),
     ("first_pulse_tick", |_, play| field(play.first_pulse_tick)),
-    ("response", |_, play| answered(play, |answer| Some(&answer.response))),
+    // An empty response is an answer, too.
+    ("response", |_, play| {
+        answered(play, |answer| Some(if answer.response.is_empty() { "\"\"" } else { &answer.response }))
+    }),
     ("correct", |_, play| answered(play, |answer| answer.correct)),
     ("response_time", |_, play| answered(play, |answer| answer.rt_ms.map(|ms| ms / 1e3))),
     ("level", |_, play| answered(play, |answer| answer.level)),
@@ -115,6 +119,8 @@ pub(super) fn run(
     output: Option<&Path>,
     incomplete: bool,
 ) -> Result<ExitCode> {
+    // Tells at once of a link or of a folder that is not there.
+    output.map(files::beside).transpose()?;
     let exported = read(&mut options.client()?, id)?;
     if let Some(lacks) = lacks(&exported).filter(|_| !incomplete) {
         let id = &exported.session.id;
@@ -124,18 +130,9 @@ pub(super) fn run(
     let text = if options.output.json { json_line(&exported)? } else { table(&exported)? };
     match output {
         None => say_file(text.trim_end_matches('\n'))?,
-        Some(path) => {
-            let write = || {
-                let mut file = tempfile::NamedTempFile::new_in(dir_of(path))?;
-                std::io::Write::write_all(&mut file, text.as_bytes())?;
-                // The file stays readable for its user only, because it holds personal data.
-                file.persist(path)?;
-                Ok::<_, std::io::Error>(())
-            };
-            write().with_context(|| {
-                format!("{}: cannot be written; name another file with -o", path.display())
-            })?;
-        }
+        // The file is readable for its user only, because it holds personal data.
+        Some(path) => replace(path, text.as_bytes(), PRIVATE)
+            .with_context(|| format!("{}: cannot be written; name another file with -o", path.display()))?,
     }
     Ok(ExitCode::SUCCESS)
 }

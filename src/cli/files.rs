@@ -97,7 +97,8 @@ impl Beside {
     /// Writes the text and renames the file into its place.
     pub(super) fn write(self, text: &str) -> Result<()> {
         let Self { mut new, place } = self;
-        let written = new.write_all(text.as_bytes()).and_then(|()| Ok(new.persist(&place).map(drop)?));
+        let written = new.write_all(text.as_bytes()).and_then(|()| new.as_file().sync_all());
+        let written = written.and_then(|()| Ok(new.persist(&place).map(drop)?));
         written.map_err(|error| cannot_write(&place, &error))
     }
 }

@@ -577,6 +577,7 @@ fn played(entry: &Value, receipt: Receipt) -> RecordedPlay {
         first_pulse_tick: receipt.pins.iter().flatten().map(|pin| pin.first_pulse_tick).min(),
         start_edge: receipt.start_edge,
         stop_edge: receipt.stop_edge,
+        live: receipt.live,
         answer: None,
     }
 }

@@ -136,14 +136,11 @@ pub(crate) fn check_labels(labels: &Labels) -> Result<(), Problem> {
 
 /// Checks a name, or a part of a label.
 pub(crate) fn check_text(key: &str, text: &str) -> Result<(), Problem> {
-    check_text_within(key, text, MAX_NAME)
-}
-
-/// Checks a text of at most so many characters.
-pub(crate) fn check_text_within(key: &str, text: &str, most: usize) -> Result<(), Problem> {
-    if (1..=most).contains(&text.chars().count()) && text.chars().all(is_plain) {
+    if (1..=MAX_NAME).contains(&text.chars().count()) && text.chars().all(is_plain) {
         return Ok(());
     }
     let name = quote(text);
-    Err(bad(format!("`{key}` is {name}: must be 1 to {most} characters, without line breaks and the like")))
+    Err(bad(format!(
+        "`{key}` is {name}: must be 1 to {MAX_NAME} characters, without line breaks and the like"
+    )))
 }

@@ -8,6 +8,7 @@
 use crate::answer::PlayAnswer;
 use crate::body::{check_labels, check_text, read};
 use crate::end_cause::EndCause;
+use crate::live_record::LiveRecord;
 use crate::problem::Problem;
 use crate::receipt::{
     BurstCounts, EdgeRecord, MAX_LISTED, OrderedCounts, PulseCounts, paper_array, paper_tick_hz,
@@ -337,6 +338,10 @@ pub struct RecordedPlay {
     #[serde(default)]
     #[schema(required)]
     pub stop_edge: Option<EdgeRecord>,
+    /// What became of the updates of a live play; null of other plays. The record has their counts, not the moves.
+    #[serde(default)]
+    #[schema(required)]
+    pub live: Option<LiveRecord>,
     /// What the participant answered; null: nothing was recorded. The items of a sequence repeat its answer.
     #[serde(default)]
     #[schema(required)]
@@ -363,7 +368,7 @@ pub struct RecordedPlay {
         "open_loop": false, "ordered_ms": 2000.0, "played_ms": 1998.8, "cut_after_ms": null, "offset_tick": 6442629900_u64,
         "offset_monotonic_ns": 75795645882352_u64, "trigger": {"tick": 6442460000_u64, "width_ms": 10.0, "code": null},
         "ordered": {"bursts": 1240, "pulses": 86800}, "planned_onset_ticks": null, "late_strokes": 0, "refused_strokes": null,
-        "boot": 305419896, "pattern_kept": true, "first_pulse_tick": 6442460000_u64, "start_edge": null, "stop_edge": null,
+        "boot": 305419896, "pattern_kept": true, "first_pulse_tick": 6442460000_u64, "start_edge": null, "stop_edge": null, "live": null,
         "answer": {"response": "left", "correct": true, "rt_ms": 512.3, "level": 0.4, "factors": {"block": "2"}}
     }],
     "more": false, "complete": false, "missing": ["the session still runs: end it first"], "plays_missing": 0, "lost": 0, "left_out": 0,

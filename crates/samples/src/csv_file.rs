@@ -5,8 +5,8 @@
 //! Invariant: a row is a sample, so no row may be without a value, and all have as many cells.
 
 use crate::error::SamplesError;
-use crate::table::{Header, Said, Table, TableError};
-use crate::{Column, Found, InHeader, only};
+use crate::table::{Header, Kind, Said, Table, TableError, TimeUnit, Unit, words};
+use crate::{Column, Found, InHeader, Times, only};
 use meissner_input::message::{cut, quote};
 
 pub(crate) fn read(bytes: &[u8], column: Option<&Column>) -> Result<Found, SamplesError> {
@@ -36,6 +36,7 @@ pub(crate) fn read(bytes: &[u8], column: Option<&Column>) -> Result<Found, Sampl
     if let Some((line, cell)) = table.number_above(column).filter(|_| !by_name) {
         return Err(SamplesError::Above { line, cell: quote(cell) });
     }
+    let mut times = time_column(&table, header, column);
     let (mut rows, mut values) = (table.rows(), Vec::new());
     while rows.advance_data()? {
         if let Some(line) = rows.skipped_line() {
@@ -49,6 +50,10 @@ pub(crate) fn read(bytes: &[u8], column: Option<&Column>) -> Result<Found, Sampl
         }
         let field = rows.cell(column).unwrap_or_default();
         values.push(number.ok_or_else(|| SamplesError::NotANumber { line: line(), found: quote(field) })?);
+        times = times.and_then(|(place, times)| {
+            let time = rows.number(place).ok().flatten().filter(|time| time.is_finite())?;
+            Some((place, times.with(time)))
+        });
     }
     let title = names.get(column).map(|title| cut(title, 64));
     let name = title.as_ref().map(|title| format!(" ({title})")).unwrap_or_default();
@@ -58,7 +63,27 @@ pub(crate) fn read(bytes: &[u8], column: Option<&Column>) -> Result<Found, Sampl
             Some(InHeader { column: title.map_or_else(|| column.to_string(), |title| quote(&title)), said })
         }
     };
-    Ok(Found { values, rate_hz: None, header, note: format!("CSV column {column}{name} of {width}") })
+    let times = times.map(|(_, times)| times);
+    Ok(Found { values, rate_hz: None, times, header, note: format!("CSV column {column}{name} of {width}") })
+}
+
+/// The first other column that has times, by its name. One whose unit is none of time has none.
+fn time_column(table: &Table<'_>, header: Header<'_>, column: usize) -> Option<(usize, Times)> {
+    let is_time = |title: &str| {
+        let words = words(title);
+        words.iter().any(|word| matches!(word.as_str(), "t" | "time" | "zeit" | "timestamp"))
+            || !words.is_empty() && words.iter().all(|word| TimeUnit::named(word).is_some())
+    };
+    let mut titles = header.names().iter().enumerate();
+    let (place, title) = titles.find(|(place, title)| {
+        *place != column && table.kinds().get(*place) == Some(&Kind::Number) && is_time(title)
+    })?;
+    let unit = match header.unit::<TimeUnit>(place, &[]) {
+        Said::Nothing => None,
+        Said::Unit(unit) => Some(unit),
+        Said::Other(_) => return None,
+    };
+    Some((place, Times::new(quote(title), unit)))
 }
 
 /// The number of the column of this name.

@@ -33,6 +33,10 @@ pub enum SamplesError {
     #[error("rate_hz is {given}, but the file says {own} Hz: leave rate_hz out")]
     OtherRate { own: u32, given: f64 },
     #[error(
+        "rate_hz is {given}, but the times of column {column} say {own_hz} Hz: correct the one or the other"
+    )]
+    OtherTimes { column: String, own_hz: f64, given: f64 },
+    #[error(
         "rate_hz is {rate_hz}: must be 1 to {MOST_FILE_HZ} Hz, and a whole number above {MOST_HZ} (it is resampled to {MOST_HZ} Hz)"
     )]
     Rate { rate_hz: f64 },

@@ -16,7 +16,7 @@ mod wav;
 pub use error::SamplesError;
 
 use meissner_input::message::quote;
-use table::{LengthUnit, Said};
+use table::{LengthUnit, Said, TimeUnit};
 
 /// The most bytes of a file: the paper's 24 motors for 10 minutes at 1 kHz take 55 MiB as `f4`.
 pub const MAX_FILE_BYTES: usize = 64 << 20;
@@ -68,9 +68,67 @@ struct Found {
     values: Vec<f64>,
     /// The file's own rate, if it has one.
     rate_hz: Option<u32>,
+    /// The times of the samples, if a column has them.
+    times: Option<Times>,
     /// The unit that its header names, if it names one.
     header: Option<InHeader>,
     note: String,
+}
+
+/// What a file's own column of times says.
+struct Times {
+    column: String,
+    unit: Option<TimeUnit>,
+    /// The first time, the newest one, and the least and the largest step.
+    first: f64,
+    last: f64,
+    steps: [f64; 2],
+    count: u32,
+}
+
+impl Times {
+    const fn new(column: String, unit: Option<TimeUnit>) -> Self {
+        Self { column, unit, first: f64::NAN, last: f64::NAN, steps: [f64::INFINITY, 0.0], count: 0 }
+    }
+
+    /// With the time of the next sample.
+    fn with(mut self, time: f64) -> Self {
+        let step = time - self.last;
+        // Comparisons with the NaN before the first time are false.
+        self.first = if self.count == 0 { time } else { self.first };
+        self.steps = [step.min(self.steps[0]), step.max(self.steps[1])];
+        (self.last, self.count) = (time, self.count + 1);
+        self
+    }
+
+    /// Refuses a rate that these times contradict. Times without a unit are in any; those that count by 1 may be numbers of rows.
+    fn check(&self, rate_hz: f64) -> Result<(), SamplesError> {
+        let [least, largest] = self.steps;
+        let span = self.last - self.first;
+        let is_even = largest - least <= 0.01 * largest;
+        if self.count < 2
+            || span.is_nan()
+            || span <= 0.0
+            || (self.unit.is_none() && is_even && (largest - 1.0).abs() < 0.01)
+        {
+            return Ok(());
+        }
+        let wanted_s = f64::from(self.count - 1) / rate_hz;
+        let fits = |unit: TimeUnit| {
+            // Times that are not even are rounded.
+            let rounded = if is_even { 0.0 } else { largest };
+            ((span * unit.seconds()) - wanted_s).abs() <= 0.01 * wanted_s + rounded * unit.seconds()
+        };
+        use TimeUnit::{Microseconds, Milliseconds, Nanoseconds, Seconds};
+        let units =
+            self.unit.map_or(vec![Seconds, Milliseconds, Microseconds, Nanoseconds], |unit| vec![unit]);
+        if units.iter().any(|unit| fits(*unit)) {
+            return Ok(());
+        }
+        // With as many digits as a person reads.
+        let own_hz = (f64::from(self.count - 1) / (span * units[0].seconds()) * 1e6).round() / 1e6;
+        Err(SamplesError::OtherTimes { column: self.column.clone(), own_hz, given: rate_hz })
+    }
 }
 
 /// What a header says of a column's unit.
@@ -112,7 +170,7 @@ pub fn read(name: &str, bytes: &[u8], choice: &Choice) -> Result<Samples, Sample
             return Err(SamplesError::OtherKey { key, other });
         }
     }
-    let Found { values, rate_hz: own_hz, header, mut note } = match end.as_str() {
+    let Found { values, rate_hz: own_hz, times, header, mut note } = match end.as_str() {
         "npy" => npy::read(bytes, choice.column.as_ref())?,
         "csv" => csv_file::read(bytes, choice.column.as_ref())?,
         "wav" => wav::read(bytes, choice.channel)?,
@@ -129,6 +187,7 @@ pub fn read(name: &str, bytes: &[u8], choice: &Choice) -> Result<Samples, Sample
     if !(1.0..=MOST_FILE_HZ).contains(&rate_hz) || (rate_hz > MOST_HZ && rate_hz.fract() != 0.0) {
         return Err(SamplesError::Rate { rate_hz });
     }
+    times.map_or(Ok(()), |times| times.check(rate_hz))?;
     let scale_um = match choice.scale_um {
         Some(scale_um) if !scale_um.is_finite() => return Err(SamplesError::Scale { scale_um }),
         Some(scale_um) => scale_um,

@@ -25,7 +25,13 @@ pub(crate) fn read(bytes: &[u8], column: Option<&Column>) -> Result<Found, Sampl
     let (first, step) = if array.is_fortran { (column * rows, 1) } else { (column, columns) };
     let values = array.items().skip(first).step_by(step).take(rows).collect();
     let place = if columns == 1 { String::new() } else { format!(", column {column} of {columns}") };
-    Ok(Found { values, rate_hz: None, header: None, note: format!("NPY {}{place}", array.descr) })
+    Ok(Found {
+        values,
+        rate_hz: None,
+        times: None,
+        header: None,
+        note: format!("NPY {}{place}", array.descr),
+    })
 }
 
 /// All values, row by row, with the numbers of rows and columns.

@@ -159,7 +159,7 @@ fn a_unit_of_a_header_is_um_or_needs_a_scale() {
         ("t,pin", 1, "CSV column 1 (pin) of 2, 1000 Hz"),
         ("height (filtered) [um]", 0, "CSV column 0 (height (filtered) [um]) of 1 in um, 1000 Hz"),
     ] {
-        let text = format!("{header}\n{}", if number == 0 { "1\n2\n" } else { "0,1\n1,2\n" });
+        let text = format!("{header}\n{}", if number == 0 { "1\n2\n" } else { "0,1\n0.001,2\n" });
         let found = good("a.csv", text.as_bytes(), &column(number));
         assert_eq!((found.um, &*found.note), (vec![1.0, 2.0], note));
     }
@@ -207,6 +207,102 @@ fn wav_of_integers_has_full_scale_and_its_own_rate() {
     }
     let float = WavSpec { bits_per_sample: 32, sample_format: SampleFormat::Float, channels: 1, ..STEREO };
     assert_eq!(good("a.wav", &wav(float, &[50, 25]), &channel(0)).um, [50.0, 25.0]);
+}
+
+/// A mono WAV file of 1 kHz with a plain or an extensible header, of a length that may be odd.
+fn raw_wav(kind: u16, bits: u16, container: u16, is_extensible: bool, samples: &[u8]) -> Vec<u8> {
+    let tag = if is_extensible { 0xFFFE } else { kind };
+    let mut format = Vec::new();
+    for word in
+        [tag, 1, 1000, 0, 1000 * container, 0, container, if is_extensible { 8 * container } else { bits }]
+    {
+        format.extend(u16::to_le_bytes(word));
+    }
+    if is_extensible {
+        for word in [22, bits, 4, 0, kind] {
+            format.extend(u16::to_le_bytes(word));
+        }
+        format.extend(*b"\0\0\0\0\x10\0\x80\0\0\xaa\0\x38\x9b\x71");
+    }
+    let chunk = |name: &[u8], data: &[u8]| {
+        let length = u32::try_from(data.len()).unwrap().to_le_bytes();
+        [name, &length[..], data, &[0][..data.len() % 2]].concat()
+    };
+    let chunks =
+        [chunk(b"LIST", b"odd"), chunk(b"fmt ", &format), chunk(b"fact", &[0; 4]), chunk(b"data", samples)];
+    [b"RIFF\0\0\0\0WAVE".to_vec(), chunks.concat()].concat()
+}
+
+/// What recorders, Audacity, SciPy and `soundfile` write. Python's reader has the same test.
+#[test]
+fn wav_of_each_form_is_read() {
+    let read = |kind, bits, container, samples: &[u8]| {
+        for is_extensible in [false, true] {
+            let file = raw_wav(kind, bits, container, is_extensible, samples);
+            let found = good("a.wav", &file, &Choice { offset_um: 100.0, ..channel(0) });
+            assert_eq!(
+                (found.um, found.rate_hz),
+                (vec![150.0, 0.0, 100.0], 1000.0),
+                "{kind} {bits} {is_extensible}"
+            );
+        }
+    };
+    read(1, 8, 1, &[192, 0, 128]);
+    read(1, 12, 2, &[0, 64, 0, 128, 0, 0]);
+    read(1, 16, 2, &[0, 64, 0, 128, 0, 0]);
+    read(1, 24, 3, &[0, 0, 64, 0, 0, 128, 0, 0, 0]);
+    read(1, 24, 4, &[0, 0, 0, 64, 0, 0, 0, 128, 0, 0, 0, 0]);
+    read(1, 32, 4, &[0, 0, 0, 64, 0, 0, 0, 128, 0, 0, 0, 0]);
+    read(3, 32, 4, &[0.5_f32, -1.0, 0.0].map(f32::to_le_bytes).concat());
+    read(3, 64, 8, &[0.5_f64, -1.0, 0.0].map(f64::to_le_bytes).concat());
+    for (kind, bits, container) in
+        [(6, 8, 1), (2, 4, 1), (1, 64, 8), (3, 16, 2), (1, 24, 2), (1, 0, 0), (85, 0, 1)]
+    {
+        let file = raw_wav(kind, bits, container, false, &[0; 24]);
+        assert!(refused("a.wav", &file, &channel(0)).contains("save it as PCM"), "{kind} {bits} {container}");
+    }
+    let nan = raw_wav(3, 32, 4, false, &[0.5_f32, f32::NAN, 0.0].map(f32::to_le_bytes).concat());
+    assert!(refused("a.wav", &nan, &channel(0)).contains("sample 1 at 0.001 s is NaN: must be a number"));
+}
+
+/// Python's reader has the same test.
+#[test]
+fn times_that_contradict_the_rate_are_refused() {
+    for (text, rate_hz, own) in [
+        ("t,um\n0,1\n0.001,2\n0.002,3\n0.003,4\n", 1000.0, None),
+        ("t,um\n0,1\n0.001,2\n0.002,3\n0.003,4\n", 1009.0, None),
+        ("t,um\n0,1\n0.001,2\n0.002,3\n0.003,4\n", 500.0, Some("1000 Hz")),
+        ("um,time\n1,0\n2,0.001\n3,0.002\n4,0.003\n", 8000.0, Some("1000 Hz")),
+        ("um;Zeit [ms]\n1;5\n2;5,5\n3;6\n4;6,5\n", 2000.0, None),
+        ("um;Zeit [ms]\n1;5\n2;5,5\n3;6\n4;6,5\n", 1000.0, Some("2000 Hz")),
+        ("s,um\n0,1\n1,2\n2,3\n", 1.0, None),
+        ("s,um\n0,1\n1,2\n2,3\n", 10.0, Some("1 Hz")),
+        ("Time,height\nms,um\n0,1\n1,2\n2,3\n", 1000.0, None),
+        ("Time,height\nms,um\n0,1\n1,2\n2,3\n", 44_100.0, Some("1000 Hz")),
+        // Without a unit they may be in any, or numbers of rows.
+        ("t,um\n0,1\n0.5,2\n1,3\n1.5,4\n", 2000.0, None),
+        ("t,um\n0,1\n1,2\n2,3\n", 10.0, None),
+        ("time [frames],um\n0,1\n2,2\n4,3\n", 10.0, None),
+        // Rounded times, and those that are no measure.
+        ("t,um\n0.000,1\n0.000,2\n0.000,3\n0.000,4\n0.001,5\n0.001,6\n", 8000.0, None),
+        ("t,um\n0.000,1\n0.000,2\n0.001,3\n0.001,4\n0.002,5\n0.002,6\n0.003,7\n", 500.0, Some("2000 Hz")),
+        ("t,um\n5,1\n5,2\n5,3\n", 10.0, None),
+        ("t,um\n0,1\nnan,2\n0.2,3\n", 70.0, None),
+        ("force,um\n0,1\n0.001,2\n0.002,3\n", 10.0, None),
+    ] {
+        let choice =
+            Choice { column: Some(Column::Number(usize::from(!text.starts_with("um")))), ..at(rate_hz) };
+        let found = read("a.csv", text.as_bytes(), &choice)
+            .map(|found| found.um.len())
+            .map_err(|error| error.to_string());
+        match own {
+            None => assert!(found.is_ok(), "{text:?} at {rate_hz}: {found:?}"),
+            Some(own) => {
+                let line = found.unwrap_err();
+                assert!(line.contains(&format!("say {own}")) && !line.contains('\n'), "{line}");
+            }
+        }
+    }
 }
 
 #[test]

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from . import _kept, _sessions
 from . import _operations as ops
-from . import _sessions
 from ._arguments import hints
 from ._bodies import Labels, Verdict
 from ._plays import KnownPlay
@@ -41,13 +41,15 @@ class Answerable(KnownPlay):
 
         The play belongs to the running session and has begun; it takes one answer. `level` is that of the stimulus, such as a
         staircase's; `factors` are texts by name. Every export has them in the row of the play. A `Press` has its response time, from
-        the onset of the play, and becomes the factors `response_tick` and `response_uncertainty_s`, too.
+        the onset of the play, and becomes the factors `response_tick` and `response_uncertainty_s`, too. What the daemon does not take
+        is kept in a file of the user, which the error names.
         """
-        if isinstance(response, Press) and (self._receipt is None or self._receipt.onset is None):
-            self.refresh()
-        onset = self.onset if isinstance(response, Press) else None
-        order = _sessions.answer(self._client.core, self._accepted, onset, response, correct, rt_ms, level, factors)
-        self._client.run(order)
+        with _kept.answer(play=self.id, response=response, correct=correct, rt_ms=rt_ms, level=level, factors=factors):
+            if isinstance(response, Press) and (self._receipt is None or self._receipt.onset is None):
+                self.refresh()
+            onset = self.onset if isinstance(response, Press) else None
+            order = _sessions.answer(self._client.core, self._accepted, onset, response, correct, rt_ms, level, factors)
+            self._client.run(order)
 
 
 @hints
@@ -71,8 +73,9 @@ class AsyncAnswerable(KnownPlay):
         factors: Labels = None,
     ) -> None:
         """Record what the participant answered. As `Play.answer`."""
-        if isinstance(response, Press) and (self._receipt is None or self._receipt.onset is None):
-            await self.refresh()
-        onset = self.onset if isinstance(response, Press) else None
-        order = _sessions.answer(self._client.core, self._accepted, onset, response, correct, rt_ms, level, factors)
-        await self._client.run(order)
+        with _kept.answer(play=self.id, response=response, correct=correct, rt_ms=rt_ms, level=level, factors=factors):
+            if isinstance(response, Press) and (self._receipt is None or self._receipt.onset is None):
+                await self.refresh()
+            onset = self.onset if isinstance(response, Press) else None
+            order = _sessions.answer(self._client.core, self._accepted, onset, response, correct, rt_ms, level, factors)
+            await self._client.run(order)

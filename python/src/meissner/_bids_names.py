@@ -17,7 +17,6 @@ from pathlib import Path
 from typing import Any
 
 from ._labels import exact
-from ._text_file import text_of
 from .errors import BidsConflict, MeissnerError
 
 SOURCE = "meissner_participant"
@@ -155,19 +154,38 @@ def _sidecars(root: Path) -> Iterator[tuple[Path, dict[str, Any]]]:
     for sidecar in sorted(root.glob("sub-*/ses-*/beh/*_events.json")):
         try:
             about = json.loads(sidecar.read_text(encoding="utf-8-sig"))
+        except OSError:
+            # A link of git-annex without its file.
+            continue
         except ValueError as error:
             raise BidsConflict(f"{sidecar} cannot be read: {error}") from error
         yield sidecar, about if isinstance(about, dict) else {}
 
 
-def participants(root: Path) -> tuple[list[str], list[list[str]]]:
-    """The columns and the rows of `participants.tsv`."""
+_LINE = re.compile(r"([^\r\n]*)(\r\n?|\n|$)")
+
+
+def _people(root: Path) -> tuple[str, list[tuple[list[str], str]]]:
+    """The byte order mark of `participants.tsv`, and its lines: the cells, and the line's end."""
     people = root / "participants.tsv"
     try:
-        text = text_of(people) if people.exists() else ""
-    except ValueError as error:
-        raise BidsConflict(str(error)) from error
-    header, *rows = [line.split("\t") for line in re.split(r"\r\n?|\n", text) if line.strip()] or [["participant_id"]]
+        text = people.read_bytes().decode() if people.exists() else ""
+    except UnicodeDecodeError as error:
+        raise BidsConflict(f"{people} is no text in UTF-8: save it as UTF-8") from error
+    except OSError as error:
+        raise BidsConflict(f"{people} cannot be read ({error.strerror}): correct it") from error
+    mark = "\ufeff" if text.startswith("\ufeff") else ""
+    if not text.removeprefix(mark).strip():
+        return mark, [(["participant_id"], "\n")]
+    return mark, [(found[1].split("\t"), found[2]) for found in _LINE.finditer(text, len(mark)) if found[0]]
+
+
+def participants(root: Path) -> tuple[list[str], list[list[str]]]:
+    """The columns and the rows of `participants.tsv`, which begin with the participant."""
+    people = root / "participants.tsv"
+    header, *rows = [cells for cells, _ in _people(root)[1] if "".join(cells).strip()]
+    if header[0] != "participant_id":
+        raise BidsConflict(f"{people}: its first column is `{header[0]}`, not `participant_id`: correct it")
     long = next((row for row in rows if len(row) > len(header)), None)
     if long is not None:
         raise BidsConflict(
@@ -176,19 +194,24 @@ def participants(root: Path) -> tuple[list[str], list[list[str]]]:
     return header, rows
 
 
-def add_participant(root: Path, names: Names) -> None:
-    """Enters the subject into `participants.tsv`, with its source."""
-    header, rows = participants(root)
+def with_participant(root: Path, names: Names) -> bytes:
+    """`participants.tsv` with the subject and its source. What others wrote there stays as it is, to the byte."""
+    name, source = f"sub-{names.subject}", exact(names.participant)
+    width = len(participants(root)[0])
+    mark, lines = _people(root)
+    filled = [number for number, (cells, _) in enumerate(lines) if "".join(cells).strip()]
+    header, end = lines[filled[0]]
+    rows = [lines[number][0] for number in filled[1:]]
     if SOURCE not in header:
         header.append(SOURCE)
-    place, name, source = header.index(SOURCE), f"sub-{names.subject}", exact(names.participant)
-    rows = [row + ["n/a"] * (len(header) - len(row)) for row in rows]
-    row = next((row for row in rows if row[0] == name), None)
+        for cells in rows:
+            cells += ["n/a"] * (width + 1 - len(cells))
+    place = header.index(SOURCE)
+    row = next((cells for cells in rows if cells[0] == name), None)
     if row is None:
-        row = [name, *["n/a"] * (len(header) - 1)]
-        rows.append(row)
-    elif row[place] == source:
-        return
+        row, last = [name], filled[-1]
+        lines[last] = (lines[last][0], lines[last][1] or end or "\n")
+        lines.insert(last + 1, (row, end or "\n"))
+    row += ["n/a"] * (len(header) - len(row))
     row[place] = source
-    text = "".join("\t".join(line) + "\n" for line in [header, *rows])
-    (root / "participants.tsv").write_text(text, encoding="utf-8")
+    return (mark + "".join("\t".join(cells) + end for cells, end in lines)).encode()

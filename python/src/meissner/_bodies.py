@@ -56,7 +56,12 @@ def trigger_of(trigger: Trigger) -> Any:
 def texts(labels: Labels, name: str = "labels") -> dict[str, str] | None:
     if labels is None:
         return None
-    return {str(key): str(value) for key, value in table(name, labels, "{'block': 2}").items()}
+    return {whole(str(key)): whole(str(value)) for key, value in table(name, labels, "{'block': 2}").items()}
+
+
+def whole(text: str) -> str:
+    """A text in which bytes that a terminal could not read are escaped: JSON and UTF-8 cannot hold them."""
+    return text.encode("utf-8", "backslashreplace").decode()
 
 
 def sequence_items(

@@ -1,17 +1,22 @@
-"""The tokens of running sessions, kept in files of the user, so that the next run of a program that has crashed can go on.
+"""What is kept in files of the user: the tokens of running sessions, so that the next run of a program that has crashed can go on, and
+answers that the daemon has not taken.
 
 Each session has a file beside those of the command line. Its owner holds a lock on it, which the system releases when the process
 ends, however it ends.
 
-Invariant: only the user may read a file, and no other process takes a token whose owner still runs.
+Invariant: only the user may read a file, and no other process takes a token whose owner still runs. An answer is on the disk, or in
+the error's text.
 """
 
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 import re
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 try:
     import fcntl
@@ -75,3 +80,31 @@ def let_go(session_id: str, *, forget: bool) -> None:
             path.unlink()
     if file is not None:
         os.close(file)
+
+
+@contextlib.contextmanager
+def answer(**given: Any) -> Iterator[None]:
+    """Keeps an answer that the daemon does not take, and says so in the error."""
+    try:
+        yield
+    except BaseException as error:
+        line = json.dumps({key: value for key, value in given.items() if value is not None}, default=str)
+        try:
+            where = f"the answer is kept in {_add_answer(line)}"
+        except (OSError, RuntimeError) as why:
+            where = f"no file keeps the answer ({why}), write it down: {line}"
+        error.args = (f"{error.args[0] if error.args else type(error).__name__}; {where}", *error.args[1:])
+        raise
+
+
+def _add_answer(line: str) -> Path:
+    """Adds an answer to the user's file of answers that no session has."""
+    path = Path(os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state", "meissner", "answers.jsonl")
+    path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+    file = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o600)
+    try:
+        os.write(file, f"{line}\n".encode())
+        os.fsync(file)
+    finally:
+        os.close(file)
+    return path

@@ -110,7 +110,9 @@ def answered(plays: Iterable[Mapping[str, Any]], factors: Mapping[str, Any]) -> 
     found = []
     for row in plays:
         answer = row.get("answer") if row["item"] is None else None
-        if answer and None not in (answer.get("level"), answer.get("correct")) and wanted <= answer["factors"].items():
+        # An answer without a level lacks the key.
+        known = (answer.get("level"), answer.get("correct")) if answer else (None, None)
+        if answer and None not in known and wanted <= (answer.get("factors") or {}).items():
             found.append((float(answer["level"]), bool(answer["correct"])))
     return found
 

@@ -1,7 +1,7 @@
 """Traces read from WAV and CSV files. `import_wav` and `import_csv` give what `play(samples=..., rate=...)` takes.
 
-The client may run where the program `meissner` is not, so it has readers of its own. They take less than the program's: what has two
-meanings is refused.
+The client may run where the program `meissner` is not, so it has readers of its own. They take the same WAV files as the program's, and
+less CSV: what has two meanings is refused.
 
 Invariant: a row or frame is a sample, so a file with a gap is refused; samples are in µm, or the caller has given a factor.
 """
@@ -9,11 +9,13 @@ Invariant: a row or frame is a sample, so a file with a gap is refused; samples 
 from __future__ import annotations
 
 import csv
+import itertools
 import math
 import os
 import re
-import wave
-from collections.abc import Iterator, Sequence
+import struct
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
 from typing import Any, NamedTuple
 
 from ._text_file import text_of
@@ -36,34 +38,77 @@ def _trace(values: Sequence[float], rate: float, scale_um: float, offset_um: flo
 def import_wav(
     path: str | os.PathLike[str], *, scale_um: float, offset_um: float = 0.0, channel: int | None = None
 ) -> Trace:
-    """Read a channel of a WAV file (PCM of 8 to 32 bits): `scale_um` is the displacement at full scale, `offset_um` is added.
+    """Read a channel of a WAV file (PCM of 8 to 32 bits, or float): `scale_um` is the displacement at full scale, `offset_um` is added.
 
     A recording swings about 0 and a pin only goes up, so the offset is usually as large as the scale. At most 8000 Hz can be played;
     `meissner pattern pack` resamples faster files. Raises `ValueError` for other files and for those that are cut.
     """
     name = os.fspath(path)
     try:
-        with wave.open(name, "rb") as file:
-            channels, width, rate, count = file.getparams()[:4]
-            raw = file.readframes(count)
-    except (wave.Error, EOFError) as error:
-        raise ValueError(f"{name}: not a WAV file of PCM samples: {str(error) or 'it ends too early'}") from error
-    found = len(raw) // (width * channels)
-    if found < count:
-        raise ValueError(f"{name} is truncated: it ends after {found} of {count} samples")
+        header, raw, length = _chunks(Path(path).read_bytes())
+        kind, channels, rate, _, block, bits = struct.unpack_from("<HHIIHH", header)
+        if kind == _EXTENSIBLE:
+            # The first word of a GUID.
+            (kind,) = struct.unpack_from("<H", header, 24)
+    except (ValueError, struct.error) as error:
+        raise ValueError(f"{name}: not a WAV file: {error}") from error
+    width = block // max(channels, 1)
+    form = _FORMS.get((kind, width))
+    if form is None or width * channels != block or bits > 8 * width:
+        raise ValueError(
+            f"{name}: not a WAV file of samples: kind {kind} of {bits} bits: save it as PCM of 8 to 32 bits, or as float"
+        )
+    if len(raw) // block < length // block:
+        raise ValueError(f"{name} is truncated: it ends after {len(raw) // block} of {length // block} samples")
     if channel is None and channels > 1:
         raise ValueError(f"{name} has {channels} channels: choose one with `channel`, from 0")
     chosen = channel or 0
     if not 0 <= chosen < channels:
         raise ValueError(f"{name} has {channels} channels: `channel` is {chosen}")
-    full = float(1 << (8 * width - 1))
-    frames = range(chosen * width, len(raw) - width + 1, width * channels)
-    if width == 1:
-        # 8-bit samples have no sign.
-        values = [(raw[at] - 128) / full for at in frames]
-    else:
-        values = [int.from_bytes(raw[at : at + width], "little", signed=True) / full for at in frames]
+    starts = range(chosen * width, len(raw) // block * block, block)
+    values = [form(raw[at : at + width]) for at in starts]
+    bad = next((number for number, value in enumerate(values) if not math.isfinite(value)), None)
+    if bad is not None:
+        raise ValueError(f"{name}: sample {bad} is {values[bad]}: must be a number")
     return _trace(values, float(rate), scale_um, offset_um)
+
+
+_PCM, _FLOAT, _EXTENSIBLE = 1, 3, 0xFFFE
+
+
+def _integer(sample: bytes) -> float:
+    return int.from_bytes(sample, "little", signed=True) / (1 << (8 * len(sample) - 1))
+
+
+def _float(sample: bytes) -> float:
+    (value,) = struct.unpack("<f" if len(sample) == 4 else "<d", sample)
+    return float(value)
+
+
+_FORMS: dict[tuple[int, int], Callable[[bytes], float]] = {
+    # 8-bit samples have no sign.
+    (_PCM, 1): lambda sample: (sample[0] - 128) / 128,
+    **{(_PCM, width): _integer for width in (2, 3, 4)},
+    **{(_FLOAT, width): _float for width in (4, 8)},
+}
+"""The value of a sample, by the kind of the file and the bytes of a sample. Full scale is 1."""
+
+
+def _chunks(data: bytes) -> tuple[bytes, bytes, int]:
+    """The format, what there is of the samples, and how many bytes of them the header promises."""
+    if data[:4] != b"RIFF" or data[8:12] != b"WAVE":
+        raise ValueError("it does not begin as one")
+    header, at = None, 12
+    while at + 8 <= len(data):
+        kind, length = data[at : at + 4], int.from_bytes(data[at + 4 : at + 8], "little")
+        own = data[at + 8 : at + 8 + length]
+        if kind == b"fmt ":
+            header = own
+        elif kind == b"data" and header is not None:
+            return header, own, length
+        # Chunks begin at even places.
+        at += 8 + length + length % 2
+    raise ValueError("it has no samples")
 
 
 def import_csv(
@@ -79,14 +124,16 @@ def import_csv(
     Semicolons, tabs, bars, commas or spaces divide the columns; numbers have decimal points or commas. A row of units may follow the
     names, and lines that begin with `#` are comments. `scale_um` is the displacement of a value of 1, µm; without it values are µm.
 
-    Raises `ValueError`, one line, if a row has no number or another number of cells, or if the header names another unit than µm and
-    `scale_um` is missing.
+    Raises `ValueError`, one line, if a row has no number or another number of cells, if a column of times says another rate, or if the
+    header names another unit than µm and `scale_um` is missing.
     """
     table = _Table(os.fspath(path), text_of(path, "cp1252"))
     chosen = table.column(column)
     if scale_um is None:
         table.check_unit(chosen)
-    return _trace(list(table.numbers(chosen)), float(rate), 1.0 if scale_um is None else scale_um, offset_um)
+    values = list(table.numbers(chosen))
+    table.check_rate(chosen, float(rate))
+    return _trace(values, float(rate), 1.0 if scale_um is None else scale_um, offset_um)
 
 
 _NUMBER = re.compile(r"[+-]?(\d+[.,]?\d*|[.,]\d+)([eE][+-]?\d+)?", re.ASCII)
@@ -146,6 +193,27 @@ def _other_unit(title: str) -> str | None:
     ]
     is_ratio = "/" in lower and len(tokens) > 1 and _is_unit(tokens[-2])
     return None if not known or (len(known) == 1 and _UM.fullmatch(known[0]) and not is_ratio) else "/".join(known)
+
+
+_BRACKETED = re.compile(r"[\[({<]\s*([^\])}>]*?)\s*[\])}>]")
+_SECONDS = {
+    **dict.fromkeys(("s", "sec", "secs", "second", "seconds", "sekunde", "sekunden"), 1.0),
+    **dict.fromkeys(("ms", "msec", "millisecond", "milliseconds"), 1e-3),
+    **dict.fromkeys(("us", "\u00b5s", "\u03bcs", "usec", "microsecond", "microseconds"), 1e-6),
+    **dict.fromkeys(("ns", "nsec", "nanosecond", "nanoseconds"), 1e-9),
+}
+"""Units of time, s."""
+
+
+def _tokens(title: str) -> list[str]:
+    return [token for token in re.split(r"[^\w%\u00b0]+|_", title.lower()) if token]
+
+
+def _is_time(title: str) -> bool:
+    tokens = _tokens(title)
+    return any(token in ("t", "time", "zeit", "timestamp") for token in tokens) or (
+        bool(tokens) and all(token in _SECONDS for token in tokens)
+    )
 
 
 class _Table:
@@ -251,6 +319,33 @@ class _Table:
         for unit in filter(None, map(_other_unit, titles)):
             raise ValueError(
                 f"{self._file}: the header has the unit {unit!r} for column {column}, not um: give `scale_um`, the um of a value of 1"
+            )
+
+    def check_rate(self, column: int, rate: float) -> None:
+        """Raises `ValueError` if another column has times that contradict this rate. As the program's reader does."""
+        titles = [*zip(self._names or self._units, self._units or self._names, strict=True)]
+        found = next((at for at, names in enumerate(titles) if at != column and _is_time(names[0])), None)
+        if found is None:
+            return
+        cells = [cells[found] for _, cells in self._rows]
+        title = " ".join(titles[found])
+        units = [token for token in _tokens(title) if _is_unit(token)] + _BRACKETED.findall(title.lower())
+        if not all(map(_is_number, cells)) or any(unit not in _SECONDS for unit in units):
+            return
+        times = [float(cell.replace("\u2212", "-").replace(",", ".")) for cell in cells]
+        steps = [later - time for time, later in itertools.pairwise(times)]
+        span, wanted = times[-1] - times[0], len(steps) / rate
+        is_even = bool(steps) and max(steps) - min(steps) <= 0.01 * max(steps)
+        if not steps or span <= 0 or (not units and is_even and abs(max(steps) - 1) < 0.01):
+            # Without a unit, those that count by 1 may be numbers of rows.
+            return
+        seconds = [_SECONDS[unit] for unit in units[:1]] or sorted(set(_SECONDS.values()), reverse=True)
+        # Times that are not even are rounded.
+        rounded = 0.0 if is_even else max(steps)
+        if not any(abs(span * unit - wanted) <= 0.01 * wanted + rounded * unit for unit in seconds):
+            own = len(steps) / (span * seconds[0])
+            raise ValueError(
+                f"{self._file}: `rate` is {rate:g}, but the times of column {titles[found][0]!r} say {own:.10g} Hz: correct the one or the other"
             )
 
     def numbers(self, column: int) -> Iterator[float]:

@@ -9,7 +9,7 @@ from urllib.parse import quote
 
 from . import _http, _kept
 from ._arguments import number, table, text
-from ._bodies import Labels, Verdict, texts, verdict
+from ._bodies import Labels, Verdict, texts, verdict, whole
 from ._http import Op
 from ._operations import Accepted, Core, Owned, document, send, status, stop, wait_until_idle
 from ._presses import Press
@@ -143,9 +143,10 @@ def answer(
         rt_ms = response.after(onset) * 1000 if rt_ms is None else rt_ms
     said = response.name if isinstance(response, Press) else response
     numbers = {
-        name: None if value is None else number(name, value) for name, value in (("rt_ms", rt_ms), ("level", level))
+        name: None if value is None or _is_unknown(value) else number(name, value)
+        for name, value in (("rt_ms", rt_ms), ("level", level))
     }
-    body = {"response": str(said), "correct": verdict(correct), **numbers}
+    body = {"response": whole(str(said)), "correct": verdict(correct), **numbers}
     try:
         yield from document(core, _http.post(f"/v1/plays/{accepted.id}/answer", {**body, "factors": texts(given)}))
     except Exists as error:
@@ -155,6 +156,11 @@ def answer(
     except SessionRunning as error:
         advice = "play it in the block of `with m.session(...)`, and answer before its end"
         raise SessionRunning(error.detail, status=error.status, advice=advice) from None
+
+
+def _is_unknown(value: Any) -> bool:
+    """Whether it is NaN, which tables have for a number that is not known."""
+    return bool(value != value)
 
 
 def sessions(core: Core) -> Op[list[dict[str, Any]]]:

@@ -1,25 +1,20 @@
 """Predicted spikes of a session's stimuli: the program `meissner simulate` computes those of each stimulus by itself, from rest.
 
-The afferents stand on a grid, so that a file tells their places. `nwb.py` writes them as units.
+The afferents are those of one simulated fingertip, the same for all stimuli. `nwb.py` writes them as units.
 """
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from .clocks import NS
 from .errors import ProgramError
-from .motions import MOTIONS
-from .program import simulate
-from .traces import is_blank
-
-PLACES = [(float(x), float(y)) for y in range(-10, 11) for x in range(-7, 8)]
-"""The places of the afferents, mm from the array's middle: 1 mm apart, beyond the pins by a receptive field."""
-_AFTER_S = 0.1
-"""How long a stimulus is observed after its end, s."""
-_KEYS = {"motor", "frequency_hz", "amplitude_um", "phase", "start_s", "stop_s"}
+from .program import simulate_pattern
+from .traces import ArrayName, as_played, is_blank, unknown
 
 
 @dataclass(frozen=True)
@@ -34,48 +29,31 @@ class Predicted:
     """What could not be predicted, one line each."""
 
 
-def predict(rows: list[dict[str, Any]], patterns: Mapping[str, Mapping[str, Any]]) -> Predicted:
-    """Predicts the spikes of stimuli. `patterns` holds the patterns' keys by SHA-256."""
-    spikes: list[list[int]] = [[] for _ in PLACES]
+def predict(rows: list[dict[str, Any]], texts: Mapping[str, str], array: ArrayName | None) -> Predicted:
+    """Predicts the spikes of stimuli. `texts` holds the patterns by SHA-256; `array` is as of `displacement`."""
+    afferents: list[tuple[float, float]] = []
+    spikes: list[list[int]] = []
     found: dict[tuple[Any, ...], list[list[float]]] = {}
     problems: list[str] = []
-    for row in rows:
-        if is_blank(row):
-            continue
-        pattern, played_ms = patterns.get(row["pattern_sha256"] or ""), row["played_ms"]
-        which = f"play {row['play']}" + ("" if row["item"] is None else f", item {row['item']}")
-        if pattern is None or played_ms is None or row["mapped_from"] is not None:
-            problems.append(f"{which}: its pattern as played, or its end, is not known, so it has no predicted spikes")
-            continue
-        if any(pattern.get(kind) for kind in MOTIONS) or any(set(drive) - _KEYS for drive in _set_drives(pattern)):
-            problems.append(f"{which}: its pattern has motions, which have no predicted spikes")
-            continue
-        key = (row["pattern_sha256"], row["scale"], round(played_ms, 3))
-        try:
-            if key not in found:
-                found[key] = _spikes(pattern, row["scale"], played_ms / 1000, row["array"])
-        except ProgramError as error:
-            return Predicted([], [], [*problems, f"no predicted spikes: {error}"])
-        for own, times in zip(spikes, found[key], strict=True):
-            own += [row["onset_monotonic_ns"] + round(time * NS) for time in times]
-    return Predicted(PLACES, [sorted(own) for own in spikes], problems)
-
-
-def _set_drives(pattern: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """The drives with the keys that are given."""
-    return [{key: value for key, value in drive.items() if value is not None} for drive in pattern.get("drive", ())]
-
-
-def _spikes(pattern: Mapping[str, Any], scale: float, seconds: float, array: str) -> list[list[float]]:
-    drives = [
-        {
-            **drive,
-            "amplitude_um": drive["amplitude_um"] * scale,
-            "stop_s": min(drive.get("stop_s", seconds), seconds),
-        }
-        for drive in _set_drives(pattern)
-        if drive.get("start_s", 0.0) < seconds
-    ]
-    afferents = [{"x_mm": x_mm, "y_mm": y_mm} for x_mm, y_mm in PLACES]
-    scene = {"array": array, "duration_s": seconds + _AFTER_S, "afferents": afferents, "drives": drives}
-    return [list(map(float, times)) for times in simulate(scene).spikes_s]
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder, "pattern.toml")
+        for row in rows:
+            if is_blank(row):
+                continue
+            why, ordered = unknown(row, texts), as_played(row)
+            if why is not None or ordered is None:
+                problems.append(f"{why}, so it has no predicted spikes")
+                continue
+            key = (row["pattern_sha256"], row["scale"], *ordered)
+            try:
+                if key not in found:
+                    file.write_text(texts[row["pattern_sha256"]], encoding="utf-8")
+                    raw = simulate_pattern(file, row["scale"], *ordered, array)
+                    found[key] = raw["spikes_s"]
+                    afferents = [(each["x_mm"], each["y_mm"]) for each in raw["afferents"]]
+                    spikes = spikes or [[] for _ in afferents]
+            except ProgramError as error:
+                return Predicted([], [], [*problems, f"no predicted spikes: {error}"])
+            for own, times in zip(spikes, found[key], strict=True):
+                own += [row["onset_monotonic_ns"] + round(time * NS) for time in times]
+    return Predicted(afferents, [sorted(own) for own in spikes], problems)

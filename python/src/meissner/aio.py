@@ -13,7 +13,7 @@ from collections.abc import AsyncGenerator, Awaitable, Callable, Generator, Iter
 from types import TracebackType
 from typing import Any, Concatenate, ParamSpec, TypeVar
 
-from . import _ending, _exports, _live, _plan, _sessions, bids, nwb, program
+from . import _ending, _exports, _kept, _live, _plan, _sessions, bids, nwb, program
 from . import _operations as ops
 from ._aio_live import AsyncLive
 from ._alive import Alive
@@ -155,7 +155,8 @@ class AsyncSession:
     ) -> None:
         """Record the answer in a trial. As `Session.answer`."""
         number, level, own = trial_answer(trial, level, factors)
-        play = played_in(self._client.trials, number)
+        with _kept.answer(trial=number, response=response, correct=correct, rt_ms=rt_ms, level=level, factors=own):
+            play = played_in(self._client.trials, number)
         await play.answer(response, correct=correct, rt_ms=rt_ms, level=level, factors=own)
 
     @property

@@ -2,32 +2,38 @@
 a dataset needs around them.
 
 `Client.export_bids` uses it. The files follow BIDS 1.10 for behavioural data (`beh`): onsets in seconds, sorted, and every
-column described. Files of the dataset that are there already (description, README) stay as they are; the participant is added. `_bids_names.py` names the files.
+column described. Files of the dataset that are there already stay as they are: the participant is added, and `HEDVersion` if the
+description lacks it. `_bids_names.py` names the files.
 
-Invariant: an export writes the same files for the same session, so that it may be repeated.
+Invariants: an export writes the same files for the same session, so that it may be repeated. All files are written beside their
+places before the first one takes its place. No link is written through, and no file of others is replaced unless the caller says so.
 """
 
 from __future__ import annotations
 
+import contextlib
 import gzip
 import json
+import os
 import platform
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ._bids_names import SESSION_SOURCE, SOURCE, Names, add_participant
+from ._bids_names import SESSION_SOURCE, SOURCE, Names, with_participant
 from ._bids_names import label as label
 from ._labels import Labels, exact
+from ._text_file import replacing, sync
 from .arrays import of_record
-from .errors import ProgramError
+from .errors import BidsConflict, MeissnerError, ProgramError
 from .motions import pattern_toml
 from .results import reached_um
-from .traces import ArrayName, Grid, is_blank
+from .traces import ArrayName, Grid, is_blank, unknown
 
 VERSION = "1.10.0"
+_HED_VERSION = "8.3.0"
 _HED = "Sensory-event, Tactile-presentation, Experimental-stimulus"
 _ANSWERED = "Agent-action, Participant-response"
 _MOST_LEVELS = 40
@@ -134,47 +140,131 @@ def write(
     session: str | None = None,
     run: int | str | None = None,
     array: ArrayName | None = None,
+    overwrite: bool = False,
 ) -> Export:
     """Writes a session. `recorded` is as of `session_plays`, `patterns` holds the patterns' keys by SHA-256.
 
-    Raises `BidsConflict`, and writes nothing, if a name of it stands for something else in the dataset.
+    Raises `BidsConflict`, and writes nothing, if a name of it stands for something else in the dataset, or if a file is in the way.
     """
     rows = stimulus_rows(recorded["plays"])
     labels = Labels(recorded["session"], rows)
     names = Names.of(recorded["session"], task, subject, session, run)
     names.check(root)
-    folder = root / names.folder / "beh"
-    folder.mkdir(parents=True, exist_ok=True)
-    (root / "stimuli").mkdir(exist_ok=True)
-    stimuli = {}
-    for sha256, keys in patterns.items():
-        stimuli[sha256] = f"{keys['name']}_{sha256[:8]}.toml"
-        (root / "stimuli" / stimuli[sha256]).write_text(pattern_toml(keys), encoding="utf-8")
+    texts = {sha256: pattern_toml(keys) for sha256, keys in patterns.items()}
+    stimuli = {sha256: f"{keys['name']}_{sha256[:8]}.toml" for sha256, keys in patterns.items()}
     zero = zero_host_ns if zero_host_ns is not None else (rows[0]["onset_monotonic_ns"] if rows else 0)
-    _dataset(root, names)
-    events = folder / names.file
-    columns = [*_COLUMNS, *(column.name for column in labels.columns)]
-    _tsv(events, columns, [{**_event(row, zero, stimuli, labels), **labels.cells(row)} for row in rows])
-    sources = {"MeissnerParticipant": names.participant, SESSION_SOURCE: names.session_id}
-    about = {"TaskName": names.task_name, **sources, **_incomplete(recorded)}
-    _json(events.with_suffix(".json"), {**about, **_sidecar(rows, labels, software)})
     left_out = losses(recorded)
     for row in rows:
+        is_live = row.get("live") is not None
         line = f"the text of {row['pattern']} as played is not kept: its stim_file is n/a"
+        line = f"{unknown(row, texts)}: its stim_file is n/a" if is_live else line
         if row["pattern_sha256"] not in stimuli and line not in left_out and not is_blank(row):
             left_out.append(line)
-    displacement = None
+    merged, has_hed = _dataset(root, names)
+    if not has_hed:
+        left_out.append("the HED tags: the dataset's HEDVersion is not 8")
+    events = root / names.folder / "beh" / names.file
+    columns = [*_COLUMNS, *(column.name for column in labels.columns)]
+    sources = {"MeissnerParticipant": names.participant, SESSION_SOURCE: names.session_id}
+    about = {"TaskName": names.task_name, **sources, **_incomplete(recorded)}
+    made: dict[Path, bytes] = {root / "stimuli" / stimuli[sha256]: text.encode() for sha256, text in texts.items()}
+    made[events.with_suffix(".json")] = _json({**about, **_sidecar(rows, labels, software, has_hed)})
+    made[events] = _tsv(columns, [{**_event(row, zero, stimuli, labels), **labels.cells(row)} for row in rows])
+    samples = events.with_name(events.name.replace("_events.tsv", "_stim.tsv.gz"))
+    grid = None
     if displacement_hz is not None and rows:
-        texts = {sha256: pattern_toml(keys) for sha256, keys in patterns.items()}
         try:
             grid = Grid(rows, texts, zero_ns=zero, rate_hz=displacement_hz, array=array)
         except ProgramError as error:
             left_out.append(f"no displacement of the pins: {error}")
         else:
-            displacement = events.with_name(events.name.replace("_events.tsv", "_stim.tsv.gz"))
-            _displacement(displacement, grid, names.task_name)
-            left_out += grid.problems
-    return Export(events, stimuli, displacement, tuple(left_out), recorded.get("plays_missing", 0))
+            made[samples.with_name(samples.name.replace(".tsv.gz", ".json"))] = _samples_sidecar(grid, names.task_name)
+    places = [*merged, *made, *([samples] if grid else [])]
+    changed = {file: data for file, data in {**merged, **made}.items() if not _holds(file, data)}
+    _check_places(root, [file for file in places if file in changed or file == samples])
+    if not overwrite and not _is_own(events, names):
+        _check_foreign([file for file in places if (file in made and file in changed) or file == samples])
+    elif not overwrite:
+        _check_foreign([file for file in changed if file.parent == root / "stimuli"])
+    writers: dict[Path, Callable[[Path], object]] = {
+        file: lambda beside, data=data: beside.write_bytes(data)  # type: ignore[misc]
+        for file, data in changed.items()
+    }
+    if grid:
+        writers[samples] = lambda beside: _displacement(beside, grid)
+    _write_all(root, writers)
+    left_out += grid.problems if grid else []
+    return Export(events, stimuli, samples if grid else None, tuple(left_out), recorded.get("plays_missing", 0))
+
+
+def _holds(file: Path, data: bytes) -> bool:
+    """Whether a file has this content already."""
+    try:
+        return file.read_bytes() == data
+    except OSError:
+        return False
+
+
+def _check_places(root: Path, files: list[Path]) -> None:
+    """Raises `BidsConflict` if one of these files cannot be put into its place. A link may lead to the only copy of what it names."""
+    for file in files:
+        for part in [*reversed(file.relative_to(root).parents), file.relative_to(root)][1:]:
+            place = root / part
+            if place.is_symlink():
+                raise BidsConflict(
+                    f"{place} is a symbolic link, which no export writes through: put a copy in its place (`git annex unlock`, "
+                    "`datalad unlock`), or export into another folder; nothing was written"
+                )
+            if os.path.lexists(place) and not (place.is_file() if place == file else place.is_dir()):
+                kind = "file" if place == file else "folder"
+                raise BidsConflict(f"{place} is no {kind}: move it away; nothing was written")
+        if file.exists() and not file.stat().st_mode & 0o222:
+            raise BidsConflict(f"{file} is read-only: make it writable; nothing was written")
+
+
+def _is_own(events: Path, names: Names) -> bool:
+    """Whether an export of this session wrote the events that are there."""
+    try:
+        about = json.loads(events.with_suffix(".json").read_text(encoding="utf-8-sig"))
+    except (OSError, ValueError):
+        return False
+    return isinstance(about, dict) and about.get(SESSION_SOURCE) == names.session_id
+
+
+def _check_foreign(files: list[Path]) -> None:
+    """Raises `BidsConflict` if one of these files is there."""
+    there = [str(file) for file in files if file.exists()]
+    if there:
+        raise BidsConflict(
+            f"{', '.join(there)}: not from an export of this session, or changed since: give another `session`, `run` or `task`, "
+            "or overwrite=True to replace it; nothing was written"
+        )
+
+
+def _write_all(root: Path, writers: Mapping[Path, Callable[[Path], object]]) -> None:
+    """Writes files: all of them beside their places first. After an error in that nothing is left."""
+    made: list[Path] = []
+    is_begun = False
+    try:
+        with contextlib.ExitStack() as stack:
+            for file, write in reversed(list(writers.items())):
+                for folder in reversed([file.parent, *file.parent.parents]):
+                    if not folder.exists():
+                        folder.mkdir()
+                        made.append(folder)
+                beside = stack.enter_context(replacing(file))
+                write(beside)
+                sync(beside)
+            is_begun = True
+    except BaseException as error:
+        if not is_begun:
+            for folder in reversed(made):
+                with contextlib.suppress(OSError):
+                    folder.rmdir()
+        if not isinstance(error, OSError):
+            raise
+        what = "not all files are in their places: export again" if is_begun else "nothing was written"
+        raise MeissnerError(f"{root} cannot be written ({error.strerror}: {error.filename or root}): {what}") from error
 
 
 def losses(recorded: Mapping[str, Any]) -> list[str]:
@@ -200,8 +290,8 @@ def _incomplete(recorded: Mapping[str, Any]) -> dict[str, Any]:
 _AT_ONCE = 10_000
 
 
-def _displacement(file: Path, grid: Grid, task: str) -> None:
-    """The samples and their sidecar. The same samples make the same bytes: no name and no time in the file."""
+def _displacement(file: Path, grid: Grid) -> None:
+    """The samples. The same samples make the same bytes: no name and no time in the file."""
     zeros, unknown = (("\t".join([cell] * grid.pins) + "\n").encode() for cell in ("0", "n/a"))
     with file.open("wb") as opened, gzip.GzipFile("", "wb", 6, opened, mtime=0) as packed:
         due = grid.first
@@ -212,11 +302,14 @@ def _displacement(file: Path, grid: Grid, task: str) -> None:
                 due += rest
             packed.write(unknown if row is None else ("\t".join(map(_um, row)) + "\n").encode())
             due += 1
+
+
+def _samples_sidecar(grid: Grid, task: str) -> bytes:
     names = [f"pin_{pin}" for pin in range(grid.pins)]
     about = "displacement from rest towards the finger, by the motor model from what was ordered: not measured"
     columns = {name: {"Description": f"Pin {name[4:]}: {about}", "Units": "um"} for name in names}
     sampling = {"SamplingFrequency": grid.rate_hz, "StartTime": grid.first / grid.rate_hz, "Columns": names}
-    _json(file.with_name(file.name.replace(".tsv.gz", ".json")), {"TaskName": task, **sampling, **columns})
+    return _json({"TaskName": task, **sampling, **columns})
 
 
 def _um(value: float) -> str:
@@ -278,7 +371,9 @@ def answer_cells(row: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def _sidecar(rows: list[dict[str, Any]], labels: Labels, software: tuple[int, str] | None) -> dict[str, Any]:
+def _sidecar(
+    rows: list[dict[str, Any]], labels: Labels, software: tuple[int, str] | None, has_hed: bool
+) -> dict[str, Any]:
     columns = {name: dict(meaning) for name, meaning in _COLUMNS.items()}
     for column in labels.columns:
         columns[column.name] = {"LongName": column.key, "Description": column.description}
@@ -289,6 +384,8 @@ def _sidecar(rows: list[dict[str, Any]], labels: Labels, software: tuple[int, st
     if 0 < len(said) <= _MOST_LEVELS:
         columns["response"]["Levels"] = {each: f"the answer {each}" for each in sorted(said)}
         columns["response"]["HED"] = {each: f"({_ANSWERED}, Label/{_hed_name(each)})" for each in sorted(said)}
+    if not has_hed:
+        columns = {name: {key: cell for key, cell in of.items() if key != "HED"} for name, of in columns.items()}
     presentation = {
         "OperatingSystem": platform.platform(),
         "SoftwareName": "meissner",
@@ -303,48 +400,68 @@ def _hed_name(text: str) -> str:
     return re.sub(r"[^A-Za-z0-9_-]", "_", text)
 
 
-def _dataset(root: Path, names: Names) -> None:
-    """What stands at the top of a dataset."""
-    description = root / "dataset_description.json"
-    if not description.exists():
-        made = {
-            "Name": "Tactile stimulation by meissner",
-            "BIDSVersion": VERSION,
-            "HEDVersion": "8.3.0",
-            "DatasetType": "raw",
-            "Authors": ["n/a"],
-            "License": "n/a",
-        }
-        _json(description, made)
-    readme = root / "README.md"
-    if not readme.exists():
-        readme.write_text(
-            "# Tactile stimulation\n\nVibration patterns played under a fingertip by meissner. Each `events.tsv` has a row per stimulus, and its\n"
-            "sidecar describes the columns. `stimuli/` holds the patterns, as text files. Describe the experiment here.\n",
-            encoding="utf-8",
+def _dataset(root: Path, names: Names) -> tuple[dict[Path, bytes], bool]:
+    """What stands at the top of a dataset, with what others have written there, and whether HED tags may follow."""
+    made: dict[Path, bytes] = {}
+    description, text = root / "dataset_description.json", ""
+    about: dict[str, Any] = {
+        "Name": "Tactile stimulation by meissner",
+        "BIDSVersion": VERSION,
+        "HEDVersion": _HED_VERSION,
+        "DatasetType": "raw",
+        "Authors": ["n/a"],
+        "License": "n/a",
+    }
+    if description.exists():
+        text, about = _object(description)
+        made[description] = _with_key(text, about, "HEDVersion", _HED_VERSION)
+    else:
+        made[description] = _json(about)
+    versions = about.get("HEDVersion", _HED_VERSION)
+    has_hed = any(str(each).startswith("8.") for each in (versions if isinstance(versions, list) else [versions]))
+    if not root.is_dir() or not any(re.fullmatch(r"readme(\.\w+)?", each.lower()) for each in os.listdir(root)):
+        made[root / "README.md"] = (
+            b"# Tactile stimulation\n\nVibration patterns played under a fingertip by meissner. Each `events.tsv` has a row per stimulus, and its\n"
+            b"sidecar describes the columns. `stimuli/` holds the patterns, as text files. Describe the experiment here.\n"
         )
-    add_participant(root, names)
+    made[root / "participants.tsv"] = with_participant(root, names)
     meaning = root / "participants.json"
+    source = {
+        "Description": "The participant's pseudonym in the session record of meissner, from which the label comes"
+    }
+    text, about = _object(meaning) if meaning.exists() else ("{}\n", {})
+    made[meaning] = _with_key(text, about, SOURCE, source)
+    return made, has_hed
+
+
+def _object(file: Path) -> tuple[str, dict[str, Any]]:
+    """A JSON object that others may have written, with its text."""
     try:
-        columns = json.loads(meaning.read_text(encoding="utf-8-sig")) if meaning.exists() else {}
-    except ValueError:
-        return
-    if isinstance(columns, dict) and SOURCE not in columns:
-        about = {
-            "Description": "The participant's pseudonym in the session record of meissner, from which the label comes"
-        }
-        _json(meaning, {**columns, SOURCE: about})
+        text = file.read_bytes().decode()
+        about = json.loads(text.removeprefix("\ufeff"))
+    except (OSError, ValueError) as error:
+        raise BidsConflict(f"{file} cannot be read ({error}): correct it; nothing was written") from error
+    if not isinstance(about, dict):
+        raise BidsConflict(f"{file} is no JSON object: correct it; nothing was written")
+    return text, about
 
 
-def _json(file: Path, document: Mapping[str, Any]) -> None:
-    file.write_text(json.dumps(document, indent=2) + "\n", encoding="utf-8")
+def _with_key(text: str, about: Mapping[str, Any], key: str, value: Any) -> bytes:
+    """The text of a JSON object with this key, at its end if it lacks it. All else stays as it is."""
+    if key in about:
+        return text.encode()
+    head, _, tail = text.rpartition("}")
+    lines = json.dumps({key: value}, indent=2).splitlines()[1:-1]
+    return (head.rstrip() + ("," if about else "") + "\n" + "\n".join(lines) + "\n}" + tail).encode()
 
 
-def _tsv(file: Path, columns: list[str], rows: list[dict[str, Any]]) -> None:
-    lines = ["\t".join(columns)]
-    for row in rows:
-        lines.append("\t".join(_cell(row[name]) for name in columns))
-    file.write_text("\n".join(lines) + "\n", encoding="utf-8")
+def _json(document: Mapping[str, Any]) -> bytes:
+    return (json.dumps(document, indent=2) + "\n").encode()
+
+
+def _tsv(columns: list[str], rows: list[dict[str, Any]]) -> bytes:
+    lines = ["\t".join(columns), *("\t".join(_cell(row[name]) for name in columns) for row in rows)]
+    return ("\n".join(lines) + "\n").encode()
 
 
 def _cell(value: Any) -> str:

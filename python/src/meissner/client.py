@@ -10,7 +10,7 @@ from collections.abc import Callable, Generator, Iterable
 from types import TracebackType
 from typing import Any, Concatenate, ParamSpec, TypeVar
 
-from . import _ending, _exports, _http, _live, _plan, _sessions, bids, nwb, program
+from . import _ending, _exports, _http, _kept, _live, _plan, _sessions, bids, nwb, program
 from . import _operations as ops
 from ._alive import Alive
 from ._answers import Answerable
@@ -155,7 +155,8 @@ class Session:
     ) -> None:
         """Record the answer in a trial, to its newest play. As `Play.answer`; the factors of a `Trial` are those of the answer, too."""
         number, level, own = trial_answer(trial, level, factors)
-        play = played_in(self._client.trials, number)
+        with _kept.answer(trial=number, response=response, correct=correct, rt_ms=rt_ms, level=level, factors=own):
+            play = played_in(self._client.trials, number)
         play.answer(response, correct=correct, rt_ms=rt_ms, level=level, factors=own)
 
     @property

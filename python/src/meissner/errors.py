@@ -52,7 +52,7 @@ class IncompleteSession(MeissnerError):
 
 
 class BidsConflict(MeissnerError):
-    """An export would write two sources under one name of a BIDS dataset. Nothing was written."""
+    """An export would write two sources under one name of a BIDS dataset, or replace what it has not written. Nothing was written."""
 
 
 class ProgramError(MeissnerError):

@@ -12,6 +12,7 @@ import base64
 import math
 import sys
 from collections.abc import Iterable, Mapping
+from fractions import Fraction
 from typing import Any, Union
 
 from ._arguments import drive_list, listed, number, whole
@@ -90,6 +91,15 @@ def _wave(motor: int, um: Iterable[float], rate: float, start: float, most_um: f
     return {"motor": motor, "rate_hz": rate, "start_s": start, "samples": samples}
 
 
+def _resample(rate: float | None) -> str:
+    """How to resample what is too fast."""
+    if rate is None or not RATE[1] < rate <= 192_000 or not float(rate).is_integer():
+        return ""
+    share = Fraction(int(RATE[1]), int(rate))
+    call = f"scipy.signal.resample_poly(um, {share.numerator}, {share.denominator}, padtype='edge').clip(0)"
+    return f"; {call} resamples to rate={RATE[1]:g}"
+
+
 def pattern(
     samples: Samples | None = None,
     rate: float | None = None,
@@ -110,7 +120,7 @@ def pattern(
         if rate is None:
             raise ValueError(f"`samples` need `rate`: how many are a second, {RATE[0]:g} to {RATE[1]:g} Hz")
         if not RATE[0] <= number("rate", rate, ", Hz") <= RATE[1]:
-            raise ValueError(f"`rate` is {rate} Hz: must be {RATE[0]:g} to {RATE[1]:g}")
+            raise ValueError(f"`rate` is {rate} Hz: must be {RATE[0]:g} to {RATE[1]:g}{_resample(rate)}")
         if not 0.0 <= start <= 1e8:
             raise ValueError(f"`start` is {start} s: must be 0 or more")
         count = _columns(samples) if motors is None else motors

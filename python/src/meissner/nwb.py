@@ -3,13 +3,12 @@
 `Client.export_nwb` uses it; it needs `pynwb`: `pip install 'pynwb>=4'`. Times count from the session's start on the
 recording PC's clock. The displacement has samples during stimuli alone: in between all pins rest.
 
-Invariant: a file that is there is replaced whole, and only once everything was written.
+Invariant: a file that is there is replaced only if the caller says so: whole, and once everything was written.
 """
 
 from __future__ import annotations
 
 import math
-import os
 from array import array
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -19,6 +18,7 @@ from typing import Any
 
 from ._labels import Labels
 from ._spikes import Predicted, predict
+from ._text_file import replacing
 from .bids import answer_cells, edge_cells, first_pulse_ns, losses, stimulus_rows, trial_rows
 from .clocks import NS
 from .errors import MeissnerError, ProgramError
@@ -74,6 +74,18 @@ def needs_pynwb() -> Any:
     return pynwb
 
 
+def check_place(file: Path, overwrite: bool) -> None:
+    """Raises `MeissnerError` if a file cannot be written here, or is there and may not be replaced."""
+    if file.is_symlink():
+        raise MeissnerError(f"{file} is a symbolic link, which no export writes through: name another file")
+    if not file.parent.is_dir() or (file.exists() and not file.is_file()):
+        raise MeissnerError(f"{file} cannot be written: name a file in a folder that is there")
+    if file.exists() and not overwrite:
+        raise MeissnerError(f"{file} is there already: name another file, or replace it by overwrite=True")
+    if file.exists() and not file.stat().st_mode & 0o222:
+        raise MeissnerError(f"{file} is read-only: name another file, or make it writable")
+
+
 def write(
     file: Path,
     recorded: Mapping[str, Any],
@@ -85,9 +97,11 @@ def write(
     displacement_hz: float | None = 1000.0,
     array: ArrayName | None = None,
     spikes: bool = False,
+    overwrite: bool = False,
 ) -> Export:
     """Writes a session. `recorded` is as of `session_plays`, `patterns` holds the patterns' keys by SHA-256."""
     pynwb = needs_pynwb()
+    check_place(file, overwrite)
     session, rows = recorded["session"], stimulus_rows(recorded["plays"])
     if not rows:
         raise MeissnerError(f"session {session['id']} has no stimuli: there is nothing to export")
@@ -126,19 +140,14 @@ def write(
         else:
             left_out += _add_displacement(pynwb, nwb, grid)
     if spikes:
-        predicted = predict(rows, patterns)
+        predicted = predict(rows, texts, array)
         left_out += predicted.problems
         if any(predicted.spikes_ns):
             _add_units(pynwb, nwb, predicted, zero_ns)
         else:
             left_out.append("no units: no spike is predicted")
-    beside = file.with_name(f".{file.stem}.{os.getpid()}.nwb")
-    try:
-        with pynwb.NWBHDF5IO(str(beside), "w") as io:
-            io.write(nwb)
-        beside.replace(file)
-    finally:
-        beside.unlink(missing_ok=True)
+    with replacing(file) as beside, pynwb.NWBHDF5IO(str(beside), "w") as io:
+        io.write(nwb)
     return Export(file, tuple(left_out), recorded.get("plays_missing", 0))
 
 
@@ -255,7 +264,7 @@ def _add_trials(nwb: Any, plays: list[dict[str, Any]], session: Mapping[str, Any
 def _add_units(pynwb: Any, nwb: Any, predicted: Predicted, zero_ns: int) -> None:
     """A unit per afferent."""
     about = (
-        "Afferents of a simulated fingertip, 1 mm apart. Their spikes are PREDICTED from what was ordered by the model `membrane`: "
+        "RA afferents of a simulated fingertip. Their spikes are PREDICTED from what was ordered by the model `membrane`: "
         "nothing was recorded. Each stimulus is predicted by itself, from rest."
     )
     nwb.units = pynwb.misc.Units(name="units", description=about, resolution=1 / NS)

@@ -168,14 +168,11 @@ class Grid:
             end = max(end, math.ceil((after_s + lasted_s) * self.rate_hz))
         if is_blank(row):
             return _Stimulus(first, end, "rest")
-        text, ordered = texts.get(row["pattern_sha256"] or ""), _as_played(row)
-        if text is None or ordered is None or row["mapped_from"] is not None:
-            what = f"play {row['play']}" + ("" if row["item"] is None else f", item {row['item']}")
-            why = "its pattern as played is not kept" if text is None else "its end is missing from the record"
-            if row["mapped_from"] is not None:
-                why = f"its pattern is for the array {row['mapped_from']} and was mapped by position"
-            self.problems.append(f"{what}: {why}, so its displacement is n/a")
+        why, ordered = unknown(row, texts), as_played(row)
+        if why is not None or ordered is None:
+            self.problems.append(f"{why}, so its displacement is n/a")
             return _Stimulus(first, end, None)
+        text = texts[row["pattern_sha256"]]
         first_s = max(0.0, first / self.rate_hz - after_s) * device_s
         scale = 1.0 if row["scale"] is None else row["scale"]
         samples = _Samples(text, ordered[0], scale, ordered[1], self.rate_hz / device_s, first_s, self._array)
@@ -201,7 +198,19 @@ def is_blank(row: Mapping[str, Any]) -> bool:
     return bool(row["pattern_sha256"] == "")
 
 
-def _as_played(row: Mapping[str, Any]) -> tuple[float | None, str] | None:
+def unknown(row: Mapping[str, Any], texts: Mapping[str, str]) -> str | None:
+    """Why it is not known how a stimulus moved the pins; None: it is. `texts` holds the patterns by SHA-256."""
+    what = f"play {row['play']}" + ("" if row["item"] is None else f", item {row['item']}")
+    if (live := row.get("live")) is not None:
+        return f"{what} was live: the record has the number of its updates ({live['updates']}), not its moves"
+    if row["mapped_from"] is not None:
+        return f"{what}: its pattern is for the array {row['mapped_from']} and was mapped by position"
+    if texts.get(row["pattern_sha256"] or "") is None:
+        return f"{what}: its pattern as played is not kept"
+    return f"{what}: its end is missing from the record" if as_played(row) is None else None
+
+
+def as_played(row: Mapping[str, Any]) -> tuple[float | None, str] | None:
     """Duration and fit that give the strokes that were played; None if the record does not tell."""
     if row["state"] in ("done", "played", "incomplete"):
         return row["seconds"], row["fit"]

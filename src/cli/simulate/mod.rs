@@ -7,12 +7,13 @@
 mod afferents;
 mod pattern;
 
-use crate::cli::arguments::{ArrayOption, Output, choice, positive};
+use crate::cli::arguments::{ArrayOption, FITS, Output, choice, positive};
 use crate::cli::output::give;
 use crate::cli::{files, progress, text};
 use anyhow::Result;
 use clap::error::ErrorKind;
 use clap::{Args, ValueEnum};
+use meissner_api::Fit;
 use meissner_report::{Count, MethodLabel, Reason};
 use meissner_skin::membrane::Position;
 use meissner_skin::{
@@ -63,6 +64,12 @@ pub(super) struct Simulate {
     /// Simulate a pattern for S seconds: truncate or loop it
     #[arg(long, value_name = "S", allow_negative_numbers = true, value_parser = positive)]
     seconds: Option<f64>,
+    /// Choose which strokes of a pattern are played at the end
+    #[arg(long, default_value = "whole", value_parser = choice::<Fit>(FITS))]
+    fit: Fit,
+    /// Multiply the amplitude of every drive and motion of a pattern by X, 0 to 1
+    #[arg(long, value_name = "X", default_value_t = 1.0, allow_negative_numbers = true, value_parser = positive)]
+    scale: f64,
     /// Simulate a pattern on the fingertip N, with its noise
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u64).range(..=i64::MAX as u64))]
     seed: u64,
@@ -117,9 +124,10 @@ pub(super) fn run(asked: &Simulate) -> Result<ExitCode> {
         return pattern::run(asked, &found.pattern);
     }
     let stepping = stepping(asked)?;
-    if asked.seconds.is_some() || asked.error_um.is_some() || asked.seed != 0 {
-        let message =
-            "--seconds, --seed and --error-um are for patterns: a scene says its duration and its seed";
+    let is_scaled = asked.scale.to_bits() != 1.0_f64.to_bits() || asked.fit != Fit::Whole;
+    if asked.seconds.is_some() || asked.error_um.is_some() || asked.seed != 0 || is_scaled {
+        let message = "--seconds, --fit, --scale, --seed and --error-um are for patterns: a scene says its drives, its duration and its \
+                       seed";
         return Err(clap::Error::raw(ErrorKind::ArgumentConflict, message).into());
     }
     let scene = read(&asked.scene, asked.model)?;

@@ -7,6 +7,7 @@ use super::{Simulate, print_csv};
 use crate::cli::output::give;
 use crate::cli::pattern_file::{self, Found};
 use crate::cli::{files, progress, text};
+use crate::receipts::fit;
 use crate::store::Store;
 use anyhow::{Result, anyhow, bail};
 use clap::error::ErrorKind;
@@ -79,7 +80,13 @@ pub(super) fn run(asked: &Simulate, pattern: &Pattern) -> Result<ExitCode> {
     }
     asked.array.check(&asked.scene.to_string_lossy(), pattern.array())?;
     let begun = Instant::now();
-    let options = StrokeOptions { error_um: asked.error_um, ..StrokeOptions::lasting(asked.seconds) };
+    let options = StrokeOptions {
+        seconds: asked.seconds,
+        scale: asked.scale,
+        fit: fit(asked.fit),
+        error_um: asked.error_um,
+        ..StrokeOptions::default()
+    };
     let strokes = Strokes::new(pattern, &options)?;
     let Some(end) = strokes.end() else {
         bail!("`{}` has no end: say for how long with --seconds", pattern.name());

@@ -1,7 +1,8 @@
 """A CSV file of trials that survives a crash.
 
 Each row is written with one call and flushed to the disk before `add` returns. So a crash loses at most the trial that is
-under way. A row without its line end is unfinished: `Log(..., resume=True)` cuts it off and goes on after the last trial.
+under way. What was answered is never lost: a new column gives the earlier rows an empty cell, and an answer that the session record
+does not take has its row all the same, with an error that says so. A row without its line end is unfinished: `Log(..., resume=True)` cuts it off and goes on after the last trial.
 One program at a time writes a log: it holds a lock, which the system releases when it ends.
 
 A file that another program has saved is refused when it is opened: a spreadsheet rounds the times, which have 19 digits, and
@@ -13,6 +14,7 @@ from __future__ import annotations
 import contextlib
 import csv
 import io
+import itertools
 import numbers
 import os
 import re
@@ -24,8 +26,9 @@ from .._answers import Answerable
 from .._arguments import hints, listed
 from .._bodies import verdict
 from .._plays import KnownPlay, check_trial, trial_answer
+from .._text_file import replacing
 from ..clocks import Instant
-from ..errors import MeissnerError
+from ..errors import MeissnerError, NotKnownYet
 from .trials import Trial
 
 try:
@@ -38,9 +41,7 @@ _WHOLE = re.compile(r"(trial|play|(item\d+_)?(onset|offset)_(tick|monotonic_ns|w
 _UNCERTAINTY = re.compile(r"(item\d+_)?onset_uncertainty_s")
 _FORMS = [(_WHOLE, re.compile(r"(-?\d+)?")), (_UNCERTAINTY, re.compile(r"(\d+\.\d{9})?"))]
 
-# What the daemon takes in an answer.
-MAX_FACTORS = 16
-MAX_FACTOR_CHARACTERS = 100
+_FLAGS = os.O_RDWR | os.O_APPEND | getattr(os, "O_BINARY", 0)
 
 
 class LogError(MeissnerError):
@@ -55,8 +56,14 @@ class _Played(Protocol):
 
 
 def play_columns(play: KnownPlay) -> dict[str, Any]:
-    """What the log keeps of a play: pattern, what it reached, onset and offset on each clock, of a sequence for each item."""
-    receipt = play.receipt
+    """What the log keeps of a play: pattern, what it reached, onset and offset on each clock, of a sequence for each item.
+
+    Of a play that the program has not waited for, nothing but its number and pattern is known.
+    """
+    try:
+        receipt = play.receipt
+    except NotKnownYet:
+        return {"play": play.id, "pattern": play.pattern}
     columns: dict[str, Any] = {
         "play": receipt.id,
         "pattern": receipt.pattern,
@@ -86,7 +93,7 @@ def _times(played: _Played, prefix: str) -> dict[str, Any]:
 
 @hints
 class Log:
-    """A CSV file with a row per trial. The first row that is added names the columns."""
+    """A CSV file with a row per trial. A row with new columns adds them to the earlier rows, without values."""
 
     def __init__(self, path: str | os.PathLike[str], *, resume: bool = False, answers: bool = False) -> None:
         """`resume`: go on with a file that is there. Without it the log refuses to touch one.
@@ -101,7 +108,7 @@ class Log:
         self._columns: list[str] | None = None
         self.rows: list[dict[str, str]] = []
         """The rows, as text."""
-        flags = os.O_RDWR | os.O_APPEND | os.O_CREAT | getattr(os, "O_BINARY", 0)
+        flags = _FLAGS | os.O_CREAT
         try:
             self._file: int | None = os.open(self.path, flags if resume else flags | os.O_EXCL, 0o644)
         except FileExistsError:
@@ -170,7 +177,7 @@ class Log:
     def remaining(self, trials: Iterable[Trial]) -> list[Trial]:
         """The trials that have no row yet.
 
-        Trials that the log cannot take, or an answer, or that are others than those of its rows, are refused.
+        Trials that the log cannot take, or that are others than those of its rows, are refused.
         """
         trials = listed("trials", trials, "that of `two_afc(...)`")
         for place, trial in enumerate(trials):
@@ -183,8 +190,6 @@ class Log:
                 raise LogError(
                     f"{self.path} has no column `{unknown[0]}` for trial {trial.number}: give all trials the same factors"
                 )
-            if self._answers:
-                _check_factors(trial_answer(trial, None, None)[2], f"{self.path}, trial {trial.number}")
             row = finished.get(str(trial.number), {})
             for name, value in trial.factors.items():
                 if row and row[name] != _text(value):
@@ -198,7 +203,8 @@ class Log:
         """Writes a trial: its number and factors, the play's times, and columns of your own. It is on the disk then.
 
         Of a log with `answers` the columns `response`, `correct`, `rt_ms` and `level` are those of `play.answer`, and factors and other
-        columns are its factors. Of a participant who has not answered, `response` is None. A refused answer leaves no row.
+        columns are its factors. Of a participant who has not answered, `response` is None. If the answer is refused, the row is
+        written, and `LogError` says why. A column whose name is taken gets a number, as `level_2`.
         """
         if not isinstance(trial, (int, numbers.Integral)):
             check_trial("trial", trial)
@@ -207,26 +213,31 @@ class Log:
         number, factors = (
             (int(trial), {}) if isinstance(trial, (int, numbers.Integral)) else (trial.number, trial.factors)
         )
-        row: dict[str, Any] = {"trial": number, **factors}
-        for name, value in [*(play_columns(play) if play else {}).items(), *columns.items()]:
-            if name in row:
-                raise LogError(f"the column `{name}` is there twice: give yours another name")
-            row[name] = value
         if self._file is None:
             raise LogError(f"{self.path} is closed: add trials inside its `with` block")
-        names = self._columns or list(row)
-        unknown = [name for name in row if name not in names]
-        if unknown:
-            raise LogError(
-                f"{self.path} has no column `{unknown[0]}`: the first row names the columns, fill all of them"
-            )
+        row: dict[str, Any] = {"trial": number, **factors}
+        for name, value in [*(play_columns(play) if play else {}).items(), *columns.items()]:
+            row[_free(name, row)] = value
+        problem = None
         if self._answers and play is not None:
-            # A row without its answer would be a finished trial, which no export has whole.
-            self._answer(trial, play, columns)
-        cells = [row.get(name) for name in names]
-        self._write(self._file, [cells] if self._columns else [names, cells])
+            try:
+                self._answer(trial, play, dict(columns))
+            except Exception as error:
+                problem = error
+        names = list(dict.fromkeys([*(self._columns or ()), *row]))
+        cells = [_text(row.get(name)) for name in names]
+        if self._columns in (None, names):
+            self._write(self._file, [cells] if self._columns else [names, cells])
+        else:
+            rows = [{name: old.get(name, "") for name in names} for old in self.rows]
+            self._rewrite(self._file, [names, *(list(old.values()) for old in rows), cells])
+            self.rows[:] = rows
         self._columns = names
-        self.rows.append(dict(zip(names, map(_text, cells), strict=True)))
+        self.rows.append(dict(zip(names, cells, strict=True)))
+        if problem is not None:
+            raise LogError(
+                f"{self.path} has the row of trial {number}, but the session record has not its answer: {problem}"
+            ) from problem
 
     def _answer(self, trial: Trial | int, play: KnownPlay, columns: dict[str, Any]) -> None:
         if not isinstance(play, Answerable):
@@ -245,11 +256,35 @@ class Log:
             said = str(correct).lower() if response is None else response
             play.answer(said, correct=correct, rt_ms=rt_ms, level=level, factors=own)
 
-    def _write(self, file: int, lines: list[list[Any]]) -> None:
-        data = _text_of([[_text(value) for value in line] for line in lines])
-        while data:
-            data = data[os.write(file, data) :]
-        os.fsync(file)
+    def _write(self, file: int, lines: list[list[str]]) -> None:
+        data, end = _text_of(lines), os.fstat(file).st_size
+        try:
+            while data:
+                data = data[os.write(file, data) :]
+            os.fsync(file)
+        except OSError as error:
+            # Half a row would spoil the next one.
+            with contextlib.suppress(OSError):
+                os.ftruncate(file, end)
+            raise self._unwritten(error, lines[-1]) from error
+
+    def _rewrite(self, file: int, lines: list[list[str]]) -> None:
+        """Writes all rows anew, as there are new columns. A crash leaves the old file or the new one."""
+        place = Path(os.path.realpath(self.path))
+        try:
+            with replacing(place) as beside:
+                beside.write_bytes(_text_of(lines))
+            os.close(file)
+            self._file = None
+            self._file = os.open(place, _FLAGS)
+        except OSError as error:
+            raise self._unwritten(error, lines[-1]) from error
+        self._lock(self._file)
+
+    def _unwritten(self, error: OSError, row: list[str]) -> LogError:
+        return LogError(
+            f"{self.path} cannot be written ({error.strerror}): make room, and write this row down: {_text_of([row]).decode().strip()}"
+        )
 
     def close(self) -> None:
         """Closes the file."""
@@ -264,21 +299,16 @@ class Log:
         self.close()
 
 
-def _check_factors(factors: Mapping[str, Any], where: str) -> None:
-    """Refuses factors that no answer can have, as the daemon would after the trial."""
-    if len(factors) > MAX_FACTORS:
-        raise LogError(f"{where} has {len(factors)} factors beside `level`: an answer has {MAX_FACTORS} at most")
-    for text in [text for pair in factors.items() for text in map(str, pair)]:
-        if not 1 <= len(text) <= MAX_FACTOR_CHARACTERS or not text.isprintable():
-            raise LogError(
-                f"{where} has the factor {text!r}: in an answer it has 1 to {MAX_FACTOR_CHARACTERS} printable characters"
-            )
-
-
 def _text_of(lines: list[list[str]]) -> bytes:
     buffer = io.StringIO(newline="")
     csv.writer(buffer, lineterminator="\n").writerows(lines)
-    return buffer.getvalue().encode("utf-8")
+    return buffer.getvalue().encode("utf-8", "backslashreplace")
+
+
+def _free(name: str, row: Mapping[str, Any]) -> str:
+    """A name that no column of the row has: this one, if it is free."""
+    numbered = (f"{name}_{number}" for number in itertools.count(2))
+    return next(each for each in itertools.chain([name], numbered) if each not in row)
 
 
 def _text(value: Any) -> str:
