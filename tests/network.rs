@@ -209,13 +209,19 @@ fn a_token_is_needed_where_the_configuration_says_so() {
     let doctor = ask(&address, "GET /v1/doctor", &bearer(&observe));
     assert_answers(&doctor, 200, "");
     assert!(doctor.contains("1 tokens to operate and 1 to observe") && !doctor.contains("mst_"), "{doctor}");
-    assert_answers(&ask(&address, "POST /v1/estop", &bearer(&observe)), 403, "forbidden");
+    assert_answers(&ask(&address, "POST /v1/disarm", &bearer(&observe)), 403, "forbidden");
     assert_answers(&ask(&address, "POST /v1/tokens", &bearer(&operate)), 403, "forbidden");
     assert_eq!(state(&daemon), "armed");
-    assert_answers(&ask(&address, "POST /v1/estop", &bearer(&operate)), 200, "");
-    assert_eq!(state(&daemon), "faulted");
+    // Whoever may look may stop.
+    for (token, estops) in [(&observe, 1), (&operate, 2)] {
+        assert_answers(&ask(&address, "POST /v1/estop", &bearer(token)), 200, "");
+        let status: Status = daemon.client().get("/v1/status").unwrap();
+        assert_eq!((status.state.as_str(), status.estops), ("faulted", estops));
+        let id = &token.info.id;
+        wait_until(|| daemon.log().contains(&format!("estop by 127.0.0.1 (token {id}): done")));
+    }
+    assert_answers(&post(&address, "/v1/reset", &bearer(&observe), "{\"force\": true}"), 403, "forbidden");
     let id = &operate.info.id;
-    wait_until(|| daemon.log().contains(&format!("estop by 127.0.0.1 (token {id}): done")));
 
     let list = daemon.meissner().args(["token", "list"]).output().unwrap();
     let list = String::from_utf8(list.stdout).unwrap();
@@ -429,11 +435,10 @@ fn clients_without_a_token_are_displaced_first() {
 #[test]
 fn an_emergency_stop_behind_a_waiting_request_needs_the_right_as_any_other() {
     let daemon = listening("listen_token = \"always\"\n");
-    let (address, tokens) = (address(&daemon), ["operate", "observe"].map(|role| create(&daemon, role)));
+    let (address, observe) = (address(&daemon), bearer(&create(&daemon, "observe")));
     let mut client = daemon.armed();
     let _: Value = client.post("/v1/play", &json!({"pattern": "pin-60", "endless": true})).unwrap();
-    let [operate, observe] = tokens.map(|token| bearer(&token));
-    for (headers, estops) in [("", 0), (observe.as_str(), 0), (operate.as_str(), 1)] {
+    for (headers, estops) in [("", 0), ("authorization: Bearer mst_0\r\n", 0), (observe.as_str(), 1)] {
         let mut stream = connect(&address);
         let wait = format!("GET /v1/plays/last?wait=3 HTTP/1.1\r\nhost: {address}\r\n{observe}\r\n");
         let estop =

@@ -107,7 +107,9 @@ fn row(route: Route) -> Row {
         | Route::SessionShow
         | Route::SessionPlays
         | Route::Metrics
-        | Route::OpenApi => READS,
+        | Route::OpenApi
+        // Whoever may look may stop.
+        | Route::EStop => READS,
         Route::Play
         | Route::Sequence
         | Route::Live
@@ -127,7 +129,7 @@ fn row(route: Route) -> Row {
         | Route::StoreCalibration
         | Route::SessionEnd
         | Route::PlayAnswer => CHANGES,
-        Route::Stop | Route::EStop | Route::Disarm => MAKES_SAFE,
+        Route::Stop | Route::Disarm => MAKES_SAFE,
         Route::SessionStart => STARTS,
         Route::TokenCreate | Route::Tokens | Route::TokenRevoke => LOCAL,
     }

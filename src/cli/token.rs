@@ -17,7 +17,7 @@ pub(super) enum Token {
     /// Create an access token and print it: the only time that it is shown
     Create {
         /// Choose what a client with the token may do
-        #[arg(long, value_name = "ROLE", value_parser = choice::<Role>(&[("observe", "Read"), ("operate", "Do everything but create and revoke tokens")]))]
+        #[arg(long, value_name = "ROLE", value_parser = choice::<Role>(&[("observe", "Read and order an emergency stop"), ("operate", "Do everything but create and revoke tokens")]))]
         role: Role,
         /// Name who or what uses the token
         #[arg(long, value_name = "NAME")]

@@ -549,7 +549,7 @@ test("what is found for a target is for the daemon's array", async () => {
   await shows(page, "search-note", "Found a pattern for edge-45", WAIT);
   await press(page, "#feel");
   // The pins of the array are known here.
-  await page.waitForFunction(() => document.querySelector('.finger .hand[visibility="visible"]'), WAIT);
+  await page.waitForFunction(() => document.querySelector('.finger .pin:not([fill="none"])'), WAIT);
   await view(page, "play");
   await shows(page, "receipt-summary", ": done");
   await view(page, "design");

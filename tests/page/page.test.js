@@ -24,7 +24,7 @@ test("a person arms, plays, stops in an emergency, and resets (smoke)", async ()
   await shows(page, "state-text", "Playing edge-45");
   const moving = (await (await fetch(`${daemon.url}/v1/patterns/edge-45`)).json()).drives.map((drive) => drive.motor);
   // On a busy machine the state grows old at times; then nothing is drawn.
-  await page.waitForFunction((moving) => [...document.querySelectorAll(".finger .hand")].every((hand, i) => (hand.getAttribute("visibility") === "visible") === moving.includes(i)), WAIT, moving);
+  await page.waitForFunction((moving) => [...document.querySelectorAll(".finger .pin")].every((pin, i) => (pin.getAttribute("fill") !== "none") === moving.includes(i)), WAIT, moving);
   const stops = stopsOf(page);
   await page.click("#estop");
   await shows(page, "estop-note", "All lines are off.");
@@ -442,9 +442,9 @@ test("a token is asked for, kept for the window, and sent in no address", async 
   await page.reload();
   await shows(page, "state-text", "Disarmed");
   assert.equal(await page.$eval("#sign-in", (section) => section.hidden), true);
-  // This token may only read.
+  // This token may only read, and stop.
   await page.click("#estop");
-  await shows(page, "estop-note", "NOT CONFIRMED: the token may only read");
+  await shows(page, "estop-note", "All lines are off.");
   assert.equal((await page.evaluate(() => document.body.textContent)).includes(token), false);
   assert.ok(addresses.length > 5 && addresses.every((address) => !address.includes(token)));
 });

@@ -19,8 +19,8 @@ async function other(daemon, path, body = {}) {
 
 const finger = (page) => page.$eval(".finger", (svg) => ({
   label: svg.getAttribute("aria-label"),
-  moving: [...svg.querySelectorAll(".hand")].flatMap((hand, i) => (hand.getAttribute("visibility") === "visible" ? [i] : [])),
-  marks: [...svg.querySelectorAll(".hertz")].filter((mark) => mark.textContent === "?").length,
+  moving: [...svg.querySelectorAll(".pin")].flatMap((pin, i) => (pin.getAttribute("fill") === "none" ? [] : [i])),
+  marks: [...svg.querySelectorAll(".mark-text")].filter((mark) => mark.textContent === "?").length,
 }));
 const labelled = (page, part) => page.waitForFunction((part) => document.querySelector(".finger").getAttribute("aria-label").includes(part), WAIT, part);
 
@@ -105,7 +105,7 @@ test("no view claims a state that is older than it may be", async () => {
     await shows(page, "queue", "edge-45 (play 2)");
     // What only a known state lets a view say, and the view that says it.
     const claims = [["play", "Playing ageing"], ["play", "Pins vibrate."], ["play", "armed by"], ["play", "Stop, clear 1"], ["play", "ageing (play 1)"], ["play", "edge-45 (play 2)"], ["play", "Items of ageing"],
-      ["play", "Late strokes that this window has heard of"], ["play", "pins vibrate, up to"], ["record", "P-mayfly"], ["record", "A play runs or waits"], ["record", "s before a pause"], ["device", "Positionknown"]];
+      ["play", "Late strokes that this window has heard of"], ["play", "pins move, up to"], ["record", "P-mayfly"], ["record", "A play runs or waits"], ["record", "s before a pause"], ["device", "Positionknown"]];
     const claimed = async (name) => {
       await view(page, name);
       // What is recorded is no state.
@@ -155,7 +155,7 @@ const killed = (name, begin, [before, dead, after]) => async () => {
 
 const playing = async (page, daemon) => {
   await daemon.run("play", "pin-60", "--seconds", "600");
-  await labelled(page, "1 of 24 pins vibrate");
+  await labelled(page, "1 of 24 pins move");
 };
 test("the finger stops and is marked when the daemon dies in a play, and the next daemon has no play", killed("play", playing, [
   ["touch", "Pins vibrate."], ["touch", "The state is not known"], ["touch", "the place of the pins is not known"],
@@ -247,21 +247,6 @@ test("a live play is not known while no answer comes, and goes on after it", sta
     await shows(page, "state-text", "Playing live");
   }));
 
-test("all drives of a pattern have hands, also those that a receipt does not list", async () => {
-  const daemon = await new Daemon().start();
-  const page = await open(daemon);
-  await arm(page);
-  // A receipt lists 24 drives.
-  const { drives } = await (await fetch(`${daemon.url}/v1/patterns/rotating-edge`)).json();
-  const moving = new Set(drives.filter((drive) => drive.drive > 24 && drive.reached_um > 0).map((drive) => drive.motor));
-  await other(daemon, "/v1/play", { pattern: "rotating-edge", seconds: 300, scale: 0.9 });
-  await page.waitForFunction((wanted) => {
-    globalThis.seen ??= new Set();
-    [...document.querySelectorAll(".finger .hand")].forEach((hand, i) => hand.getAttribute("visibility") === "visible" && seen.add(i));
-    return wanted.every((motor) => seen.has(motor));
-  }, WAIT, [...moving]);
-});
-
 test("a refusal goes when the state that it was about has changed, and not before", async () => {
   const daemon = await new Daemon().start();
   const page = await open(daemon);
@@ -338,7 +323,10 @@ test("an emergency stop is sent again until the daemon says that the lines are o
   });
 });
 
-test("with a revoked token E-STOP says so, asks for another, and is sent with it", async () => {
+// What E-STOP says of itself before anybody presses it.
+const looks = (page) => page.$eval("#estop", (button) => [button.textContent.replace(/\s+/g, " ").trim(), getComputedStyle(button).backgroundColor !== "rgba(0, 0, 0, 0)"]);
+
+test("without a valid token E-STOP says so before it is pressed, asks for one, and is sent with it", async () => {
   const daemon = await new Daemon('listen_token = "always"\n').start();
   const page = await open(daemon);
   const enter = async () => {
@@ -347,9 +335,18 @@ test("with a revoked token E-STOP says so, asks for another, and is sent with it
     await press(page, "#sign-in-form button");
   };
   const state = async () => JSON.parse(await daemon.run("status", "--json")).state;
+  const says = async () => {
+    await shows(page, "estop-note", "E-STOP does nothing: the daemon takes none from this window without a valid access token.");
+    assert.deepEqual(await looks(page), ["E-STOP needs a token", false]);
+  };
+  // There is no token yet.
+  await says();
   await enter();
   await arm(page);
+  assert.deepEqual(await looks(page), ["E-STOP or Escape twice", true]);
+  assert.equal(await text(page, "estop-note"), "");
   await daemon.run("token", "revoke", /^\S+/.exec((await daemon.run("token", "list")).split("\n").at(-1))[0]);
+  await says();
   await page.click("#estop");
   await shows(page, "estop-note", "NOT CONFIRMED: the access token is not valid any more. Use the switch of the supply. Enter another access token");
   await shows(page, "touch", "The state is not known");
@@ -358,6 +355,19 @@ test("with a revoked token E-STOP says so, asks for another, and is sent with it
   await shows(page, "estop-note", "All lines are off.");
   assert.equal(await state(), "faulted");
   await page.waitForSelector("#sign-in[hidden]");
+  assert.deepEqual(await looks(page), ["E-STOP or Escape twice", true]);
+});
+
+test("where no token is needed a wrong one keeps nobody from E-STOP", async () => {
+  const daemon = await new Daemon().start();
+  const page = await open(daemon);
+  await shows(page, "state-text", "Disarmed");
+  await page.evaluate(() => meissner.token.set("mst_00"));
+  await page.waitForSelector("#sign-in:not([hidden])");
+  assert.deepEqual(await looks(page), ["E-STOP or Escape twice", true]);
+  await page.click("#estop");
+  await shows(page, "estop-note", "All lines are off.");
+  assert.equal((await daemon.status()).state, "faulted");
 });
 
 test("E-STOP needs no other script, and is off until it works", async () => {

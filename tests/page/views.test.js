@@ -104,6 +104,74 @@ for (const [width, height, most] of [[1400, 1000, 250], [390, 844, 422], [360, 6
   });
 }
 
+// The words beside E-STOP are as long as they may be, and longer.
+const LONG = "a cause of many words that tells about all motors and rails of the array, and about what to look at before anybody touches a pin; ".repeat(4);
+const SESSION = { participant: "P".repeat(40), owner: "somebody with a long name on another machine", mine: false, exclusive: true, released: false };
+const STATES = [
+  ["disarmed", { state: "disarmed", position: "known" }], ["nobody has looked", { state: "disarmed", position: "unknown" }], ["armed", { state: "armed" }],
+  ["armed by a long name", { state: "armed", armed: { by: LONG } }], ["playing", { state: "armed", play: { id: 1, pattern: "a".repeat(64), played_s: 12345.6 } }],
+  ["waiting", { state: "armed", play: { id: 1, pattern: "b", played_s: 1 }, queued: [{ id: 2, pattern: "c" }] }], ["returning", { state: "returning" }],
+  ["e-stopped", { state: "faulted", cause: "estop" }], ["a fault", { state: "faulted", cause: LONG }], ["no device", { state: "no-device", device: null, tick: null }],
+  ["a state of a newer daemon", { state: "novel" }], ["another's session", { state: "armed", session: SESSION }], ["an observer", { state: "armed", role: "observe" }],
+];
+
+test("E-STOP is the same rectangle in all states, whatever stands beside it, and nothing lies over it (smoke)", async () => {
+  const daemon = await new Daemon().start();
+  const real = await daemon.status();
+  // What the daemon's status is: another one than the real one, an answer, or none.
+  let answer = (response) => response.end(JSON.stringify(real));
+  await proxied(daemon, (request, response, forward) => (request.url === "/v1/status" ? answer(response) : request.url === "/v1/estop" ? response.destroy() : forward()), async (url) => {
+    const page = await open({ url });
+    await shows(page, "state-text", "Disarmed");
+    const windows = [[320, 480], [375, 667], [768, 1024], [1280, 720], [1920, 1080], [3000, 900]];
+    // In pixels of the page, a zoom of 200 % halves a window. Its text alone may be twice as large, too.
+    const looks = [...windows, ...windows.map((of) => of.map((px) => px / 2)).filter(([width]) => width >= 320)].flatMap((of) => [[...of, 100], [...of, 200]]);
+    const boxes = new Map();
+    const measure = async (what) => {
+      for (const look of looks) {
+        const [width, height, percent] = look;
+        await page.setViewport({ width, height });
+        const [box, over] = await page.evaluate((percent) => {
+          document.documentElement.style.fontSize = `${(16 * percent) / 100}px`;
+          const button = document.getElementById("estop");
+          const { left, top, right, bottom } = button.getBoundingClientRect();
+          const corners = [[left + 9, top + 9], [right - 9, top + 9], [left + 9, bottom - 9], [right - 9, bottom - 9], [(left + right) / 2, (top + bottom) / 2]];
+          const texts = [...document.querySelectorAll("#state-text, #touch, #estop-note, #link, #owner, #armed-by, .tools button, #may-not, #views a, dialog[open] button")].filter((one) => one.checkVisibility());
+          const isOver = (one) => [...one.getClientRects()].some((of) => of.left < right && of.right > left && of.top < bottom && of.bottom > top);
+          return [[left, top, right, bottom], [...corners.filter(([x, y]) => !button.contains(document.elementFromPoint(x, y))), ...texts.filter(isOver).map((one) => one.outerHTML)]];
+        }, percent);
+        assert.deepEqual(over, [], `${what} at ${look}`);
+        if (!boxes.has(String(look))) boxes.set(String(look), box);
+        assert.deepEqual(box, boxes.get(String(look)), `${what} at ${look}`);
+        const [left, top, right, bottom] = box;
+        assert.ok(left >= 0 && top >= 0 && right <= width && bottom <= height && right - left >= 120 && bottom - top >= 60, `${look}: ${box}`);
+      }
+    };
+    for (const [what, more] of STATES) {
+      answer = (response) => response.end(JSON.stringify({ ...real, ...more }));
+      // The state that the page has is this one.
+      await page.waitForFunction((more) => Object.entries(more).every(([key, value]) => JSON.stringify(meissner.known()?.[key]) === JSON.stringify(value)), WAIT, more);
+      await measure(what);
+    }
+    for (const dialog of ["arm-dialog", "reset-dialog", "calibrate-dialog"]) {
+      await page.$eval(`#${dialog}`, (one) => one.show());
+      await measure(dialog);
+      await page.$eval(`#${dialog}`, (one) => one.close("cancel"));
+    }
+    await page.focus(".skip");
+    await measure("the link to the view has the focus");
+    answer = (response) => response.destroy();
+    await shows(page, "touch", "The state is not known");
+    await measure("unreachable");
+    await page.click("#estop");
+    await shows(page, "estop-note", "NOT CONFIRMED");
+    await measure("not confirmed");
+    answer = (response) => response.writeHead(401, { "content-type": "application/json" }).end(JSON.stringify({ code: "unauthorized", detail: LONG }));
+    await page.waitForSelector("#sign-in:not([hidden])");
+    await measure("a token is asked for");
+  });
+});
+
 test("a dialog takes clicks and keys, but not those of E-STOP, and gives the focus back", async () => {
   const daemon = await new Daemon().start();
   const page = await open(daemon);

@@ -48,7 +48,9 @@ impl Route {
     #[must_use]
     pub const fn access(self) -> Access {
         match self {
-            Self::Stop | Self::EStop | Self::Disarm => Access::MAKES_SAFE,
+            Self::Stop | Self::Disarm => Access::MAKES_SAFE,
+            // Whoever sees a finger hurt may stop.
+            Self::EStop => Access { role: Role::Observe, ..Access::MAKES_SAFE },
             Self::SessionStart => Access { session: SessionRule::Starts, ..Access::CHANGES },
             Self::TokenCreate | Self::Tokens | Self::TokenRevoke => Access::TOKENS,
             Self::Play

@@ -24,7 +24,7 @@ pub const MAX_TOKENS: usize = 100;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Role {
-    /// Read.
+    /// Read and order an emergency stop.
     Observe,
     /// Do everything but create and revoke tokens.
     Operate,
@@ -112,7 +112,7 @@ pub struct NetworkStatus {
     pub address: String,
     /// Whether a client on the same machine may do everything without a token.
     pub loopback_without_token: bool,
-    /// Tokens that may only read.
+    /// Tokens that may only read and order an emergency stop.
     pub observe_tokens: u32,
     /// Tokens that may operate.
     pub operate_tokens: u32,

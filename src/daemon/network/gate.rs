@@ -417,6 +417,12 @@ mod tests {
             assert_eq!(ask(client, "POST", "/v1/arm", &session), "ok", "sessions are asked behind the gate");
             assert_eq!(ask(client, "POST", "/v1/arm", &format!("Bearer {operate}")), "ok");
             assert_eq!(ask(client, "POST", "/v1/arm", &format!("Bearer {observe}")), "forbidden");
+            assert_eq!(ask(client, "POST", "/v1/stop", &format!("Bearer {observe}")), "forbidden");
+            assert_eq!(
+                ask(client, "POST", "/v1/estop", &format!("Bearer {observe}")),
+                "ok",
+                "whoever looks may stop"
+            );
             assert_eq!(ask(client, "GET", "/v1/live/00", &format!("Bearer {observe}")), "forbidden");
             assert_eq!(ask(client, "GET", "/v1/status", &format!("Bearer {observe}")), "ok");
         }

@@ -14,9 +14,11 @@ impl From<Refusal> for Problem {
     }
 }
 
-/// The refusal of an access token that may only read.
-pub(in crate::daemon) const READS_ONLY: Refusal =
-    Refusal(Code::Forbidden, "the token may only read: use one with the role `operate`");
+/// The refusal of an observer's access token.
+pub(in crate::daemon) const READS_ONLY: Refusal = Refusal(
+    Code::Forbidden,
+    "the token may only read and order an emergency stop: use one with the role `operate`",
+);
 /// The refusal of an invalid access token.
 pub(in crate::daemon) const NOT_VALID: Refusal = Refusal(
     Code::Unauthorized,

@@ -3,7 +3,7 @@
 //
 // A control that this window may not use is not offered: `data-needs="operate"` marks what changes something, and `data-needs="stop"`
 // what only stops or disarms. `showRights` decides, the header says why, and `page.css` hides the marked elements. E-STOP is never
-// hidden: it asks for another access token.
+// hidden: whoever may read may stop, and without a valid token it says so.
 
 import { call, headers, known, last, poll } from "./api.js";
 import { plain } from "./words.js";
@@ -58,7 +58,7 @@ export function operates(control) {
 // Shows what this window may do: everything, only stop and disarm, or only read. While the state is not known, that stays.
 function showRights({ role, session }) {
   const isForeign = session?.exclusive && !session.released && !session.mine;
-  const [may, why] = role === "observe" ? ["read", "This window may only read: its access token has the role “observe”."]
+  const [may, why] = role === "observe" ? ["read", "This window may only read, and order an emergency stop: its access token has the role “observe”. A new window asks for another one."]
     : isForeign ? ["stop", `${session.owner ?? "Another client"} owns the exclusive session with ${session.participant}: this window may read, stop and disarm.`]
       : ["all", ""];
   document.documentElement.dataset.may = may;

@@ -45,7 +45,7 @@
   // The last answer, and when its request was sent.
   let last = null;
   let sent = [-Infinity, -Infinity];
-  // The token that the daemon has refused, as `{ token }`.
+  // The token that the daemon has refused, as `{ token, mayStop }`: without it, this window may stop nevertheless.
   let refused = null;
 
   const known = () => (last && since(sent) < FRESH_MS ? last : null);
@@ -71,7 +71,8 @@
       const body = response.ok ? await response.json() : null;
       if (isStatus(body)) take(body, at);
       const isLetIn = refused && response.ok;
-      refused = response.status === 401 ? { token: value } : null;
+      const mayStop = value && response.status === 401 && (await fetch("/v1/status", { headers: headers(null), cache: "no-store", signal })).ok;
+      refused = response.status === 401 ? { token: value, mayStop } : null;
       if (isLetIn) document.dispatchEvent(new Event("token"));
     } catch {
       // Ignore an error: the shown state grows old.
@@ -139,6 +140,10 @@
     const device = status?.device;
     write($("link"), device ? `${device.kind}${device.simulated ? ", simulated" : ""}` : last && !status ? `last known ${Math.floor(since(sent) / 1000)} s ago` : "");
     if ($("sign-in")) $("sign-in").hidden = !refused && !order?.refused;
+    // Says before the press that it does nothing. It may be pressed all the same: the daemon may have another opinion by then.
+    cannot = refused && !refused.mayStop && refused.token === token.get();
+    button.toggleAttribute("data-cannot", Boolean(cannot));
+    write(button.querySelector(".shortcut"), cannot ? "needs a token" : "or Escape twice");
     showOrder(status);
     const changed = isNew || wasKnown !== (status !== null);
     wasKnown = status !== null;
@@ -149,10 +154,12 @@
   let order = null;
   const button = $("estop");
   const note = $("estop-note");
+  let cannot = false;
+  const CANNOT = "E-STOP does nothing: the daemon takes none from this window without a valid access token. Enter one, or use the switch of the supply.";
 
   function showOrder(status) {
-    note.dataset.failed = String(Boolean(order?.failed));
-    write(note, order ? order.text : status?.state === "faulted" && isTold(status) ? "All lines are off." : "");
+    note.dataset.failed = String(Boolean(order?.failed || cannot));
+    write(note, order ? order.text : cannot ? CANNOT : status?.state === "faulted" && isTold(status) ? "All lines are off." : "");
   }
 
   // A browser has six connections to a host for all its windows: the stop needs one of them. Ends the requests and event streams of all

@@ -1,10 +1,9 @@
-// The fingertip with its pins, as an SVG. Beside a pin stands its number. Its colour and size show how far the daemon moves it, the text
-// below its frequency, a bar its offset from rest, and a hand its phase, where that is known. Hands turn 20 times slower.
+// The fingertip with its pins, as an SVG. Beside a pin stands its number. Its colour and size show its highest point in the 0.2 s that a
+// status tells of, whether it moves or stands, the text below the frequency or that height, and a bar the offset from rest.
 
 import { layout, scale } from "./array.js";
 import { SENSOR_FAULTS } from "./words.js";
 
-const SLOWER = 20;
 // Drawing units: from a pin to its nearest neighbour, and from the outermost pins to the edge of the skin. What stands at a pin fits.
 const PITCH = 29;
 // A drawing of listed positions is at most this many times as wide and high.
@@ -17,6 +16,8 @@ const CORNER = 58;
 export const FULL_UM = 100;
 // A pin that moves by less is drawn as still, and one that stands lower as at rest, µm.
 const LEAST_UM = 0.5;
+// A lower figure of a status comes of one press, one turn or part of a stroke: two strokes in 0.2 s are a frequency.
+const LEAST_HZ = 8;
 // Stops of a colour map that rises in lightness, so that it is readable without colours.
 const COLOURS = [[68, 1, 84], [59, 82, 139], [33, 145, 140], [94, 201, 98], [253, 231, 37]];
 
@@ -37,17 +38,17 @@ export function colour(um) {
   return `rgb(${mix.join(" ")})`;
 }
 
-// A pin's movement, as the status has it, and null if it is not known, in words.
+// The highest point of a pin, µm above rest. `now`: its movement, as the status has it.
+export const highest = ({ height_um: middle, swing_um: swing }) => middle + swing / 2;
+
+const isMoving = (now) => now.swing_um >= LEAST_UM;
+const hertz = ({ swing_um: swing, hz }) => (swing >= LEAST_UM && hz >= LEAST_HZ ? `${+hz.toFixed(1)} Hz` : "");
+
+// A pin's movement in words; `now` is null if it is not known.
 export function movement(now) {
   if (!now) return "not known";
-  if (now.swing_um >= LEAST_UM) return `${now.swing_um.toFixed(0)} µm at ${+now.hz.toFixed(1)} Hz`;
-  return Math.abs(now.height_um) >= LEAST_UM ? `${now.height_um.toFixed(0)} µm above rest` : "still";
-}
-
-// The drives of a pattern that are on at `seconds` after its onset, by motor; the last one of a motor counts.
-export function drivesAt({ drive: drives = [], duration_s: duration }, seconds) {
-  const t = duration ? seconds % duration : seconds;
-  return new Map(drives.filter(({ start_s: from, stop_s: to }) => t >= (from ?? 0) && t < (to ?? Infinity)).map((drive) => [drive.motor, drive]));
+  if (!isMoving(now)) return highest(now) >= LEAST_UM ? "stands" : "still";
+  return `${(now.height_um - now.swing_um / 2).toFixed(0)} to ${highest(now).toFixed(0)} µm${hertz(now) && ` at ${hertz(now)}`}`;
 }
 
 // A small map of the amplitudes that a pattern for the daemon's array reaches, over its whole length, and of the pins that have motions.
@@ -72,7 +73,6 @@ export function thumbnail({ drives, pattern = {} }) {
 export class Finger {
   #pins = [];
   #radius = 0;
-  #still = matchMedia("(prefers-reduced-motion: reduce)");
 
   // Without pins until the array is known. The document gets the event `pin` when a person clicks on a pin, with its number.
   constructor(place) {
@@ -92,15 +92,14 @@ export class Finger {
       const pin = {
         group,
         disc: make("circle", { class: "pin" }),
-        hand: make("line", { class: "hand", x1: 0, y1: 0, x2: 0, y2: -9 }),
         ring: make("circle", { r: 12, class: "sensor-fault" }),
         offset: make("rect", { class: "offset", x: -13.5, y: 0, width: 2, height: 0 }),
-        mark: make("text", { class: "hertz", y: 19 }),
+        mark: make("text", { class: "mark-text", y: 19 }),
         number: make("text", { class: "number", x: 12, y: 12 }, String(motor)),
         title: make("title"),
       };
       group.addEventListener("click", () => document.dispatchEvent(new CustomEvent("pin", { detail: motor })));
-      group.append(pin.title, pin.ring, pin.offset, pin.disc, pin.hand, pin.mark, pin.number);
+      group.append(pin.title, pin.ring, pin.offset, pin.disc, pin.mark, pin.number);
       this.svg.append(group);
       return pin;
     });
@@ -111,34 +110,24 @@ export class Finger {
     this.#pins.forEach(({ group }, i) => group.classList.toggle("chosen", i === motor));
   }
 
-  // `now`: what each pin does, as the status has it, null for a pin of which that is not known. `drives`: those that are on, by motor, for
-  // their phases. `rest_um`: offsets. `faults`: sensor faults, null for none. `seconds`: since the onset.
-  draw(now, drives, rest_um, faults, seconds) {
+  // `now`: what each pin does, as the status has it, null for a pin of which that is not known. `rest_um`: offsets. `faults`: sensor faults,
+  // null for none.
+  draw(now, rest_um, faults) {
     const known = this.#pins.map((_, motor) => now[motor] ?? null);
     set(this.svg, "aria-label", summary(known, rest_um));
     this.#pins.forEach((pin, motor) => {
       const does = known[motor];
-      const swing = does && does.swing_um >= LEAST_UM ? does.swing_um : 0;
-      const drive = swing ? drives?.get(motor) : null;
       const rest = rest_um[motor] ?? 0;
-      const turns = drive && !this.#still.matches ? ((seconds * drive.frequency_hz) / SLOWER + (drive.phase ?? 0)) % 1 : (drive?.phase ?? 0);
-      const pulse = drive && !this.#still.matches ? 0.75 + 0.25 * (0.5 - 0.5 * Math.cos(2 * Math.PI * turns)) : 1;
-      const words = movement(does);
-      const isRaised = does && !swing && words !== "still";
+      const um = does && highest(does) >= LEAST_UM ? highest(does) : 0;
       pin.group.classList.toggle("pin-unknown", !does);
-      pin.group.classList.toggle("raised", Boolean(isRaised));
-      set(pin.disc, "r", swing ? (this.#radius + (5 * Math.min(swing, FULL_UM)) / FULL_UM) * pulse : 0.7 * this.#radius);
-      set(pin.disc, "fill", swing ? colour(swing) : "none");
-      set(pin.hand, "visibility", drive ? "visible" : "hidden");
-      set(pin.hand, "transform", `rotate(${(360 * turns).toFixed(0)})`);
+      set(pin.disc, "r", um ? this.#radius + (5 * Math.min(um, FULL_UM)) / FULL_UM : 0.7 * this.#radius);
+      set(pin.disc, "fill", um ? colour(um) : "none");
       set(pin.ring, "visibility", faults[motor] ? "visible" : "hidden");
       const bar = Math.min(Math.abs(rest) / 5, 12);
       set(pin.offset, "height", bar.toFixed(1));
       set(pin.offset, "y", (rest > 0 ? -bar : 0).toFixed(1));
-      const mark = !does ? "?" : swing ? `${+does.hz.toFixed(0)} Hz` : isRaised ? `${does.height_um.toFixed(0)} µm` : "";
-      if (pin.mark.textContent !== mark) pin.mark.textContent = mark;
-      const text = `Pin ${motor}: ${words}${does ? `, ${rest.toFixed(1)} µm from rest` : ""}${faults[motor] ? `, sensor fault: ${SENSOR_FAULTS[faults[motor]] ?? faults[motor]}` : ""}`;
-      if (pin.title.textContent !== text) pin.title.textContent = text;
+      write(pin.mark, !does ? "?" : um ? hertz(does) || `${um.toFixed(0)} µm` : "");
+      write(pin.title, `Pin ${motor}: ${movement(does)}${does ? `, up to ${um.toFixed(0)} µm, ${rest.toFixed(1)} µm from rest` : ""}${faults[motor] ? `, sensor fault: ${SENSOR_FAULTS[faults[motor]] ?? faults[motor]}` : ""}`);
     });
   }
 }
@@ -147,15 +136,19 @@ export class Finger {
 function summary(known, rest_um) {
   const unknown = known.filter((does) => !does).length;
   if (unknown === known.length) return "What the pins do is not known.";
-  const moving = known.filter((does) => does?.swing_um >= LEAST_UM);
-  const raised = known.filter((does) => does && does.swing_um < LEAST_UM && Math.abs(does.height_um) >= LEAST_UM);
+  const moving = known.filter((does) => does && isMoving(does));
+  const raised = known.filter((does) => does && !isMoving(does) && highest(does) >= LEAST_UM);
   const largest = (all) => Math.max(...all).toFixed(0);
   return [
-    moving.length ? `${moving.length} of ${known.length} pins vibrate, up to ${largest(moving.map((does) => does.swing_um))} µm.` : "No pin vibrates.",
-    raised.length ? `${raised.length} stand above rest, up to ${largest(raised.map((does) => does.height_um))} µm.` : "",
+    moving.length ? `${moving.length} of ${known.length} pins move, up to ${largest(moving.map(highest))} µm above rest.` : "No pin moves.",
+    raised.length ? `${raised.length} stand above rest, up to ${largest(raised.map(highest))} µm.` : "",
     unknown ? `What ${unknown} do is not known.` : "",
     moving.length || unknown ? "" : `Largest offset from rest ${largest([0, ...rest_um.map(Math.abs)])} µm.`,
   ].filter(Boolean).join(" ");
+}
+
+function write(element, text) {
+  if (element.textContent !== text) element.textContent = text;
 }
 
 function set(element, name, value) {
