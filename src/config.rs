@@ -57,7 +57,7 @@ const MAX_AMPLITUDE_UM: f64 = 5_000.0;
 /// The range of a participant's times, s: up to a day.
 const LIMIT_S: RangeInclusive<f64> = 0.1..=86_400.0;
 /// The range of a pause, s.
-const PAUSE_S: RangeInclusive<f64> = 0.1..=3600.0;
+const PAUSE_S: RangeInclusive<f64> = 0.5..=3600.0;
 /// The name of the calibration's file.
 const CALIBRATION: &str = "calibration.toml";
 /// The name of the file of access tokens.

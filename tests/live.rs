@@ -16,17 +16,17 @@ use tungstenite::{Message, WebSocket};
 /// A client timeout that a stall of a busy machine does not reach.
 const PATIENT_MS: u64 = 20_000;
 
-fn start(daemon: &Daemon, request: Value) -> LiveAccepted {
+pub(crate) fn start(daemon: &Daemon, request: Value) -> LiveAccepted {
     let mut request = request;
     request["timeout_ms"] = request.get("timeout_ms").cloned().unwrap_or(json!(PATIENT_MS));
     daemon.client().post("/v1/live", &request).unwrap()
 }
 
 /// A connection in lines of JSON.
-struct Lines(BufReader<UnixStream>);
+pub(crate) struct Lines(BufReader<UnixStream>);
 
 impl Lines {
-    fn open(daemon: &Daemon, path: &str) -> Self {
+    pub(crate) fn open(daemon: &Daemon, path: &str) -> Self {
         let mut stream = UnixStream::connect(daemon.socket()).unwrap();
         stream.set_read_timeout(Some(TIMEOUT)).unwrap();
         let head = format!(
@@ -45,7 +45,7 @@ impl Lines {
         line
     }
 
-    fn send(&mut self, message: &Value) {
+    pub(crate) fn send(&mut self, message: &Value) {
         self.0.get_mut().write_all(format!("{message}\n").as_bytes()).unwrap();
     }
 
@@ -53,7 +53,7 @@ impl Lines {
         serde_json::from_str(&self.line()).unwrap()
     }
 
-    fn applied(&mut self, seq: u64) -> LiveApplied {
+    pub(crate) fn applied(&mut self, seq: u64) -> LiveApplied {
         let answer = self.answer();
         assert_eq!(answer.seq, Some(seq), "{answer:?}");
         answer.applied.unwrap()

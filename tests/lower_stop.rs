@@ -46,3 +46,26 @@ fn a_play_that_pushes_too_much_is_refused_before_it_begins() {
     assert_eq!(problem(client.post("/v1/sequence", &items)).code, "push-limit");
     assert_eq!(problem(client.get("/v1/plays/3")).code, "not-found", "no play was accepted");
 }
+
+#[test]
+fn seeks_of_arm_and_home_count_as_vibration() {
+    let limits = "[participant]\nmax_continuous_s = 2\npause_s = 600\n";
+    let daemon = Daemon::with("mock", &format!("{}{limits}", with_stop(15.0)));
+    let mut client = daemon.client();
+    let used = |status: Status| status.participant.unwrap().continuous_used_s;
+    // 7 369 pulses.
+    let armed_s = used(client.post("/v1/arm", &json!({})).unwrap());
+    assert!(armed_s >= 0.086, "{armed_s}");
+    let mut homed_s = armed_s;
+    let refused = loop {
+        match client.post::<Status>("/v1/home", &json!({})) {
+            Ok(status) => {
+                assert!(used(status.clone()) >= homed_s + 0.086, "{homed_s}");
+                homed_s = used(status);
+            }
+            Err(error) if error.to_string().contains("push too often") => {}
+            Err(error) => break problem(Err::<Value, _>(error)),
+        }
+    };
+    assert!(refused.code == "participant-limit" && homed_s <= 2.0, "{homed_s}: {refused:?}");
+}

@@ -187,7 +187,7 @@ fn a_sequence_tells_its_motions_refuses_slow_ones_and_bounds_its_holds_like_a_pl
 
 #[test]
 fn motions_count_for_the_limits_of_participants() {
-    let limits = "[participant]\nmax_amplitude_um = 80\nmax_continuous_s = 1\npause_s = 0.3\nmax_day_s = 1\n";
+    let limits = "[participant]\nmax_amplitude_um = 80\nmax_continuous_s = 1\npause_s = 0.5\nmax_day_s = 1\n";
     let daemon = Daemon::with("mock", &format!("{PATIENT}{limits}"));
     let mut client = daemon.armed();
     let high = problem(client.post("/v1/play", &json!({"pattern": press()})));
@@ -201,9 +201,9 @@ fn motions_count_for_the_limits_of_participants() {
         client.get::<meissner_api::Status>("/v1/status").unwrap().participant.unwrap().day_used_s
     };
     wait_until(|| (used(&mut client) - 0.3).abs() < 0.02);
-    let long = json!({"ramp": [{"motor": 9, "to_um": 50.0, "rise_s": 0.1, "hold_s": 0.7}]});
+    let long = json!({"ramp": [{"motor": 9, "to_um": 50.0, "rise_s": 0.3, "hold_s": 0.4}]});
     let refused = problem(client.post("/v1/play", &json!({"pattern": long})));
-    assert!(refused.detail.contains("the play vibrates for 0.9 s"), "{refused:?}");
+    assert!(refused.detail.contains("the play vibrates for 1.0 s"), "{refused:?}");
 }
 
 #[test]

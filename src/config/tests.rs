@@ -104,7 +104,7 @@ fn an_error_is_one_line_with_its_place() {
         ),
         ("participant.max_day_s = 0", "`participant.max_day_s` is 0: must be 0.1 to 86400 s"),
         ("participant.max_continuous_s = inf", "`participant.max_continuous_s` is inf"),
-        ("participant.pause_s = -1", "`participant.pause_s` is -1: must be 0.1 to 3600 s"),
+        ("participant.pause_s = -1", "`participant.pause_s` is -1: must be 0.5 to 3600 s"),
         ("session_silence_s = 0", "`session_silence_s` is 0: must be 0.1 to 3600 s"),
         ("limits = 3", "m.toml:1: `limits` is integer `3`: must be a table"),
         ("\nmock = []", "m.toml:2: `mock` is sequence: must be a table"),

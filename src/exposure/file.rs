@@ -5,7 +5,7 @@
 //!
 //! Invariant: a file that cannot be true never counts as sums of 0; the account is then unknown until a good file is read.
 
-use super::vibration::Stretch;
+use super::vibration::{STILL_S, Stretch};
 use super::{Account, FILE, Live, Now, Sums, add, key, seconds};
 use jiff::civil::Date;
 use jiff::{SignedDuration, Timestamp};
@@ -134,7 +134,11 @@ impl Account {
         if self.unknown.is_some() {
             return None;
         }
-        let (at_s, kept_s) = (seconds(now.at), self.live.iter().map(Live::left_s).sum::<f64>());
+        let (at_s, mut kept_s) = (seconds(now.at), self.live.iter().map(Live::left_s).sum::<f64>());
+        if !self.live.is_empty() {
+            // A killed daemon does not know when the pins were still again, nor so how long before the next play.
+            kept_s += STILL_S;
+        }
         let mut dates = self.dates.clone();
         for date in [now.date, now.passed] {
             dates.entry(date).or_default();

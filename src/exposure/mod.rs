@@ -6,8 +6,8 @@
 //! still use as used, and is written before they begin, so a kill never makes a sum smaller. The session record's thread writes it.
 //! Only [`Now::read`] reads a clock.
 //!
-//! Vibration time is the time in which at least one drive or motion of the running play moves a pin ([`Vibration`]). A pause is
-//! [`ParticipantLimits::pause_s`] without vibration.
+//! What vibrates follows from the compiled moves of a play ([`Vibration`]), and from the time in which pins move outside of plays
+//! ([`Account::moved`]). A pause is [`ParticipantLimits::pause_s`] without vibration.
 //!
 //! Bounds: `DATES` dates, and `PEOPLE` sums for each. Invariant: time that has been counted is never taken back within its day.
 
@@ -29,7 +29,7 @@ use rule::{EARLY_S, Order, Pending, SoFar, judge};
 use rustix::time::{ClockId, clock_gettime};
 use std::collections::BTreeMap;
 use std::sync::OnceLock;
-use vibration::{ROUNDING_S, Stretch};
+use vibration::{ROUNDING_S, STILL_S, Stretch};
 
 /// The file of the sums, in the directory of the session record.
 pub const FILE: &str = "exposure.json";
@@ -118,6 +118,8 @@ struct Live {
     onset: Onset,
     /// The part of the play that is in the sums, s from its onset.
     counted_to_s: f64,
+    /// What the time before its first movement may count, s, until that is in the sums.
+    gap_s: f64,
     /// The play that replaced it, and when, s.
     cut: Option<(u64, f64)>,
     replaces: bool,
@@ -126,9 +128,10 @@ struct Live {
 impl Live {
     /// How long it may still vibrate, s.
     fn left_s(&self) -> f64 {
-        self.vibration
-            .total()
-            .map_or(AHEAD_S, |total| (total - self.vibration.until(self.counted_to_s)).max(0.0))
+        let Self { vibration, counted_to_s, gap_s, .. } = self;
+        let most_s =
+            if vibration.is_endless() { AHEAD_S } else { vibration.within(*counted_to_s, f64::INFINITY) };
+        gap_s + most_s
     }
 }
 
@@ -253,10 +256,9 @@ impl Account {
         onset: Onset,
         replaces: bool,
     ) -> Result<u64, Exceeded> {
-        let pending = |live: &Live| (live.onset, live.counted_to_s, live.cut.map(|(_, at_s)| at_s));
         let plays = self.live.iter().map(|live| {
-            let (onset, counted_to_s, cut_s) = pending(live);
-            Pending { vibration: &live.vibration, onset, counted_to_s, cut_s }
+            let &Live { ref vibration, onset, counted_to_s, gap_s, cut, .. } = live;
+            Pending { vibration, onset, counted_to_s, gap_s, cut_s: cut.map(|(_, at_s)| at_s) }
         });
         let so_far = SoFar {
             at_s: seconds(now.at),
@@ -265,10 +267,10 @@ impl Account {
             day_s: self.day_s(now),
             plays: plays.collect(),
         };
-        judge(&self.limits, &so_far, &Order { vibration: &vibration, onset, replace: replaces })?;
+        let gap_s = judge(&self.limits, &so_far, &Order { vibration: &vibration, onset, replace: replaces })?;
         self.last_held += 1;
         let id = HELD + self.last_held;
-        self.live.push(Live { id, vibration, onset, counted_to_s: 0.0, cut: None, replaces });
+        self.live.push(Live { id, vibration, onset, counted_to_s: 0.0, gap_s, cut: None, replaces });
         Ok(id)
     }
 
@@ -311,9 +313,16 @@ impl Account {
             Onset::At(_) | Onset::Next => seconds(now.at) - played_s.min(live.vibration.end()),
         };
         live.onset = Onset::Began(onset_s);
-        let early_s = if live.vibration.is_endless() { EARLY_S } else { 0.0 };
-        let new_s = live.vibration.until(played_s) - live.vibration.until(live.counted_to_s);
+        let early_s = if live.vibration.is_endless() { EARLY_S + live.vibration.return_s() } else { 0.0 };
+        let mut new_s = live.vibration.within(live.counted_to_s, played_s);
         if new_s > 0.0 {
+            let first_s = live.vibration.first();
+            if live.counted_to_s <= first_s {
+                let gap_s = self.stretch.gap_s(onset_s + first_s);
+                new_s += gap_s;
+                self.stretch.used_s += gap_s;
+                live.gap_s = 0.0;
+            }
             self.stretch =
                 live.vibration.walk(onset_s, (live.counted_to_s, played_s), self.stretch, pause_s).1;
             live.counted_to_s = played_s;
@@ -343,6 +352,26 @@ impl Account {
             self.played(id, played_s, now);
         }
         self.live.retain(|live| live.id != id);
+    }
+
+    /// Counts a movement outside of a play's plan: the way back of one that was cut.
+    pub fn moved(&mut self, from: HostInstant, for_s: f64, now: Now) {
+        let from_s = seconds(from);
+        let gap_s = self.stretch.gap_s(from_s);
+        self.stretch.used_s += gap_s;
+        self.stretch = self.stretch.with(from_s, from_s + for_s, self.limits.pause_s);
+        self.count(gap_s + for_s, now);
+    }
+
+    /// Counts pins that were cut and left up: they vibrate for [`STILL_S`] more.
+    pub fn left_up(&mut self, from: HostInstant, now: Now) {
+        self.moved(from, STILL_S, now);
+    }
+
+    /// How long the pins of a play take to come down if it is cut, s.
+    #[must_use]
+    pub fn return_s(&self, id: u64) -> f64 {
+        self.live.iter().find(|live| live.id == id).map_or(0.0, |live| live.vibration.return_s())
     }
 
     /// Starts a session of this participant.

@@ -1,17 +1,18 @@
 //! The rule that decides whether a play fits, from the vibration before its onset. It is pure; times are seconds on one clock.
 //!
 //! For the limit without a pause, all vibration before the onset counts, including that of plays that run and wait, unless a pause
-//! fits before the onset. If a start time is not fixed, the rule assumes the one that leaves the shortest pause.
+//! fits before the onset. If a start time is not fixed, the rule assumes the one that leaves the shortest pause. A play that may begin
+//! less than [`STILL_S`] after the vibration before it keeps that time, too: it is one vibration then.
 //!
 //! Invariant: a play that fits exceeds no limit, whatever else is played between the decision and its end.
 
 use super::limits::{Limit, ParticipantLimits};
-use super::vibration::{ROUNDING_S, Stretch, Vibration};
+use super::vibration::{ROUNDING_S, STILL_S, Stretch, Vibration};
 
 /// The time between two reports of a running play, s.
 pub(super) const REPORT_S: f64 = 0.1;
-/// A play without end is stopped this long before a limit, s. That covers the time to the next report, the time of the stop, and,
-/// if the daemon is killed meanwhile, the default timeout of the board's watchdog (0.3 s).
+/// A play without end is stopped this long before a limit, s, and its way back before that. It covers the time to the next report, the
+/// time of the stop, and, if the daemon is killed meanwhile, the default timeout of the board's watchdog (0.3 s).
 pub(super) const EARLY_S: f64 = REPORT_S + 0.02 + 0.3;
 /// The least remaining time for a play without end, s.
 const LEAST_S: f64 = EARLY_S + REPORT_S;
@@ -40,6 +41,8 @@ pub struct Pending<'v> {
     pub onset: Onset,
     /// The part of the play that is already in the sums, s.
     pub counted_to_s: f64,
+    /// What the time before its first movement may count, s.
+    pub gap_s: f64,
     /// When another play replaced it, s.
     pub cut_s: Option<f64>,
 }
@@ -85,16 +88,20 @@ pub struct Exceeded {
     pub pause_s: f64,
 }
 
-/// Decides whether a play fits.
+/// Decides whether a play fits. Returns what the time before its first movement may count, s.
 ///
 /// # Errors
 /// The limit that the play would exceed.
-pub fn judge(limits: &ParticipantLimits, so_far: &SoFar<'_>, order: &Order<'_>) -> Result<(), Exceeded> {
+pub fn judge(limits: &ParticipantLimits, so_far: &SoFar<'_>, order: &Order<'_>) -> Result<f64, Exceeded> {
     let &ParticipantLimits { max_continuous_s, pause_s, max_session_s, max_day_s, .. } = limits;
     let (mut stretch, mut free_s, mut kept_s) = (so_far.stretch, so_far.at_s, 0.0);
-    for &Pending { vibration, onset, counted_to_s, cut_s } in &so_far.plays {
+    for &Pending { vibration, onset, counted_to_s, gap_s, cut_s } in &so_far.plays {
+        kept_s += gap_s;
+        stretch.used_s += gap_s;
         let freed_s = cut_s.or(order.replace.then_some(so_far.at_s));
         let cut_s = freed_s.map(|cut_s| cut_s + LATE_S);
+        // A cut play's way back.
+        let back_s = if cut_s.is_some() { vibration.return_s() } else { 0.0 };
         let (onset_s, late_s) = match onset {
             Onset::Began(at_s) => (at_s, 0.0),
             Onset::At(at_s) => (free_s.max(at_s), LATE_S),
@@ -104,8 +111,8 @@ pub fn judge(limits: &ParticipantLimits, so_far: &SoFar<'_>, order: &Order<'_>) 
             // The play may have begun since the last report.
             let from_s = onset_s - REPORT_S;
             if from_s < cut_s {
-                kept_s += cut_s - from_s;
-                stretch = stretch.with(from_s, cut_s, pause_s);
+                kept_s += cut_s + back_s - from_s;
+                stretch = stretch.with(from_s, cut_s + back_s, pause_s);
             }
             continue;
         }
@@ -115,8 +122,12 @@ pub fn judge(limits: &ParticipantLimits, so_far: &SoFar<'_>, order: &Order<'_>) 
             None if vibration.is_endless() => so_far.at_s - onset_s,
             None => f64::INFINITY,
         };
-        kept_s += (vibration.until(to_s) - vibration.until(counted_to_s)).max(0.0);
+        kept_s += vibration.within(counted_to_s, to_s);
         stretch = vibration.walk(onset_s, (counted_to_s, to_s), stretch, pause_s).1;
+        if let Some(cut_s) = cut_s.filter(|_| back_s > 0.0) {
+            kept_s += back_s;
+            stretch = stretch.with(cut_s, cut_s + back_s, pause_s);
+        }
         stretch.until_s += late_s;
         free_s = free_s.max(freed_s.unwrap_or(f64::INFINITY).min(onset_s + vibration.end().min(to_s)));
     }
@@ -124,11 +135,17 @@ pub fn judge(limits: &ParticipantLimits, so_far: &SoFar<'_>, order: &Order<'_>) 
         Onset::At(at_s) | Onset::Began(at_s) => free_s.max(at_s - CLOCK_S),
         Onset::Next => free_s,
     };
+    let first_s = onset_s + order.vibration.first();
+    // The movement before may end later than planned, and this play may begin later.
+    let gap_s = if first_s - stretch.until_s < STILL_S + LATE_S { STILL_S } else { 0.0 };
+    kept_s += gap_s;
+    stretch.used_s += gap_s;
     let (most_s, _) = order.vibration.walk(onset_s, (0.0, f64::INFINITY), stretch, pause_s);
-    let used_s = stretch.used_at(onset_s + order.vibration.first(), pause_s);
+    let used_s = stretch.used_at(first_s, pause_s);
     let total_s = order.vibration.total();
     let finite = |seconds: f64| Some(seconds).filter(|seconds| seconds.is_finite());
-    let needs = |used_s: f64| used_s + total_s.unwrap_or(LEAST_S);
+    let least_s = LEAST_S + order.vibration.return_s();
+    let needs = |used_s: f64| used_s + total_s.unwrap_or(least_s);
     let (session_s, day_s) = (so_far.session_s.map(|used_s| used_s + kept_s), so_far.day_s + kept_s);
     for (limit, most_s, used_s, play_s, needs_s) in [
         (
@@ -136,7 +153,7 @@ pub fn judge(limits: &ParticipantLimits, so_far: &SoFar<'_>, order: &Order<'_>) 
             max_continuous_s,
             used_s,
             finite(order.vibration.longest(pause_s)),
-            finite(most_s).unwrap_or(used_s + LEAST_S),
+            finite(most_s).unwrap_or(used_s + least_s),
         ),
         // Without a session only the day has a sum.
         (Limit::Session, max_session_s, session_s.unwrap_or(0.0), total_s, session_s.map_or(0.0, needs)),
@@ -146,5 +163,5 @@ pub fn judge(limits: &ParticipantLimits, so_far: &SoFar<'_>, order: &Order<'_>) 
             return Err(Exceeded { limit, most_s, used_s, play_s, pause_s });
         }
     }
-    Ok(())
+    Ok(gap_s)
 }

@@ -2,16 +2,10 @@
 
 use super::*;
 use jiff::civil::date;
-use meissner_array::pattern::{Drive, Pattern};
 
 /// A play of one pin that vibrates all the time, until `end_s` or without end.
 fn play(end_s: Option<f64>) -> Vibration {
-    let drive =
-        Drive { motor: 9, frequency_hz: 60.0, amplitude_um: 80.0, phase: 0.0, start_s: None, stop_s: None };
-    let pattern =
-        Pattern::new(meissner_array::spec::Array::paper(), "test", None, vec![drive], toml::Table::new())
-            .unwrap();
-    Vibration::of(&pattern, end_s)
+    Vibration::new([(0.0, end_s.unwrap_or(f64::INFINITY))], end_s)
 }
 
 fn at(seconds: f64) -> Now {
@@ -46,8 +40,8 @@ fn run(
     seconds: f64,
 ) -> Option<(f64, Limit)> {
     let held = HELD + 1000 + id;
-    let live =
-        Live { id: held, vibration, onset: Onset::Next, counted_to_s: 0.0, cut: None, replaces: false };
+    let onset = Onset::Next;
+    let live = Live { id: held, vibration, onset, counted_to_s: 0.0, gap_s: 0.0, cut: None, replaces: false };
     account.live.push(live);
     account.begin(held, id, at(from));
     let tenths = (seconds * 10.0).round() as u32;
@@ -122,9 +116,9 @@ fn what_has_vibrated_counts_for_a_play_at_a_time_of_its_own() {
         let found = check(&mut account, at(now_s), &play(Some(9.0)), Onset::At(onset_s));
         assert_eq!(found.is_ok(), fits, "{now_s} {onset_s}");
     }
-    let sequence = Vibration::of_spans([(0.0, 4.0), (20.0, 24.0)]);
+    let sequence = Vibration::new([(0.0, 4.0), (20.0, 24.0)], Some(24.0));
     assert!(check(&mut account, at(9.0), &sequence, Onset::At(9.015)).is_err());
-    let gap = Vibration::of_spans([(0.0, 1.0), (20.0, 29.0)]);
+    let gap = Vibration::new([(0.0, 0.4), (20.0, 29.0)], Some(29.0));
     assert_eq!(check(&mut account, at(9.0), &gap, Onset::At(9.015)), Ok(()), "its own pause");
     assert_eq!(account.status(at(9.0)).continuous_used_s.round(), 9.0);
 }
@@ -140,7 +134,7 @@ fn a_kill_leaves_no_smaller_sum() {
     };
     account.hold(at(0.0), play(Some(8.0)), Onset::Next, false).unwrap();
     let mut again = killed(&account, 0.0, at(2.0));
-    assert_eq!((again.status(at(2.0)).day_used_s, again.status(at(2.0)).continuous_used_s), (8.0, 8.0));
+    assert_eq!((again.status(at(2.0)).day_used_s, again.status(at(2.0)).continuous_used_s), (8.5, 8.5));
     assert!(check_next(&mut again, at(2.0), &play(Some(4.0))).is_err());
     assert_eq!(check_next(&mut again, at(7.1), &play(Some(4.0))), Ok(()), "after a pause");
     // By the wall clock an hour has passed, by the other clock two seconds.
@@ -154,9 +148,9 @@ fn a_kill_leaves_no_smaller_sum() {
         let mut after = killed(&account, 108.0, again(wall_s));
         assert_eq!(check_next(&mut after, again(wall_s), &play(Some(4.0))).is_ok(), fits, "{wall_s}");
     }
-    // For a play without end ten seconds are reserved.
+    // For a play without end ten seconds are reserved, and half a second after it.
     account.hold(at(200.0), play(None), Onset::Next, false).unwrap();
-    assert_eq!(killed(&account, 200.0, at(200.0)).status(at(200.0)).day_used_s.round(), 18.0);
+    assert_eq!(killed(&account, 200.0, at(200.0)).status(at(200.0)).day_used_s, 18.5);
 }
 
 /// The clock is set forward by a day and back: neither of the two days starts again from 0.

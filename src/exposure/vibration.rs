@@ -1,13 +1,15 @@
-//! When a play vibrates: the spans of its pattern in which at least one drive or motion moves a pin. A motion counts from its beginning to
-//! its end, with what it holds. What has vibrated since the last pause
-//! is a [`Stretch`].
+//! When a play vibrates, by its compiled moves ([`Hold::vibrates`]), and the stretch of vibration since the last pause ([`Stretch`]).
 //!
-//! Invariant: spans are in order, do not touch, and lie within one repeat of the pattern.
+//! Invariant: spans are in order and do not touch.
 
-use meissner_array::pattern::Pattern;
+use meissner_stream::{Hold, STILL_MS, Settings};
+use std::sync::Arc;
 
 /// The tolerance of sums, s: more than the accumulated rounding errors.
 pub(super) const ROUNDING_S: f64 = 1e-6;
+/// Movements less than this apart are one vibration, s, also those of two plays.
+#[expect(clippy::cast_precision_loss, reason = "half a second")]
+pub(super) const STILL_S: f64 = STILL_MS as f64 / 1000.0;
 
 /// Vibration since the last pause.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -45,74 +47,74 @@ impl Stretch {
     pub fn used_at(&self, at_s: f64, pause_s: f64) -> f64 {
         if self.is_over(at_s, pause_s) { 0.0 } else { self.used_s }
     }
+
+    /// The time since the last vibration that counts if a movement begins at `at_s`: all of it, if it is less than [`STILL_S`].
+    #[must_use]
+    pub fn gap_s(&self, at_s: f64) -> f64 {
+        let gap_s = at_s - self.until_s;
+        if gap_s < STILL_S { gap_s.max(0.0) } else { 0.0 }
+    }
 }
 
 /// The vibration of a play, in seconds from its onset.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Vibration {
     /// Start and end of each span, s; the last may have no end.
-    spans: Vec<(f64, f64)>,
-    /// How long a repeat lasts, s, if the pattern repeats.
-    repeat_s: Option<f64>,
+    spans: Arc<[(f64, f64)]>,
     /// When the play ends, s; `None`: without end.
     end_s: Option<f64>,
+    /// How long its pins take to come down if it is cut, s.
+    return_s: f64,
+}
+
+/// How long pins take to come down from so many pulses above rest, s: with a limit on motors at once they take turns.
+fn return_s(pulses: u16, settings: &Settings) -> f64 {
+    let turns = settings.array.layout().turns(&settings.limits);
+    f64::from(turns) * settings.array.rate().ticks_to_seconds(pulses.into())
 }
 
 impl Vibration {
-    /// The vibration of a play of `pattern` that ends after `end_s`.
+    /// The vibration of a play with these steps, which ends after so many ticks.
     #[must_use]
-    pub fn of(pattern: &Pattern, end_s: Option<f64>) -> Self {
-        let mut moving: Vec<(f64, f64)> =
-            pattern.moving_s().map(|(from, until)| (from, until.unwrap_or(f64::INFINITY))).collect();
-        moving.sort_by(|a, b| a.0.total_cmp(&b.0));
-        Self { repeat_s: pattern.duration_s(), end_s, ..Self::of_spans(moving) }
+    pub fn of(hold: &Hold, end: Option<u64>, settings: &Settings) -> Self {
+        let rate = settings.array.rate();
+        let seconds = |tick| if tick == u64::MAX { f64::INFINITY } else { rate.ticks_to_seconds(tick) };
+        let spans = hold.vibrates.iter().map(|&(from, until)| (seconds(from), seconds(until)));
+        Self { return_s: return_s(hold.highest, settings), ..Self::new(spans, end.map(seconds)) }
     }
 
-    /// Vibration from the onset on, without end.
+    /// Vibration in these spans, s, of a play that ends then.
     #[must_use]
-    pub fn without_end() -> Self {
-        Self { spans: vec![(0.0, f64::INFINITY)], repeat_s: None, end_s: None }
+    pub fn new(spans: impl IntoIterator<Item = (f64, f64)>, end_s: Option<f64>) -> Self {
+        Self { spans: spans.into_iter().collect(), end_s, return_s: 0.0 }
     }
 
-    /// The vibration of a sequence. An item counts from its onset to its end, s; items are in order.
+    /// Vibration from the onset on, without end, of pins that may be at any height.
     #[must_use]
-    pub fn of_spans(items: impl IntoIterator<Item = (f64, f64)>) -> Self {
-        let mut spans: Vec<(f64, f64)> = Vec::new();
-        for (start, stop) in items {
-            match spans.last_mut() {
-                Some(last) if start <= last.1 => last.1 = last.1.max(stop),
-                _ => spans.push((start, stop)),
-            }
-        }
-        let end_s = spans.last().map_or(0.0, |last| last.1);
-        Self { spans, repeat_s: None, end_s: Some(end_s) }
+    pub fn without_end(settings: &Settings) -> Self {
+        let most = settings.array.motor().most_pulses;
+        Self { return_s: return_s(most, settings), ..Self::new([(0.0, f64::INFINITY)], None) }
     }
 
-    /// How long it has vibrated, s, when it has played for `played_s`.
+    /// The spans, as far as they are between two times.
+    fn between(&self, from_s: f64, to_s: f64) -> impl Iterator<Item = (f64, f64)> {
+        let first = self.spans.partition_point(|span| span.1 <= from_s);
+        let spans = self.spans[first..].iter().take_while(move |span| span.0 < to_s);
+        spans
+            .map(move |&(start, stop)| (start.max(from_s), stop.min(to_s)))
+            .filter(|(start, stop)| start < stop)
+    }
+
+    /// How long it vibrates between two times, s.
     #[must_use]
-    pub fn until(&self, played_s: f64) -> f64 {
-        let played_s = self.end_s.map_or(played_s, |end| end.min(played_s)).max(0.0);
-        if !played_s.is_finite() {
-            return 0.0;
-        }
-        let (repeats, rest) = match self.repeat_s {
-            Some(repeat_s) if repeat_s > 0.0 => {
-                let repeats = (played_s / repeat_s).floor();
-                (repeats, played_s - repeats * repeat_s)
-            }
-            _ => (0.0, played_s),
-        };
-        let within = |until: f64| -> f64 {
-            self.spans.iter().map(|&(start, stop)| (stop.min(until) - start).max(0.0)).sum()
-        };
-        let whole = if repeats > 0.0 { repeats * within(f64::INFINITY) } else { 0.0 };
-        whole + within(rest)
+    pub fn within(&self, from_s: f64, to_s: f64) -> f64 {
+        self.between(from_s, self.end().min(to_s)).map(|(start, stop)| stop - start).sum()
     }
 
     /// How long it vibrates in all, s; `None`: without end.
     #[must_use]
     pub fn total(&self) -> Option<f64> {
-        self.end_s.map(|end| self.until(end))
+        self.end_s.map(|end_s| self.within(0.0, end_s))
     }
 
     /// Whether the play has no end.
@@ -133,6 +135,12 @@ impl Vibration {
         self.spans.first().map_or(0.0, |first| first.0)
     }
 
+    /// How long its pins take to come down if it is cut, s.
+    #[must_use]
+    pub const fn return_s(&self) -> f64 {
+        self.return_s
+    }
+
     /// The longest vibration without a pause of `pause_s`, s; infinite if the play has no end and no such pause.
     #[must_use]
     pub fn longest(&self, pause_s: f64) -> f64 {
@@ -149,100 +157,38 @@ impl Vibration {
         before: Stretch,
         pause_s: f64,
     ) -> (f64, Stretch) {
-        let to_s = self.end().min(to_s);
-        let (mut most, mut stretch, mut paused) = (0.0_f64, before, false);
-        let mut repeat = |by: f64, stretch: &mut Stretch, paused: &mut bool| {
-            for &(start, stop) in &self.spans {
-                let (start, stop) = ((start + by).max(from_s), (stop + by).min(to_s));
-                if start < stop {
-                    *paused |= stretch.is_over(onset_s + start, pause_s);
-                    *stretch = stretch.with(onset_s + start, onset_s + stop, pause_s);
-                    most = most.max(stretch.used_s);
-                }
-            }
-        };
-        let a_repeat_s: f64 = self.spans.iter().map(|(start, stop)| stop - start).sum();
-        let Some(repeat_s) = self.repeat_s.filter(|&repeat_s| repeat_s > 0.0 && a_repeat_s > 0.0) else {
-            repeat(0.0, &mut stretch, &mut paused);
-            return (most, stretch);
-        };
-        let (mut number, mut whole) = ((from_s / repeat_s).floor(), 0);
-        while number * repeat_s < to_s {
-            paused = false;
-            repeat(number * repeat_s, &mut stretch, &mut paused);
-            whole += usize::from(number * repeat_s >= from_s);
-            number += 1.0;
-            // Further whole repeats are like the second: either each begins a new stretch, or all add to one.
-            let left = ((to_s - number * repeat_s) / repeat_s).floor();
-            if whole == 2 && left > 0.0 {
-                if !paused {
-                    stretch.used_s += left * a_repeat_s;
-                }
-                stretch.until_s += left * repeat_s;
-                number += left;
-            }
+        let (mut most, mut stretch) = (0.0_f64, before);
+        for (start, stop) in self.between(from_s, self.end().min(to_s)) {
+            stretch = stretch.with(onset_s + start, onset_s + stop, pause_s);
+            most = most.max(stretch.used_s);
         }
-        (most.max(stretch.used_s), stretch)
+        (most, stretch)
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use meissner_array::pattern::Drive;
-
-    fn pattern(duration_s: Option<f64>, drives: &[(Option<f64>, Option<f64>)]) -> Pattern {
-        let drive = |(motor, &(start_s, stop_s)): (usize, &(Option<f64>, Option<f64>))| Drive {
-            motor: motor as u8,
-            frequency_hz: 60.0,
-            amplitude_um: 80.0,
-            phase: 0.0,
-            start_s,
-            stop_s,
-        };
-        let drives = drives.iter().enumerate().map(drive).collect();
-        Pattern::new(meissner_array::spec::Array::paper(), "test", duration_s, drives, toml::Table::new())
-            .unwrap()
-    }
 
     #[test]
-    fn drives_that_overlap_count_once_and_gaps_do_not_count() {
-        let spans = [(None, Some(1.0)), (Some(0.5), Some(1.5)), (Some(3.0), None)];
-        let play = Vibration::of(&pattern(Some(4.0), &spans), Some(9.0));
-        for (played, vibrated) in [(0.0, 0.0), (1.0, 1.0), (2.0, 1.5), (4.0, 2.5), (9.0, 6.0), (99.0, 6.0)] {
-            assert_eq!(play.until(played), vibrated, "{played}");
+    fn gaps_do_not_count_and_a_pause_begins_a_new_stretch() {
+        let play = Vibration::new([(0.5, 2.0), (5.0, 6.0), (9.0, 10.0)], Some(11.0));
+        for (played, vibrated) in [(0.0, 0.0), (1.0, 0.5), (3.0, 1.5), (5.5, 2.0), (99.0, 3.5)] {
+            assert_eq!(play.within(0.0, played), vibrated, "{played}");
         }
-        assert_eq!(play.total(), Some(6.0));
-        // The second repeat begins as the first ends: 3 to 4, and 4 to 5.5.
-        assert_eq!(play.longest(1.0), 2.5);
-        assert_eq!(play.longest(2.0), 6.0, "no pause is so long");
+        assert_eq!((play.total(), play.within(1.0, 5.5), play.first()), (Some(3.5), 1.5, 0.5));
+        assert_eq!((play.longest(3.0), play.longest(4.0), play.end()), (1.5, 3.5, 11.0));
+        let endless = Vibration::new([(0.0, 1.0), (2.0, f64::INFINITY)], None);
+        assert_eq!((endless.total(), endless.within(0.0, 100.0)), (None, 99.0));
+        assert_eq!((endless.longest(1.0), Vibration::new([], Some(2.0)).total()), (f64::INFINITY, Some(0.0)));
     }
 
     #[test]
-    fn a_sequence_vibrates_in_its_items() {
-        let sequence = Vibration::of_spans([(0.5, 1.0), (1.0, 2.0), (5.0, 6.0)]);
-        assert_eq!((sequence.total(), sequence.until(1.5), sequence.until(3.0)), (Some(2.5), 1.0, 1.5));
-        assert_eq!((sequence.longest(3.0), sequence.longest(4.0)), (1.5, 2.5));
-        assert!(!sequence.is_endless());
-    }
-
-    #[test]
-    fn a_play_without_end_vibrates_for_ever_unless_its_drives_stop() {
-        let endless = Vibration::of(&pattern(None, &[(None, None)]), None);
-        assert_eq!((endless.total(), endless.until(100.0)), (None, 100.0));
-        assert_eq!(endless.longest(1.0), f64::INFINITY);
-        assert_eq!(Vibration::of(&pattern(Some(2.0), &[]), Some(60.0)).total(), Some(0.0), "silent");
-        let twice = Vibration::of(&pattern(None, &[(None, Some(1.0)), (Some(20.0), Some(22.0))]), Some(22.0));
-        assert_eq!((twice.total(), twice.longest(10.0)), (Some(3.0), 2.0));
-    }
-
-    #[test]
-    fn motions_vibrate_from_their_beginning_to_their_end() {
-        let text = "format = 2\nname = \"test\"\nduration_s = 4\n[[ramp]]\nmotor = 3\nto_um = 50.0\nrise_s = 0.1\nhold_s = 0.8\n\
-                    [[tone]]\nmotor = 9\nstart_s = 0.5\nduration_s = 1.5\nfrequency_hz = 20.0\namplitude_um = 30.0\n\
-                    [[wave]]\nmotor = 5\nstart_s = 3.0\nrate_hz = 10.0\num = [0.0, 0.0, 0.0]\n";
-        let pattern = Pattern::parse(text, "test").unwrap();
-        let twice = Vibration::of(&pattern, Some(8.0));
-        assert_eq!((twice.total(), twice.until(3.9), twice.longest(1.0)), (Some(4.0), 2.0, 2.0));
+    fn two_movements_less_than_half_a_second_apart_are_one_vibration() {
+        let stretch = Stretch { used_s: 3.0, until_s: 10.0 };
+        for (at_s, gap_s) in [(9.9, 0.0), (10.0, 0.0), (10.25, 0.25), (10.5, 0.0), (99.0, 0.0)] {
+            assert_eq!(stretch.gap_s(at_s), gap_s, "{at_s}");
+        }
+        assert_eq!(Stretch::NONE.gap_s(0.0), 0.0);
     }
 }

@@ -205,8 +205,8 @@ pub struct ClockSample {
     pub uncertainty_us: f64,
 }
 
-/// The limits for the person who feels the pins, what is used and what is left. Vibration is time in which at least one drive moves
-/// a pin.
+/// The limits for the person who feels the pins, what is used and what is left. Vibration is time in which pins move, as
+/// `docs/explanation/participants.md` defines it.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct ParticipantStatus {
     /// Whose vibration is counted: the running session's participant; null without one: everybody's together.
@@ -219,7 +219,7 @@ pub struct ParticipantStatus {
     #[schema(minimum = 0.1, maximum = 86400.0)]
     pub max_continuous_s: f64,
     /// Time without vibration that makes a pause, s.
-    #[schema(minimum = 0.1, maximum = 3600.0)]
+    #[schema(minimum = 0.5, maximum = 3600.0)]
     pub pause_s: f64,
     /// Vibration since the last pause, s.
     #[schema(minimum = 0.0)]

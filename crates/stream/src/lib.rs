@@ -68,7 +68,9 @@ pub mod time;
 
 pub use bandwidth::{Bandwidth, Requirement};
 pub use board::PlayBoard;
-pub use checks::{Dense, Hold, Overpush, find_dense, find_longest_hold, find_overpush, find_too_many};
+pub use checks::{
+    Dense, Hold, Overpush, STILL_MS, find_dense, find_longest_hold, find_overpush, find_too_many,
+};
 pub use control::{Gains, rest_bound_um};
 pub use drift::{Drift, forecast_drift};
 pub use faulty::Line;

@@ -15,7 +15,7 @@ use crate::receipts::refusal;
 use meissner_api::{Code, Event, Problem};
 use meissner_input::message::quote;
 use meissner_stream::calibrate::Calibration;
-use meissner_stream::queues::CommandError;
+use meissner_stream::queues::{Command, CommandError};
 use std::path::PathBuf;
 use std::sync::{Arc, PoisonError};
 use tracing::{info, warn};
@@ -128,9 +128,17 @@ impl Engine {
         let mut state = self.lock();
         // Another device may have connected meanwhile; it then reads the file itself, after this.
         same_device(&state, &all)?;
+        let reach = |state: &State| [false, true].map(|open_loop| state.reach(open_loop));
+        let before = reach(&state);
         let sent = state.commands.set_gains(all.gains());
         state.calibration.gains_set = true;
         state.calibration.stored = Ok(StoredCalibration { calibration: all, unused: None });
+        // How far running and waiting plays may take pins was checked with the gains from before.
+        let farther =
+            before.iter().flatten().zip(reach(&state).iter().flatten()).any(|(before, now)| now > before);
+        if farther && !state.plays.receipts.is_idle() {
+            let _ = state.commands.send_unanswered(Command::Stop);
+        }
         let busy = "it is stored, but too many commands wait: the daemon uses it from the next connection on";
         sent.map_err(|_| Problem::new(Code::Busy, busy))
     }
@@ -181,6 +189,11 @@ impl Engine {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::exposure::ParticipantLimits;
+    use crate::session_record::Peer;
+    use crate::store::Stored;
+    use meissner_api::{LiveDrive, LiveRequest, PlayRequest};
+    use meissner_array::pattern::Pattern;
     use meissner_stream::Settings;
     use meissner_stream::calibrate::{Fit, MotorFit};
     use meissner_stream::queues::queues;
@@ -229,5 +242,66 @@ mod tests {
         let kept = Calibration::parse(&fs::read_to_string(file).unwrap(), "file").unwrap();
         assert_eq!(motors(&kept), all);
         assert_eq!(std::iter::from_fn(|| port.pop()).count(), usize::from(MOTORS), "gains were set");
+    }
+
+    /// A low gain adds pulses, 30 % at most; in open loop a high gain takes pins farther. What was ordered before is stopped.
+    #[test]
+    fn a_calibration_takes_no_pin_above_the_amplitude() {
+        let array = meissner_array::spec::Array::paper();
+        let dir = tempfile::tempdir().unwrap();
+        let (mut port, commands, _events) = queues().unwrap();
+        let file = Some(dir.path().join("calibration.toml"));
+        let engine = Arc::new(Engine::new(commands, Settings::of(array), "mock".to_owned(), file));
+        engine
+            .lock()
+            .exposure
+            .set_limits(ParticipantLimits { max_amplitude_um: 100.0, ..ParticipantLimits::NONE });
+        let runtime = crate::daemon::runtime().unwrap();
+        let calibrate = |gain: f64| {
+            let plan = meissner_stream::calibrate::laser_plan(array, 9, None, None).unwrap();
+            let fit = Fit {
+                slope_um_per_pulse: gain * array.motor().um_per_pulse,
+                slope_se_um_per_pulse: 0.001,
+                offset_um: 0.0,
+                relative_sd: 0.05,
+                bursts: 70,
+            };
+            let fit = MotorFit { motor: 9, up: fit, down: fit, up_points: vec![], down_points: vec![] };
+            let new = Calibration::new(array, vec![fit], plan.provenance("mock", "1", "", "laser")).unwrap();
+            engine.add_calibration(new, |_| Ok(())).unwrap();
+        };
+        let play = |um: f64, open_loop| {
+            let text = format!(
+                "format = 2\nname = \"ramp\"\n[[ramp]]\nmotor = 9\nto_um = {um}\nrise_s = 0.02\nhold_s = 0.1\n"
+            );
+            let stored = Stored::made(Pattern::parse(&text, "ramp").unwrap());
+            let request = PlayRequest { pattern: "ramp".into(), open_loop, ..PlayRequest::default() };
+            runtime.block_on(engine.play(&request, stored, Peer::local(1, 0))).unwrap_err()
+        };
+        // Nothing answers the play that is sent.
+        assert_eq!(play(100.0, false).code, "timeout");
+        calibrate(0.6);
+        let sent: Vec<_> = std::iter::from_fn(|| port.pop()).map(|request| request.command).collect();
+        assert!(matches!(&sent[..], [Command::Play(_), Command::SetGains(_), Command::Stop]), "{sent:?}");
+        for (gain, um, open_loop, reached_um) in
+            [(0.6, 100.0, false, 130.0), (0.9, 95.0, false, 105.6), (1.3, 90.0, true, 117.0)]
+        {
+            calibrate(gain);
+            let refused = play(um, open_loop);
+            let says = format!(
+                "`ramp` asks for {um} um, whose pulses reach {reached_um:.1} um with the calibration in use"
+            );
+            assert!(refused.code == "participant-limit" && refused.detail.contains(&says), "{refused:?}");
+            assert_eq!(play(um, !open_loop).code, "timeout", "{gain}");
+        }
+        calibrate(0.6);
+        let drive = LiveDrive { motor: 9, frequency_hz: 60.0, amplitude_um: 80.0, phase: 0.0 };
+        let request = LiveRequest { drives: vec![drive], ..LiveRequest::default() };
+        let live = engine.start_live(&request, None, None, Peer::local(1, 0));
+        let refused = runtime.block_on(live).unwrap_err();
+        assert!(
+            refused.detail.contains("`the live play` asks for 80 um, whose pulses reach 104.0 um"),
+            "{refused:?}"
+        );
     }
 }

@@ -12,6 +12,7 @@ use crate::daemon::plays::terms::Terms;
 use crate::daemon::state::{Asker, NewPlay, Reply, State};
 use crate::exposure::{Now, Vibration};
 use meissner_api::{Code, PlayAccepted, Problem};
+use meissner_array::per_motor::PerMotor;
 use meissner_array::strokes::Surplus;
 use meissner_stream::queues::{At, Command, Item, Play};
 use meissner_stream::{Bandwidth, Settings, Source};
@@ -38,8 +39,10 @@ pub(super) struct Compiled {
     pub(super) vibration: Vibration,
     /// Whether its client knows that it has no end.
     pub(super) endless: bool,
-    /// The largest amplitude, µm, and what asks for it.
-    pub(super) largest: (f64, String),
+    /// How many times as far as ordered pins may go, with the calibration that it was compiled for.
+    pub(super) reach: PerMotor<f64>,
+    /// The largest amplitude that is ordered, and how far pins may go for it, µm, and what asks for it.
+    pub(super) largest: ([f64; 2], String),
     /// The SHA-256 of each pattern with motions, and what their samples take in memory, bytes.
     pub(super) memory: Vec<(String, usize)>,
     pub(super) new: NewPlay,
@@ -81,9 +84,12 @@ impl Drop for Held<'_> {
     }
 }
 
+/// What a play is compiled for: the settings, and what follows from the calibration.
+pub(super) type Basis = (Settings, Surplus, PerMotor<f64>);
+
 impl Engine {
-    /// The settings and the surplus to compile a play for. Refuses a play for another boot than the device's.
-    pub(super) fn compiles_for(&self, boot: Option<u32>) -> Result<(Settings, Surplus), Problem> {
+    /// The settings, the surplus and the reach to compile a play for. Refuses a play for another boot than the device's.
+    pub(super) fn compiles_for(&self, boot: Option<u32>, open_loop: bool) -> Result<Basis, Problem> {
         let state = self.lock();
         match (boot, state.plays.receipts.device().map(|device| device.boot)) {
             (Some(asked), Some(now)) if asked != now => {
@@ -91,7 +97,7 @@ impl Engine {
                     format!("`boot` is {asked}, but the device has restarted as {now}: read its tick again");
                 Err(Problem::new(Code::StaleBoot, detail))
             }
-            _ => Ok((state.settings, state.surplus())),
+            _ => Ok((state.settings, state.surplus(), state.reach(open_loop))),
         }
     }
 
@@ -157,6 +163,10 @@ impl Engine {
         let (held, saved) = {
             let mut state = self.lock();
             check(&mut state)?;
+            if *state.reach(terms.open_loop) != *compiled.reach {
+                let detail = "the calibration has changed meanwhile: send the play again";
+                return Err(Problem::new(Code::Busy, detail));
+            }
             let (largest_um, what) = &compiled.largest;
             state.check_amplitude(what, *largest_um)?;
             state.check_end(what, compiled.vibration.is_endless() && !compiled.endless)?;

@@ -28,13 +28,16 @@ impl Engine {
         let stored = Stored::made(plan.pattern());
         let pattern = stored.pattern.name().into();
         let request = PlayRequest { pattern, open_loop: true, ..PlayRequest::default() };
-        let settings = self.lock().settings;
+        let (settings, reach) = {
+            let state = self.lock();
+            (state.settings, state.reach(true))
+        };
         if settings.lower_stop.is_some() {
             let detail = "down bursts end at the lower stop, so their gain cannot be measured: calibrate without the stop";
             return Err(Problem::new(Code::LowerStop, detail));
         }
         let terms = Terms::from(&request);
-        let basis = (settings, Surplus::None);
+        let basis = (settings, Surplus::None, reach);
         let compiled = Compiled::of_pattern(&request, &terms, stored, basis, client).await?;
         // The plan is made anew for each request; the session record needs no text of it.
         let compiled = Compiled { texts: Vec::new(), ..compiled };

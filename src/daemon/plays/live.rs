@@ -49,14 +49,14 @@ impl Engine {
         object: Option<Object>,
         client: Peer,
     ) -> Result<LiveAccepted, Problem> {
-        let (settings, surplus) = self.compiles_for(None)?;
+        let (settings, surplus, reach) = self.compiles_for(None, request.open_loop)?;
         let options =
             StrokeOptions { scale: request.scale.unwrap_or(1.0), surplus, ..StrokeOptions::default() };
         let most_hz = request.most_hz();
-        let mut live =
-            LivePlay::new(settings.array, &request.drives, options, most_hz)?.with_levels(request.levels);
+        let mut live = LivePlay::new(settings.array, &request.drives, options, most_hz)?;
+        live = live.with_levels(request.levels).with_open_loop(request.open_loop);
         let levels = request.levels || object.is_some();
-        live = live.with_heights(self.heights(settings.array, object).await?);
+        live = live.with_heights(self.heights(settings.array, object, &reach).await?);
         let prepared = match target {
             Some(target) => {
                 let (prepared, drives) = prepare(request, target).await?;
@@ -94,10 +94,11 @@ impl Engine {
             bandwidth,
             hold: HOLD_ALWAYS,
             settings,
-            vibration: Vibration::without_end(),
+            vibration: Vibration::without_end(&settings),
             endless: true,
+            reach,
             memory: Vec::new(),
-            largest: (live.largest_um(), "the live play".to_owned()),
+            largest: (live.largest_um(&reach), "the live play".to_owned()),
             new: NewPlay { receipt, items: None, predicted: None, client },
             texts: Vec::new(),
         };
@@ -116,9 +117,14 @@ impl Engine {
     }
 
     /// Solves the contact of an object. Plays do not wait for it. No pin goes above what participants may get.
-    async fn heights(&self, array: Array, object: Option<Object>) -> Result<Option<Arc<Heights>>, Problem> {
+    async fn heights(
+        &self,
+        array: Array,
+        object: Option<Object>,
+        reach: &[f64],
+    ) -> Result<Option<Arc<Heights>>, Problem> {
         let Some(object) = object else { return Ok(None) };
-        let most_mm = self.lock().most_amplitude_um() / 1000.0;
+        let most_mm = self.lock().most_amplitude_um() / reach.iter().copied().fold(1.0, f64::max) / 1000.0;
         let made = computing(move || Heights::new(array, &object)).await?;
         made.map(|heights| Some(Arc::new(heights.at_most(most_mm))))
             .map_err(|error| Problem::new(Code::BadRequest, error.to_string()))

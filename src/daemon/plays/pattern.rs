@@ -1,7 +1,7 @@
 //! Plays of one pattern: compiles the pattern of a request, and begins the play.
 
 use crate::daemon::engine::Engine;
-use crate::daemon::plays::begin::Compiled;
+use crate::daemon::plays::begin::{Basis, Compiled};
 use crate::daemon::plays::terms::{Terms, trigger};
 use crate::daemon::state::NewPlay;
 use crate::daemon::state::limits::check_limits;
@@ -11,7 +11,8 @@ use crate::receipts::{NoPrediction, Order, counts, fit, motions, too_slow};
 use crate::session_record::Peer;
 use crate::store::{MappedFrom, Stored};
 use meissner_api::{Code, Fit, Mapping, PlayAccepted, PlayRequest, Problem, Receipt, TriggerRequest};
-use meissner_array::strokes::{StrokeOptions, Strokes, Surplus};
+use meissner_array::pattern::Pattern;
+use meissner_array::strokes::{StrokeOptions, Strokes};
 use meissner_stream::queues::{HOLD_ALWAYS, Item};
 use meissner_stream::{Bandwidth, Hold, Settings, find_longest_hold};
 use std::sync::Arc;
@@ -22,7 +23,7 @@ impl Compiled {
         request: &PlayRequest,
         terms: &Terms,
         stored: Stored,
-        basis: (Settings, Surplus),
+        basis: Basis,
         client: Peer,
     ) -> Result<Self, Problem> {
         let asked = Asked::of(request);
@@ -54,7 +55,7 @@ fn compile(
     asked: &Asked,
     receipt: Receipt,
     stored: Stored,
-    (settings, surplus): (Settings, Surplus),
+    (settings, surplus, reach): Basis,
     client: Peer,
 ) -> Result<Compiled, Problem> {
     let (stored, mapped) = stored.on(settings.array, asked.map)?;
@@ -83,8 +84,7 @@ fn compile(
         return Err(Problem::new(Code::TooSlow, format!("`{name}`: {line}, or play it without `strict`")));
     }
     check_limits(&strokes, &settings)?;
-    let (hold, unchecked) = hold(asked.hold_ms, &strokes)?;
-    let end_s = strokes.end().map(|end| array.rate().ticks_to_seconds(end));
+    let (hold, unchecked, vibration) = hold(asked.hold_ms, &strokes, &settings)?;
     order.enter(&mut receipt, asked.fit, counts(pattern, &options, &strokes));
     let mapped_lines = mapped.map(|MappedFrom { array, warnings }| {
         receipt.mapped_from = Some(array);
@@ -92,8 +92,7 @@ fn compile(
     });
     let lines = mapped_lines.into_iter().flatten().chain(unchecked).chain(slow.into_iter().take(MAX_LINES));
     receipt.warnings.splice(0..0, lines);
-    let largest = (pattern.largest_um() * asked.scale, name.to_owned());
-    let vibration = Vibration::of(pattern, end_s);
+    let largest = (largest_um(pattern, asked.scale, &reach), name.to_owned());
     let bandwidth = Bandwidth::of(&strokes, &settings);
     let Stored { pattern, sha256, text, .. } = stored;
     let bytes = pattern.motion_bytes();
@@ -110,6 +109,7 @@ fn compile(
         settings,
         vibration,
         endless: asked.endless,
+        reach,
         largest,
         memory: vec![(sha256.clone(), bytes)],
         new: NewPlay { receipt, items: None, predicted, client },
@@ -127,11 +127,23 @@ const MAX_LINES: usize = 4;
 /// A pin may stay above rest without a pulse for so much longer than planned, ms: moves may be corrected or lost.
 const SPARE_MS: u64 = 500;
 
-/// How long the device may let a pin stay above rest without a pulse, ticks: as asked, or as long as the plan needs. And a line if the play is
-/// too long for the checks before it begins.
-pub(super) fn hold(asked_ms: Option<f64>, strokes: &Strokes) -> Result<(u32, Option<String>), Problem> {
+/// The largest amplitude that a pattern orders at a scale, and how far pins may go for it, µm.
+pub(super) fn largest_um(pattern: &Pattern, scale: f64, reach: &[f64]) -> [f64; 2] {
+    let reach = |motor| reach.get(usize::from(motor)).copied().unwrap_or(1.0);
+    [pattern.largest_um(), pattern.largest_reached_um(reach)].map(|um| um * scale)
+}
+
+/// How long the device may let a pin stay above rest without a pulse, ticks: as asked, or as long as the plan needs. A line if the play is
+/// too long for the checks before it begins. And when it vibrates.
+pub(super) fn hold(
+    asked_ms: Option<f64>,
+    strokes: &Strokes,
+    settings: &Settings,
+) -> Result<(u32, Option<String>, Vibration), Problem> {
     let rate = strokes.array().rate();
-    let Hold { longest: needed, counted_until } = find_longest_hold(strokes);
+    let found = find_longest_hold(strokes);
+    let vibration = Vibration::of(&found, strokes.end(), settings);
+    let Hold { longest: needed, counted_until, .. } = found;
     let unchecked = counted_until.map(|until| {
         format!(
             "the limits on pulses, moves and holds are checked for the first {:.1} s, as far as the daemon counts moves before a play; \
@@ -149,7 +161,7 @@ pub(super) fn hold(asked_ms: Option<f64>, strokes: &Strokes) -> Result<(u32, Opt
     }
     let Some(ms) = asked_ms else {
         let enough = u32::try_from(needed + rate.of_ms(SPARE_MS)).unwrap_or(HOLD_ALWAYS);
-        return Ok((if unchecked.is_some() { HOLD_ALWAYS } else { enough }, unchecked));
+        return Ok((if unchecked.is_some() { HOLD_ALWAYS } else { enough }, unchecked, vibration));
     };
     let asked = rate.ms_in_ticks(ms) as u32;
     if u64::from(asked) < needed {
@@ -158,7 +170,7 @@ pub(super) fn hold(asked_ms: Option<f64>, strokes: &Strokes) -> Result<(u32, Opt
             format!("`hold_ms` is {ms}: the play keeps a pin above rest for {needed_ms} ms without a pulse");
         return Err(Problem::new(Code::BadRequest, detail));
     }
-    Ok((asked, unchecked))
+    Ok((asked, unchecked, vibration))
 }
 
 impl Engine {
@@ -169,7 +181,7 @@ impl Engine {
         stored: Stored,
         client: Peer,
     ) -> Result<PlayAccepted, Problem> {
-        let basis = self.compiles_for(request.boot)?;
+        let basis = self.compiles_for(request.boot, request.open_loop)?;
         let terms = Terms::from(request);
         let compiled = Compiled::of_pattern(request, &terms, stored, basis, client).await?;
         let session = request.session.as_deref();

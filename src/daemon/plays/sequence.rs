@@ -6,13 +6,12 @@
 //! Invariant: a sequence is accepted as a whole or refused, with the number of the item that is wrong.
 
 use crate::daemon::engine::Engine;
-use crate::daemon::plays::begin::Compiled;
-use crate::daemon::plays::pattern::hold;
+use crate::daemon::plays::begin::{Basis, Compiled};
+use crate::daemon::plays::pattern::{hold, largest_um};
 use crate::daemon::plays::terms::{Terms, trigger};
 use crate::daemon::state::limits::check_limits;
 use crate::daemon::state::{NewPlay, check_samples};
 use crate::daemon::system::runtime::{PLAYS, computing};
-use crate::exposure::Vibration;
 use crate::receipts::{BLANK, NoPrediction, Order, PlannedItem, motions, motions_of_items, too_slow, walk};
 use crate::session_record::Peer;
 use crate::store::{MappedFrom, Stored, hash};
@@ -21,6 +20,7 @@ use meissner_api::{
     Code, Fit, FollowedMotion, PlanCheck, PlanStop, PlayAccepted, Problem, SequenceItem, SequenceRequest,
 };
 use meissner_array::motion::TRIED_S;
+use meissner_array::per_motor::PerMotor;
 use meissner_array::strokes::{
     CompiledItem, Sequence, SequenceError, Start, StrokeOptions, Strokes, Surplus,
 };
@@ -55,7 +55,8 @@ struct Used {
 struct Preparing {
     sequence: Sequence,
     warnings: Vec<String>,
-    largest: (f64, String),
+    largest: ([f64; 2], String),
+    reach: PerMotor<f64>,
     surplus: Surplus,
     /// How much of the motions of a pattern is tried, s.
     tried_s: f64,
@@ -66,14 +67,15 @@ impl Compiled {
     async fn of_sequence<P, F: Future<Output = Result<(Stored, P), Problem>>>(
         request: &SequenceRequest,
         terms: &Terms,
-        (settings, surplus): (Settings, Surplus),
+        (settings, surplus, reach): Basis,
         client: Peer,
         find: impl Fn(String, Option<String>) -> F,
     ) -> Result<Self, Problem> {
         let mut preparing = Preparing {
             sequence: Sequence::new(settings.array),
             warnings: Vec::new(),
-            largest: (0.0, String::new()),
+            largest: ([0.0; 2], String::new()),
+            reach,
             surplus,
             tried_s: TRIED_S,
         };
@@ -193,12 +195,6 @@ impl Compiled {
         for (item, span) in planned.iter_mut().zip(sequence.spans()) {
             item.span = span;
         }
-        let spans: Vec<(f64, f64)> = sequence
-            .spans()
-            .zip(&planned)
-            .filter(|(_, planned)| !planned.sha256.is_empty())
-            .map(|((start, end), _)| (rate.ticks_to_seconds(start), rate.ticks_to_seconds(end)))
-            .collect();
         // A checked request has at least one item.
         let strokes = sequence
             .strokes()
@@ -209,7 +205,7 @@ impl Compiled {
             .computing(move || {
                 let bandwidth = Bandwidth::of(&strokes, &settings).max(bandwidth);
                 let fits = check_limits(&strokes, &settings);
-                (fits, bandwidth, hold(hold_ms, &strokes), walk(&strokes), strokes)
+                (fits, bandwidth, hold(hold_ms, &strokes, &settings), walk(&strokes), strokes)
             })
             .await?;
         fits?;
@@ -223,7 +219,7 @@ impl Compiled {
         });
         receipt.motions = motions_of_items(of_items);
         order.enter(&mut receipt, Fit::Whole, counts);
-        let (hold, unchecked) = hold?;
+        let (hold, unchecked, vibration) = hold?;
         receipt.warnings.splice(0..0, unchecked);
         receipt.prediction.unknown = Some(NoPrediction::Sequence.to_string());
         Ok(Self {
@@ -233,8 +229,9 @@ impl Compiled {
             bandwidth,
             hold,
             settings,
-            vibration: Vibration::of_spans(spans),
+            vibration,
             endless: false,
+            reach,
             largest,
             memory,
             new: NewPlay { receipt, items: Some(planned.into()), predicted: None, client },
@@ -277,8 +274,8 @@ impl Preparing {
             }
         }
         let most = items.iter().map(scale).fold(0.0, f64::max);
-        let largest_um = pattern.largest_um() * most;
-        if largest_um > self.largest.0 {
+        let largest_um = largest_um(pattern, most, &self.reach);
+        if largest_um[1] > self.largest.0[1] {
             self.largest = (largest_um, name.to_owned());
         }
         // The bandwidth of the longest item at the largest amplitude suffices for each of them.
@@ -363,7 +360,7 @@ impl Engine {
         client: Peer,
         find: impl Fn(String, Option<String>) -> F,
     ) -> Result<PlanCheck, Problem> {
-        let basis = self.compiles_for(request.boot)?;
+        let basis = self.compiles_for(request.boot, request.open_loop)?;
         let (gains, calibrated) = {
             let state = self.lock();
             (state.gains(), state.calibration.in_use().is_some())
@@ -403,7 +400,7 @@ impl Engine {
         client: Peer,
         find: impl Fn(String, Option<String>) -> F,
     ) -> Result<PlayAccepted, Problem> {
-        let basis = self.compiles_for(request.boot)?;
+        let basis = self.compiles_for(request.boot, request.open_loop)?;
         let terms = Terms::from(request);
         let compiled = Compiled::of_sequence(request, &terms, basis, client, find).await?;
         let session = request.session.as_deref();

@@ -16,7 +16,7 @@ use std::time::Duration;
 use tokio::sync::oneshot;
 
 /// An answer that is still missing after this time will not come: commands expire after a second, and homing ends earlier.
-const LOST_AFTER: Duration = Duration::from_secs(30);
+pub(super) const LOST_AFTER: Duration = Duration::from_secs(30);
 
 /// Where an answer arrives.
 pub(in crate::daemon) type Reply = oneshot::Receiver<Result<(), CommandError>>;
@@ -83,6 +83,11 @@ impl Commands {
         }
         self.waiting.insert(ticket, Ticket { reply, issued_at, play });
         Ok(receiver)
+    }
+
+    /// The ticket of the last command that waits for its answer.
+    pub(super) const fn last_ticket(&self) -> u64 {
+        self.last_ticket
     }
 
     const fn note(&mut self, command: &Command) {

@@ -9,7 +9,10 @@
 //! Invariant: the daemon orders the stop again at each report beyond the limit, until the play ends.
 
 use crate::daemon::state::State;
+use crate::daemon::state::commands::LOST_AFTER;
 use crate::exposure::{Account, Limit, Now, Onset, ParticipantLimits, Vibration};
+use crate::receipts::state_name;
+use firmware_protocol::message::State as DeviceState;
 use jiff::civil::Date;
 use meissner_api::{Code, EndCause, Problem};
 use meissner_stream::queues::{At, Command, End, StreamEvent};
@@ -29,6 +32,10 @@ pub(in crate::daemon) struct Exposure {
     account: Account,
     /// Plays that a limit stops.
     stopped: HashSet<u64>,
+    /// Commands that bring pins home: ticket, number in the account, and when they were sent.
+    homings: Vec<(u64, u64, HostInstant)>,
+    /// A play was cut and its pins may still stand: how long they take to come down, s.
+    stands_s: f64,
     /// The time and day of the last save.
     saved: Option<(HostInstant, Date)>,
     /// Receives the disk's late answer, after a play has waited for it in vain.
@@ -101,15 +108,25 @@ fn exceeded(detail: String) -> Problem {
 
 impl State {
     /// Refuses an amplitude that is too large for a participant.
-    pub(in crate::daemon) fn check_amplitude(&self, pattern: &str, largest_um: f64) -> Result<(), Problem> {
+    pub(in crate::daemon) fn check_amplitude(
+        &self,
+        pattern: &str,
+        [asked_um, reached_um]: [f64; 2],
+    ) -> Result<(), Problem> {
         let most_um = self.exposure.account.limits().max_amplitude_um;
-        if largest_um > most_um {
-            return Err(exceeded(format!(
-                "limit for participants: `participant.max_amplitude_um` is {most_um} um, and `{pattern}` asks for {largest_um} um: play a weaker pattern, or \
-                 raise the limit in the daemon's configuration"
-            )));
-        }
-        Ok(())
+        let what = if asked_um > most_um {
+            format!("asks for {asked_um} um")
+        } else if reached_um > most_um {
+            format!(
+                "asks for {asked_um} um, whose pulses reach {reached_um:.1} um with the calibration in use"
+            )
+        } else {
+            return Ok(());
+        };
+        Err(exceeded(format!(
+            "limit for participants: `participant.max_amplitude_um` is {most_um} um, and `{pattern}` {what}: play a weaker pattern, or \
+             raise the limit in the daemon's configuration"
+        )))
     }
 
     /// The largest amplitude that participants may get, µm.
@@ -156,13 +173,86 @@ impl State {
         })
     }
 
+    /// Reserves the time of a command that brings pins home: of a homing as of a play without end, of a seek of the lower stop its own.
+    pub(super) fn hold_homing(&mut self, command: &Command) -> Result<Option<u64>, Problem> {
+        let (settings, now) = (self.settings, Now::read());
+        let (arms, resets) = (
+            matches!(command, Command::Arm { .. } | Command::ArmUnchecked),
+            matches!(command, Command::Reset { .. }),
+        );
+        if resets && self.is_faulted() {
+            // Of what was cut before this daemon began, too.
+            self.exposure.stands_s = Vibration::without_end(&settings).return_s();
+        }
+        if (arms || resets) && self.exposure.stands_s > 0.0 {
+            // What a cut has left up comes down now, or with the `arm` after the reset.
+            self.exposure.account.moved(now.at, self.exposure.stands_s, now);
+        }
+        if arms {
+            self.exposure.stands_s = 0.0;
+        }
+        let vibration = if matches!(command, Command::Home) {
+            Vibration::without_end(&settings)
+        } else if arms && settings.lower_stop.is_some() {
+            let seek_s = settings.seek_time().as_secs_f64();
+            Vibration::new([(0.0, seek_s)], Some(seek_s))
+        } else {
+            return Ok(None);
+        };
+        self.hold_vibration(&vibration, false, At::Next).map(Some)
+    }
+
+    fn is_faulted(&self) -> bool {
+        self.plays.receipts.device_state().state == state_name(DeviceState::Faulted)
+    }
+
+    /// The command was sent, or not.
+    pub(super) fn begin_homing(&mut self, held: Option<u64>, sent: bool) {
+        let Some(number) = held else { return };
+        let now = Now::read();
+        if sent {
+            self.exposure.account.began(number, now.at);
+            self.exposure.homings.push((self.commands.last_ticket(), number, now.at));
+            let _ = self.save_exposure(now);
+        } else {
+            self.exposure.account.forget(number);
+        }
+    }
+
+    /// The command with this ticket was answered: pins are still.
+    pub(super) fn end_homing(&mut self, ticket: u64) {
+        let now = Now::read();
+        let Exposure { account, homings, .. } = &mut self.exposure;
+        let before = homings.len();
+        for (_, number, sent) in
+            homings.extract_if(.., |&mut (of, _, sent)| of == ticket || now.at.since(sent) > LOST_AFTER)
+        {
+            account.ended(number, Some(now.at.since(sent).as_secs_f64()), now);
+        }
+        if self.exposure.homings.len() < before {
+            let _ = self.save_exposure(now);
+        }
+    }
+
+    /// Counts the homings under way; returns whether a limit must stop them now.
+    fn count_homings(&mut self, now: Now) -> bool {
+        let Exposure { account, homings, .. } = &mut self.exposure;
+        let passed = homings.iter().filter(|&&(_, number, sent)| {
+            account.played(number, now.at.since(sent).as_secs_f64(), now).is_some()
+        });
+        passed.count() > 0
+    }
+
     /// Counts the vibration that an event reports. Stops a play that passes a limit, and names the limit as the cause of its end.
     pub(super) fn follow_exposure(&mut self, streamed: &mut StreamEvent) {
         match streamed {
             StreamEvent::PlayStarted { id, onset } => self.exposure.account.began(*id, onset.at),
             StreamEvent::Snapshot(snapshot) => {
-                let Some((id, played_s)) = snapshot.play else { return };
                 let now = Now::read().at(snapshot.at);
+                if self.count_homings(now) {
+                    let _ = self.commands.send_unanswered(Command::Stop);
+                }
+                let Some((id, played_s)) = snapshot.play else { return };
                 if self.exposure.account.played(id, played_s, now).is_some() {
                     // The stop also clears the queue. If too many commands wait, the next report orders the stop again.
                     let live: Vec<u64> = self.exposure.account.live().collect();
@@ -186,7 +276,21 @@ impl State {
                         }
                     }
                 });
+                let return_s = self.exposure.account.return_s(*id);
                 self.exposure.account.ended(*id, played_s, now);
+                if let (Some(onset), Some(played_s)) = (outcome.onset, played_s) {
+                    let over = outcome.offset.map(|offset| rate.ticks_to_seconds(offset.tick - onset.actual));
+                    // After a lost link the device brings the pins down, and does not say so.
+                    let back_s = over.map_or(return_s, |over_s| (over_s - played_s).max(0.0));
+                    let (cut, faulted) = (onset.at + Duration::from_secs_f64(played_s), self.is_faulted());
+                    let Exposure { account, stands_s, .. } = &mut self.exposure;
+                    if back_s > 0.0 {
+                        account.moved(cut, back_s, now);
+                    } else if faulted || outcome.cause == Some(EndCause::EStop) {
+                        account.left_up(cut, now);
+                        *stands_s = stands_s.max(return_s);
+                    }
+                }
                 if self.exposure.stopped.remove(id) && outcome.cause == Some(EndCause::Stop) {
                     outcome.cause = Some(EndCause::ParticipantLimit);
                 }

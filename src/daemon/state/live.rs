@@ -42,6 +42,8 @@ pub(in crate::daemon) struct LivePlay {
     levels: PerMotor<Option<f64>>,
     /// Whether messages may have levels.
     takes_levels: bool,
+    /// Nothing corrects its strokes.
+    open_loop: bool,
     /// Scale and surplus of its strokes.
     options: StrokeOptions,
     most_hz: f64,
@@ -87,6 +89,7 @@ impl LivePlay {
             drives: silent,
             levels: PerMotor::all(array, None),
             takes_levels: false,
+            open_loop: false,
             options,
             most_hz,
             seq: None,
@@ -113,6 +116,11 @@ impl LivePlay {
     /// The same play, whose messages may have levels.
     pub(in crate::daemon) fn with_levels(self, takes_levels: bool) -> Self {
         Self { takes_levels, ..self }
+    }
+
+    /// The same play, which nothing corrects.
+    pub(in crate::daemon) fn with_open_loop(self, open_loop: bool) -> Self {
+        Self { open_loop, ..self }
     }
 
     pub(in crate::daemon) fn key(&self) -> &str {
@@ -210,10 +218,13 @@ impl LivePlay {
         }
     }
 
-    /// The largest amplitude, µm.
-    pub(in crate::daemon) fn largest_um(&self) -> f64 {
-        let drives = self.drives.iter().map(|drive| drive.amplitude_um);
-        drives.chain(self.levels.iter().flatten().copied()).fold(0.0, f64::max) * self.options.scale
+    /// The largest amplitude that is ordered, and how far pins may go for it, µm, each so many times as far as ordered.
+    pub(in crate::daemon) fn largest_um(&self, reach: &[f64]) -> [f64; 2] {
+        let ordered = self.drives.iter().zip(&*self.levels);
+        let ordered = ordered.map(|(drive, level)| drive.amplitude_um.max(level.unwrap_or(0.0)));
+        let both = ordered.zip(reach).map(|(um, reach)| [um, um * reach]);
+        let most = both.fold([0.0, 0.0], |most: [f64; 2], um| [most[0].max(um[0]), most[1].max(um[1])]);
+        most.map(|um| um * self.options.scale)
     }
 
     /// Refuses drives that move more motors than may have pulses at once. Phases are ignored, because they shift with each change.
@@ -460,13 +471,14 @@ impl State {
         message: Option<&LiveMessage>,
         change: impl FnOnce(&mut LivePlay) -> Result<(), Problem>,
     ) -> Result<(), Problem> {
-        let array = self.settings.array;
+        let (array, reach) = (self.settings.array, [false, true].map(|open_loop| self.reach(open_loop)));
         let play = self.live.plays.get_mut(&id).ok_or_else(over)?;
         let before = (play.drives, play.levels, play.options.scale, play.scaled_by, play.seq);
         let settings = self.settings;
         let changed =
             change(play).and_then(|()| play.check_at_once(&settings)).and_then(|()| play.motions(message));
-        let (largest_um, full) = (play.largest_um(), play.under_way >= UNDER_WAY);
+        let full = play.under_way >= UNDER_WAY;
+        let largest_um = play.largest_um(&reach[usize::from(play.open_loop)]);
         let busy = || Problem::new(Code::Busy, "too many updates are under way: wait for their answers");
         let sent = changed.and_then(|motions| {
             self.check_amplitude("the live play", largest_um)?;

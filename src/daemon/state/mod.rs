@@ -81,12 +81,15 @@ impl State {
         self.check_asker()?;
         self.commands.accepts(&command)?;
         self.forget_unanswered();
+        let held = self.hold_homing(&command)?;
         match command {
             Command::Arm { .. } | Command::ArmUnchecked => self.connection.armed_once = true,
             Command::Home => self.moves(Asker::find().map(|asker| asker.caller)),
             _ => {}
         }
-        self.commands.send(command, play)
+        let sent = self.commands.send(command, play);
+        self.begin_homing(held, sent.is_ok());
+        sent
     }
 
     /// Applies an event of the streamer. Returns the API's event, and whether the log needs it.
@@ -99,6 +102,7 @@ impl State {
         self.live.follow(&streamed);
         let mut event = match &streamed {
             StreamEvent::Answer { ticket, result } => {
+                self.end_homing(*ticket);
                 let play = self.commands.answer(*ticket, *result);
                 play.and_then(|id| self.settle_play(id, result.is_ok()))
             }
@@ -209,6 +213,11 @@ impl State {
     pub(super) fn gains(&self) -> PerMotor<Gains> {
         let gains = self.calibration.in_use().map(|stored| stored.calibration.gains());
         gains.unwrap_or_else(|| PerMotor::all(self.settings.array, Gains::default()))
+    }
+
+    /// How many times as far as ordered a play may take each pin, with these gains.
+    pub(super) fn reach(&self, open_loop: bool) -> PerMotor<f64> {
+        self.gains().map(|gains| gains.reach(open_loop))
     }
 
     /// The surplus of plays, from these gains.

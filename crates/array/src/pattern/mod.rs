@@ -146,24 +146,16 @@ impl Pattern {
     /// The largest amplitude that a drive asks for, or the largest height that a motion asks for, µm.
     #[must_use]
     pub fn largest_um(&self) -> f64 {
-        let heights = self.waveforms.iter().map(|(_, waveform)| waveform.extremes_um()[1]);
-        self.drives.iter().map(|drive| drive.amplitude_um).chain(heights).fold(0.0, f64::max)
+        self.largest_reached_um(|_| 1.0)
     }
 
-    /// When a pin moves by a drive or a motion: from and until, s, in no order; `None`: until the end of the play.
-    pub fn moving_s(&self) -> impl Iterator<Item = (f64, Option<f64>)> {
-        let moves = |drive: &&Drive| drive.wave(self.array).is_ok_and(|wave| wave.moves());
-        let drives = self.drives.iter().filter(moves);
-        let drives = drives.map(|drive| (drive.start(), drive.stop_s.or(self.duration_s)));
-        let is_high = |motor: u8| {
-            self.waveforms.iter().any(|(of, waveform)| *of == motor && waveform.extremes_um()[1] > 0.0)
-        };
-        let high: Vec<bool> = self.array.numbers().map(is_high).collect();
-        let motions = self.motions.iter().filter(move |motion| high[usize::from(motion.motor)]);
-        drives.chain(motions.map(|motion| {
-            let (from_s, until_s) = motion.form.span_s();
-            (from_s, Some(until_s))
-        }))
+    /// [`Self::largest_um`] with pins that go so many times as far as asked.
+    #[must_use]
+    pub fn largest_reached_um(&self, reach: impl Fn(u8) -> f64) -> f64 {
+        let drives = self.drives.iter().map(|drive| drive.amplitude_um * reach(drive.motor));
+        let heights =
+            self.waveforms.iter().map(|(motor, waveform)| waveform.extremes_um()[1] * reach(*motor));
+        drives.chain(heights).fold(0.0, f64::max)
     }
 
     /// Bytes of the samples and knots of its motions, in memory.

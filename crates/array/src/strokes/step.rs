@@ -120,6 +120,15 @@ impl Step {
         }
     }
 
+    /// The most pulses above rest in it.
+    #[must_use]
+    pub const fn highest(&self) -> u16 {
+        match self {
+            Self::Stroke(stroke) => stroke.up_pulses,
+            Self::Move { of, .. } => of.level,
+        }
+    }
+
     /// Appends it to a packed list.
     ///
     /// # Errors

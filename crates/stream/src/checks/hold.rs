@@ -1,25 +1,34 @@
-//! How long pins stay above rest without a pulse.
+//! How long pins stay above rest without a pulse, and when they vibrate.
 
 use super::counted;
+use super::vibration::Vibrating;
 use firmware_protocol::tick::Tick;
 use meissner_array::strokes::Strokes;
 
-/// The longest time that a play keeps a pin above rest without a pulse.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+/// The longest time that a play keeps a pin above rest without a pulse, and when it vibrates.
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Hold {
     /// That time, of the steps that count, ticks.
     pub longest: u64,
     /// The beginning of the last step that counts; `None`: all count.
     pub counted_until: Option<Tick>,
+    /// When pins vibrate, as spans in order of time, ticks from the onset; what is not counted vibrates throughout. The last may have no
+    /// end, `u64::MAX`.
+    pub vibrates: Vec<(u64, u64)>,
+    /// The highest level, pulses above rest, of the steps that count: all if some do not.
+    pub highest: u16,
 }
 
-/// The longest time that a play keeps a pin above rest without a pulse.
+/// The longest time that a play keeps a pin above rest without a pulse, and when it vibrates.
 #[must_use]
 pub fn find_longest_hold(strokes: &Strokes) -> Hold {
     // Of each motor, since when it has no pulse, while it is above rest.
-    let mut still = vec![None; strokes.array().motors()];
-    let (mut longest, mut steps) = (0, counted(strokes));
+    let array = strokes.array();
+    let (mut still, mut vibrating) = (vec![None; array.motors()], Vibrating::new(array));
+    let (mut longest, mut highest, mut steps) = (0, 0, counted(strokes));
     for step in steps.by_ref() {
+        vibrating.push(&step);
+        highest = highest.max(step.highest());
         let since = &mut still[usize::from(step.motor())];
         for burst in step.bursts() {
             longest = longest.max(since.map_or(0, |since| burst.start.0.saturating_sub(since)));
@@ -29,7 +38,9 @@ pub fn find_longest_hold(strokes: &Strokes) -> Hold {
             *since = None;
         }
     }
-    Hold { longest, counted_until: steps.stopped }
+    let uncounted = steps.uncounted();
+    let highest = if uncounted.is_none() { highest } else { array.motor().most_pulses };
+    Hold { longest, counted_until: steps.stopped, vibrates: vibrating.finish(uncounted), highest }
 }
 
 #[cfg(test)]

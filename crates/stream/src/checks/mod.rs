@@ -11,11 +11,13 @@ mod at_once;
 mod density;
 mod hold;
 mod pushing;
+mod vibration;
 
 pub use at_once::find_too_many;
 pub use density::{Dense, find_dense};
 pub use hold::{Hold, find_longest_hold};
 pub use pushing::{Overpush, find_overpush};
+pub use vibration::STILL_MS;
 
 use firmware_protocol::tick::Tick;
 use meissner_array::strokes::{MAX_WORK, Step, Strokes};
@@ -42,6 +44,15 @@ struct Counted {
     steps: usize,
     /// The beginning of the last step that counts, if more would follow.
     stopped: Option<Tick>,
+}
+
+impl Counted {
+    /// After the last step that counts: from when to when steps do not count, if there may be any. An endless play has no end.
+    fn uncounted(&self) -> Option<(u64, u64)> {
+        let until = self.strokes.end().unwrap_or(u64::MAX);
+        let from = self.stopped.map(|stopped| stopped.0);
+        from.or((until == u64::MAX).then_some(self.until)).map(|from| (from, until))
+    }
 }
 
 impl Iterator for Counted {

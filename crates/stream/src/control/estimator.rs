@@ -13,6 +13,7 @@
 //! Invariant: numbers stay small. A burst merges into the position when the window has passed it, and each variance
 //! has a floor, so nothing becomes singular in an hour.
 
+use firmware_protocol::limits::correction;
 use firmware_protocol::stroke::Direction;
 use firmware_protocol::tick::Tick;
 use meissner_array::motor::{HalfTick, Ramp};
@@ -74,6 +75,14 @@ impl Gains {
     /// Whether they come from a calibration.
     pub(crate) fn are_calibrated(&self) -> bool {
         *self != Self::default()
+    }
+
+    /// How many times as far as ordered the pulses of a play may take a pin, by the model or by these gains, whichever is farther: position
+    /// control adds pulses where the gain is low; in open loop a high gain takes the pin farther.
+    #[must_use]
+    pub fn reach(&self, open_loop: bool) -> f64 {
+        let most = 1.0 + f64::from(correction(1000)) / 1000.0;
+        if open_loop { self.mean[0].max(1.0) } else { self.mean[0].recip().clamp(1.0, most) }
     }
 
     /// How much bursts of these gains differ, on an array of so many motors.

@@ -222,7 +222,8 @@ impl Streamer {
         let line = self.session.as_ref().and_then(Session::capacity);
         // Also until a snapshot has shown that the pins are still.
         let moved = self.tick_at(now).is_some_and(|tick| self.control.moved_lately(tick));
-        let playing = moved || !self.plays.is_empty() || self.state() == State::Returning;
+        let moves = moved || self.homing.is_moving() || self.state() == State::Returning;
+        let playing = moves || !self.plays.is_empty();
         let every = if playing { SNAPSHOT_EVERY } else { IDLE_PING };
         if self.reports.take_due(now, connected, line, every) {
             let tick = self.tick_at(now).unwrap_or_default();
