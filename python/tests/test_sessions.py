@@ -392,13 +392,18 @@ def unrecorded() -> Iterator[tuple[meissner.Daemon, Callable[[], None]]]:
 def test_an_answer_that_is_not_recorded_is_an_error_and_so_is_the_end_of_its_session() -> None:
     with unrecorded() as (daemon, damage), meissner.connect(daemon.socket) as m:
         m.arm(assume_rest=True, checked="a test", silence=600)
-        with pytest.raises(errors.IncompleteSession, match=r"its record has lost \d+ entries"), m.session("P07") as session:
+        with (
+            pytest.raises(errors.IncompleteSession, match=r"its record has lost \d+ entries"),
+            m.session("P07") as session,
+        ):
             play = m.play("pin-60", 0.05, trial=1)
             play.wait()
             assert play.wait().raw["warnings"] == []
             damage()
             for _ in range(2):
-                with pytest.raises(errors.StoreError, match="the answer to play 1 is not recorded: the session record cannot"):
+                with pytest.raises(
+                    errors.StoreError, match="the answer to play 1 is not recorded: the session record cannot"
+                ):
                     session.answer(1, "left")
             assert "session record" in play.wait().raw["warnings"][-1]
         assert m.status().raw["session"] is None
