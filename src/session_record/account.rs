@@ -31,6 +31,8 @@ pub(super) struct Account {
     durable: u64,
     unsynced: Vec<Tag>,
     told: (Counts, u64),
+    /// The newest entry whose line was gone.
+    gone: u64,
     ledger: Arc<Mutex<Ledger>>,
 }
 
@@ -44,6 +46,7 @@ impl Default for Account {
             durable: 1,
             unsynced: Vec::new(),
             told: (Counts::default(), 0),
+            gone: 0,
             ledger: Arc::default(),
         }
     }
@@ -130,7 +133,8 @@ impl Account {
 
     /// Notes that the lines after this entry are gone, because somebody removed, cut or replaced their file.
     pub(super) fn lines_gone(&mut self, kept: u64) {
-        let lost = self.lock_ledger().lose_lines(kept + 1, self.settled());
+        let lost = self.lock_ledger().lose_lines(kept + 1, self.settled(), self.gone);
+        self.gone = self.settled();
         self.missing.merge(lost);
         self.next = kept + 1;
         self.durable = self.durable.min(self.next);

@@ -110,7 +110,12 @@ impl Ledger {
                     self.sessions.pop_front();
                 }
                 let session = (**session).clone();
-                self.sessions.push_back(SessionLosses { session, pending: 0, unnamed: false, numbers: (number, u64::MAX) });
+                self.sessions.push_back(SessionLosses {
+                    session,
+                    pending: 0,
+                    unnamed: false,
+                    numbers: (number, u64::MAX),
+                });
             }
             Event::SessionEnded { session } => {
                 if let Some(known) = self.of(&session.id) {
@@ -137,16 +142,18 @@ impl Ledger {
         self.pend(tag, 1);
     }
 
-    /// Counts the entries `first` to `last`, which had lines and have none any more.
-    pub(super) fn lose_lines(&mut self, first: u64, last: u64) -> Counts {
+    /// Counts the entries `first` to `last`, which had lines or were reported by lines, and are not any more. Those up to `known` are
+    /// counted as lost already.
+    pub(super) fn lose_lines(&mut self, first: u64, last: u64, known: u64) -> Counts {
         let mut counts = Counts::default();
         let mut rest = (last + 1).saturating_sub(first);
-        self.lost += rest;
+        let new = first.max(known + 1);
+        self.lost += (last + 1).saturating_sub(new);
         for known in &mut self.sessions {
             let (start, end) = known.numbers;
             let lines = (last.min(end) + 1).saturating_sub(first.max(start));
             if lines > 0 {
-                known.session.lost += lines;
+                known.session.lost += (last.min(end) + 1).saturating_sub(new.max(start));
                 counts.add(Tag { session: Some(known.session.id.as_str().into()), name: OTHERS }, lines);
                 rest = rest.saturating_sub(lines);
             }

@@ -87,7 +87,8 @@ pub(super) fn counted(dir: &Path) -> (u64, u64) {
     let mut text = String::new();
     let read = open_regular(&dir.join(FILE))
         .and_then(|file| file.take(2 * (DIGITS as u64 + 1)).read_to_string(&mut text));
-    let mut numbers = text.lines().map(|line| line.trim().parse().ok().filter(|&number| number <= MAX_NUMBER));
+    let mut numbers =
+        text.lines().map(|line| line.trim().parse().ok().filter(|&number| number <= MAX_NUMBER));
     let mut next = || read.as_ref().ok().and_then(|_| numbers.next().flatten()).unwrap_or(0);
     (next(), next())
 }
@@ -98,7 +99,9 @@ fn first(path: &Path) -> io::Result<Option<u64>> {
     for most in [END, 2 * MAX_LINE as u64] {
         let mut start = Vec::new();
         open_regular(path)?.take(most).read_to_end(&mut start)?;
-        number = start.split(|&byte| byte == b'\n').find_map(|line| lines::first_number(&lines::head(line)?, line));
+        number = start
+            .split(|&byte| byte == b'\n')
+            .find_map(|line| lines::first_number(&lines::head(line)?, line));
         if number.is_some() {
             break;
         }

@@ -245,7 +245,7 @@ fn a_directory_that_is_not_there_is_waited_for_and_one_that_vanishes_is_made_aga
     });
     assert_eq!(lines(&site, "2026-11-22")[0]["monotonic_ns"], 4);
     assert!(said.len() == 4 && said[0].contains("No such file"), "{said:?}");
-    assert!(said[2].contains(": 1 entries are gone") && said[3].contains(": 2 entries are gone"), "{said:?}");
+    assert!(said[2].contains(": 2 entries are gone") && said[3].contains(": 3 entries are gone"), "{said:?}");
 }
 
 #[test]

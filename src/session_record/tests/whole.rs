@@ -138,7 +138,14 @@ fn a_full_disk_is_told_from_memory_then_in_a_line_and_after_a_restart() {
     let mut lose = |ns: u64, entry: Entry| {
         ledger.lock().unwrap().see(&entry, ns);
         let tag = Tag { session: Some(ID.into()), name: entry.kind().2 };
-        writer.write(Added { stamp: noon(ns), number: ns, missed: Counts::default(), tag, entry, told: None });
+        writer.write(Added {
+            stamp: noon(ns),
+            number: ns,
+            missed: Counts::default(),
+            tag,
+            entry,
+            told: None,
+        });
     };
     lose(2, begins());
     (1..=8).for_each(|number| lose(2 + number, play(number)));
@@ -304,4 +311,34 @@ fn entries_that_were_left_out_are_told_with_the_session() {
     log.close(Duration::from_secs(60));
     let read = read(dir.path(), &[]);
     assert_eq!((read.left_out, read.complete), (7, true), "{:?}", read.missing);
+}
+
+/// Others send requests faster than the disk takes them. The queue keeps room for the session's own entries.
+#[test]
+fn requests_that_find_the_queue_full_count_against_no_session() {
+    static HELD: Mutex<()> = Mutex::new(());
+    const STUCK: Disk = Disk {
+        append: |file, bytes| {
+            drop(HELD.lock());
+            file.write(bytes)
+        },
+        sync: File::sync_data,
+    };
+    let dir = tempfile::tempdir().unwrap();
+    let held = HELD.lock().unwrap();
+    let log = SessionRecord::with(writer(dir.path(), STUCK), Arc::default(), 16).unwrap();
+    log.add(begins());
+    for _ in 0..100 {
+        let mut refused = CommandEntry::new("play", Peer::local(12, 0));
+        refused.answer = "bad-request".to_owned();
+        log.add(Note::Command(refused));
+    }
+    log.add(play(1));
+    log.add(ends(1));
+    assert!(log.lost() >= 90, "{}", log.lost());
+    assert_eq!(log.lost_of(ID), (0, 0));
+    drop(held);
+    log.close(Duration::from_secs(300));
+    let read = read(dir.path(), &[]);
+    assert!(read.complete, "{:?}", read.missing);
 }
