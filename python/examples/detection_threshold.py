@@ -25,8 +25,8 @@ def main() -> None:
             f"staircase {stairs.threshold:.3f} after {len(stairs.answers)} trials, true {observer.level_of(0.5**0.5):.3f}"
         )
         if importlib.util.find_spec("questplus"):
-            quest = QuestPlus(LEVELS)
-            for _ in range(40):
+            quest = QuestPlus(LEVELS, max_trials=40)
+            while not quest.done:
                 quest.answer(present(m, observer, quest.level))
             print(f"quest+ {quest.threshold:.3f} after {len(quest.answers)} trials, true {observer.threshold:.3f}")
 

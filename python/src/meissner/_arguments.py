@@ -12,7 +12,7 @@ import math
 import numbers
 import os
 from collections.abc import Callable, Collection, Iterable, Mapping
-from typing import Any, ParamSpec, TypeVar
+from typing import Any, ParamSpec, TypeVar, cast
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -110,22 +110,39 @@ def _no_path(function: Callable[..., Any], args: tuple[Any, ...], kwargs: Mappin
     return None
 
 
+def _meant(
+    function: Callable[..., Any], error: TypeError, args: tuple[Any, ...], kwargs: Mapping[str, Any]
+) -> TypeError:
+    """The error to tell the caller."""
+    # One of the call itself, and not from within, has the frame of `hinted` alone.
+    is_own = error.__traceback__ is not None and error.__traceback__.tb_next is None
+    problem = _problem(function, args, kwargs) if is_own else None
+    if "os.PathLike" in str(error):
+        problem = _no_path(function, args, kwargs)
+    return error if problem is None else TypeError(problem)
+
+
 def hinted(function: Callable[P, T]) -> Callable[P, T]:
     """The function, whose error for a wrong argument says which one was meant."""
+    if inspect.iscoroutinefunction(function):
+
+        @functools.wraps(function)
+        async def wait(*args: P.args, **kwargs: P.kwargs) -> Any:
+            try:
+                return await function(*args, **kwargs)
+            except TypeError as error:
+                told = _meant(function, error, args, kwargs)
+                raise told from (None if told is not error else error.__cause__)
+
+        return cast(Callable[P, T], wait)
 
     @functools.wraps(function)
     def call(*args: P.args, **kwargs: P.kwargs) -> T:
         try:
             return function(*args, **kwargs)
         except TypeError as error:
-            # An error of the call itself, and not from within.
-            is_own = error.__traceback__ is not None and error.__traceback__.tb_next is None
-            problem = _problem(function, args, kwargs) if is_own else None
-            if "os.PathLike" in str(error):
-                problem = _no_path(function, args, kwargs)
-            if problem is None:
-                raise
-            raise TypeError(problem) from None
+            told = _meant(function, error, args, kwargs)
+            raise told from (None if told is not error else error.__cause__)
 
     return call
 
