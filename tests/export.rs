@@ -30,6 +30,11 @@ fn an_export_has_one_row_per_play() {
     printed(daemon.meissner().args(["session", "export", &started.id, "-o"]).arg(&file));
     let text = fs::read_to_string(&file).unwrap();
     assert_eq!(text, printed(daemon.meissner().args(["session", "export", &started.id])));
+    let link = daemon.path("link.csv");
+    std::os::unix::fs::symlink(&file, &link).unwrap();
+    let refused = complaint(daemon.meissner().args(["session", "export", &started.id, "-o"]).arg(&link));
+    assert!(refused.contains("is not a regular file"), "{refused}");
+    assert!(link.is_symlink() && fs::read_to_string(&file).unwrap() == text);
     let mut table = csv::Reader::from_reader(text.as_bytes());
     let head = table.headers().unwrap().clone();
     let rows: Vec<_> = table.records().map(Result::unwrap).collect();

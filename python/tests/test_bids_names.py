@@ -411,6 +411,23 @@ def test_no_file_of_others_is_replaced_unasked(tmp_path: Path, name: str, by_ses
         assert len(table(tmp_path / (EVENTS + ".tsv"))) == 1
 
 
+@pytest.mark.parametrize("suffix", [".tsv", ".json"])
+def test_a_column_that_a_person_has_added_is_not_replaced_unasked(tmp_path: Path, suffix: str) -> None:
+    export(tmp_path, recorded())
+    file = tmp_path / (EVENTS + suffix)
+    text = file.read_text()
+    head = (
+        text.replace("{", '{\n  "remark": {"Description": "By hand"},', 1) if suffix == ".json" else "remark\t" + text
+    )
+    file.write_text(head)
+    before = state(tmp_path)
+    with pytest.raises(errors.BidsConflict, match="overwrite=True"):
+        export(tmp_path, recorded())
+    assert state(tmp_path) == before
+    export(tmp_path, recorded(), overwrite=True)
+    assert file.read_text() == text
+
+
 def test_a_stimulus_that_was_changed_is_not_replaced_unasked(tmp_path: Path) -> None:
     keys = {"format": 1, "name": "pin", "duration_s": 0.1, "drive": []}
     session = recorded(plays=[{**stimulus(), "pattern_sha256": "a" * 64}])

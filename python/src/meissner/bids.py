@@ -168,7 +168,8 @@ def write(
     sources = {"MeissnerParticipant": names.participant, SESSION_SOURCE: names.session_id}
     about = {"TaskName": names.task_name, **sources, **_incomplete(recorded)}
     made: dict[Path, bytes] = {root / "stimuli" / stimuli[sha256]: text.encode() for sha256, text in texts.items()}
-    made[events.with_suffix(".json")] = _json({**about, **_sidecar(rows, labels, software, has_hed)})
+    sidecar = {**about, **_sidecar(rows, labels, software, has_hed)}
+    made[events.with_suffix(".json")] = _json(sidecar)
     made[events] = _tsv(columns, [{**_event(row, zero, stimuli, labels), **labels.cells(row)} for row in rows])
     samples = events.with_name(events.name.replace("_events.tsv", "_stim.tsv.gz"))
     grid = None
@@ -182,10 +183,11 @@ def write(
     places = [*merged, *made, *([samples] if grid else [])]
     changed = {file: data for file, data in {**merged, **made}.items() if not _holds(file, data)}
     _check_places(root, [file for file in places if file in changed or file == samples])
-    if not overwrite and not _is_own(events, names):
-        _check_foreign([file for file in places if (file in made and file in changed) or file == samples])
-    elif not overwrite:
-        _check_foreign([file for file in changed if file.parent == root / "stimuli"])
+    if not overwrite:
+        is_own = _is_own(events, names, {*sidecar, "Incomplete"})
+        ours = [file for file in places if file.parent == events.parent] if is_own else []
+        of_others = [file for file in places if (file in changed or file == samples) and file not in {*merged, *ours}]
+        _check_foreign(of_others)
     writers: dict[Path, Callable[[Path], object]] = {
         file: lambda beside, data=data: beside.write_bytes(data)  # type: ignore[misc]
         for file, data in changed.items()
@@ -222,13 +224,14 @@ def _check_places(root: Path, files: list[Path]) -> None:
             raise BidsConflict(f"{file} is read-only: make it writable; nothing was written")
 
 
-def _is_own(events: Path, names: Names) -> bool:
-    """Whether an export of this session wrote the events that are there."""
+def _is_own(events: Path, names: Names, columns: set[str]) -> bool:
+    """Whether an export of this session wrote the events that are there, and nobody has added a column."""
     try:
         about = json.loads(events.with_suffix(".json").read_text(encoding="utf-8-sig"))
+        header = events.read_text(encoding="utf-8").split("\n", 1)[0].split("\t")
     except (OSError, ValueError):
         return False
-    return isinstance(about, dict) and about.get(SESSION_SOURCE) == names.session_id
+    return isinstance(about, dict) and about.get(SESSION_SOURCE) == names.session_id and {*about, *header} <= columns
 
 
 def _check_foreign(files: list[Path]) -> None:
