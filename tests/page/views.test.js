@@ -112,7 +112,7 @@ const STATES = [
   ["armed by a long name", { state: "armed", armed: { by: LONG } }], ["playing", { state: "armed", play: { id: 1, pattern: "a".repeat(64), played_s: 12345.6 } }],
   ["waiting", { state: "armed", play: { id: 1, pattern: "b", played_s: 1 }, queued: [{ id: 2, pattern: "c" }] }], ["returning", { state: "returning" }],
   ["e-stopped", { state: "faulted", cause: "estop" }], ["a fault", { state: "faulted", cause: LONG }], ["no device", { state: "no-device", device: null, tick: null }],
-  ["a state of a newer daemon", { state: "novel" }], ["another's session", { state: "armed", session: SESSION }], ["an observer", { state: "armed", role: "observe" }],
+  ["pins that stand", { state: "disarmed", position: "known", standing: { height_um: 400, age_s: 123456 } }], ["a state of a newer daemon", { state: "novel" }], ["another's session", { state: "armed", session: SESSION }], ["an observer", { state: "armed", role: "observe" }],
 ];
 
 test("E-STOP is the same rectangle in all states, whatever stands beside it, and nothing lies over it (smoke)", async () => {

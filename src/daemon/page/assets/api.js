@@ -5,6 +5,8 @@ const ANSWER_MS = 6000;
 const COMPILE_MS = 60000;
 // How long an answer may take that waits for the daemon's disk.
 export const DISK_MS = 60000;
+// Events that one task takes, at most: E-STOP is heard between two tasks.
+const EVENTS = 100;
 
 // `known`: the status, or null if none is fresh. `last`: the last one, of any age. `poll`: requests it.
 export const { headers, known, last, poll } = globalThis.meissner;
@@ -135,6 +137,7 @@ export function listen(each, linked) {
 async function read(body, each) {
   const reader = body.pipeThrough(new TextDecoderStream()).getReader();
   let text = "";
+  let taken = 0;
   for (;;) {
     const { value, done } = await reader.read();
     if (done) return;
@@ -144,6 +147,8 @@ async function read(body, each) {
       const line = text.slice(0, end).split("\n").find((part) => part.startsWith("data: "));
       text = text.slice(end + 2);
       if (line) each(JSON.parse(line.slice(6)));
+      // Many may come at once.
+      if (++taken % EVENTS === 0) await new Promise((done) => setTimeout(done));
     }
   }
 }

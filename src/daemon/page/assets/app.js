@@ -123,5 +123,6 @@ startViews();
 document.querySelector(".colours").style.backgroundImage = gradient();
 $("scale-most").textContent = `${FULL_UM} µm`;
 document.addEventListener("state", showState);
+document.addEventListener("array", showPins);
 document.addEventListener("token", listen(handle, linked));
 showState();

@@ -6,7 +6,7 @@
 
 import { call, known, last, order, poll } from "./api.js";
 import { array, loadArray } from "./array.js";
-import { CALIBRATION, element, facts, open, refuse, say } from "./control.js";
+import { CALIBRATION, built, element, facts, open, refuse, say } from "./control.js";
 import { worded } from "./doctor.js";
 import { plot } from "./plot.js";
 import { part } from "./views.js";
@@ -15,6 +15,8 @@ import { plain } from "./words.js";
 const $ = (id) => document.getElementById(id);
 const SOURCES = { plant: "the simulated motors themselves", device: "the device's telemetry", laser: "a laser" };
 const DIRECTIONS = ["up", "down"];
+// Plots that are drawn in one task.
+const PLOTS = 8;
 
 let report = null;
 let chosen = 0;
@@ -113,10 +115,12 @@ function row(motor) {
   return row;
 }
 
-function draw() {
-  const { motors } = report;
+async function draw() {
+  const mine = report;
+  const { motors } = mine;
   const range = ranges(motors);
-  for (const [number, button] of [...$("fit-grid").children].entries()) fill(button, number, motors.find((motor) => motor.motor === number), range);
+  await built([...$("fit-grid").children], (button, number) => mine === report && fill(button, number, motors.find((motor) => motor.motor === number), range), PLOTS);
+  if (mine !== report) return;
   const [low, high] = range.share;
   const points = motors.some((motor) => motor.up.points.length) ? "Markers: mean travel of the bursts of one length, with its standard error. " : "This file holds no measured points: calibrate again to see them. ";
   $("fit-note").textContent = `${points}Lines: the fit. Filled triangles and full lines: up; open triangles and dashed lines: down. Small plots: measured / model travel, ${low.toFixed(2)} to ${high.toFixed(2)}, against 0 to ${range.longest} pulses, the thin line at 1${array().grid ? "; they stand as the motors in the array" : ""}.`;

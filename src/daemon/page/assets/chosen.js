@@ -214,11 +214,13 @@ export class Chosen {
   }
 
   #buttons() {
-    const isEdited = this.#isEdited();
+    const fields = this.#fields();
+    const isEdited = this.#full !== null && fields !== this.#before;
     $("chosen-undo").disabled = !isEdited;
     $("chosen-play").textContent = isEdited ? "Play as changed" : "Play";
     $("chosen-edited").hidden = !isEdited;
-    const kept = isEdited ? JSON.stringify({ first: this.#first, full: this.#full, duration: $("chosen-duration").value, drives: this.#drives.value }) : "";
+    // The pattern in full is some times as long as its fields.
+    const kept = isEdited && 4 * fields.length <= MOST_KEPT ? JSON.stringify({ first: this.#first, full: this.#full, duration: $("chosen-duration").value, drives: this.#drives.value }) : "";
     if (kept && kept.length <= MOST_KEPT) sessionStorage.setItem(KEPT, kept);
     else sessionStorage.removeItem(KEPT);
   }

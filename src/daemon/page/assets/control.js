@@ -117,6 +117,20 @@ export function open(dialog) {
   dialog.scrollTop = 0;
 }
 
+// Things that are made in one task, at most: E-STOP is heard between two tasks.
+const SLICE = 50;
+const nextTask = () => new Promise((done) => setTimeout(done));
+
+// What `make` makes of each of these things, however many they are.
+export async function built(things, make, slice = SLICE) {
+  const all = [];
+  for (const [i, thing] of things.entries()) {
+    if (i && i % slice === 0) await nextTask();
+    all.push(make(thing, i));
+  }
+  return all;
+}
+
 // Reads a text to screen readers. Within a second only the last text of each `topic` is read.
 const unspoken = new Map();
 let spoken = -Infinity;

@@ -6,7 +6,7 @@
 
 import { call } from "./api.js";
 import { array } from "./array.js";
-import { element, may, refuse, say, speak } from "./control.js";
+import { built, element, may, refuse, say, speak } from "./control.js";
 import { History, keep, kept } from "./history.js";
 import { Live } from "./live.js";
 import { complain, forgive, number, numbers, right } from "./number.js";
@@ -193,7 +193,8 @@ export class Designer {
     const { targets } = await call("GET", "/v1/targets");
     const option = (text, value) => element("option", text, { value });
     const kind = (target) => `${target.name} (${target.shape}${target.moves ? ", moves" : ""}${target.library ? "" : ", site"})`;
-    $("load").replaceChildren(option(targets.length ? "Choose" : "No target is stored", ""), ...targets.map((target) => option(kind(target), target.name)));
+    const options = await built(targets, (target) => option(kind(target), target.name));
+    $("load").replaceChildren(option(targets.length ? "Choose" : "No target is stored", ""), ...options);
     this.#showLoaded();
     // Another client may have stored another one under the name of the loaded one.
     const loaded = this.#loaded && targets.find(({ name }) => name === this.#loaded.target.name);

@@ -1,7 +1,7 @@
 // The drives of a pattern as a table that can be edited, and the map of the pins that they move.
 
 import { array } from "./array.js";
-import { element } from "./control.js";
+import { built, element } from "./control.js";
 import { thumbnail } from "./finger.js";
 import { number, optional } from "./number.js";
 
@@ -21,17 +21,19 @@ export class Drives {
   #pattern = {};
   #changed;
   #number = 0;
+  // Counts what was to be shown: of two tables the newer one stays.
+  #asked = 0;
 
   // `changed`: called when a person has changed a drive, has added or has removed one.
   constructor(changed) {
     this.#changed = changed;
-    $("drives-add").addEventListener("click", () => {
+    $("drives-add").addEventListener("click", async () => {
       const last = this.#drives.at(-1) ?? NEW;
       const { motor, ...rest } = last;
       this.#drives.push({ ...rest, motor: (motor + 1) % array().positions_mm.length });
-      this.#show();
-      $("drives").tBodies[0].lastChild.querySelector("input")?.focus();
       changed();
+      await this.#show();
+      $("drives").tBodies[0].lastChild?.querySelector("input")?.focus();
     });
   }
 
@@ -52,12 +54,14 @@ export class Drives {
     return [...$("drives").querySelectorAll("input")].map((input) => input.id);
   }
 
-  #show() {
+  async #show() {
+    const asked = ++this.#asked;
     const shown = this.#drives.slice(0, ROWS);
-    $("drives").tBodies[0].replaceChildren(...shown.map((drive, i) => this.#row(drive, i)));
     const hidden = this.#drives.length - shown.length;
     $("drives-note").textContent = hidden ? `${hidden} more drives are not shown: they are played and saved as they are.` : this.#drives.length ? "" : "No drives.";
     this.#map();
+    const rows = await built(shown, (drive, i) => this.#row(drive, i));
+    if (asked === this.#asked) $("drives").tBodies[0].replaceChildren(...rows);
   }
 
   #map() {
@@ -82,12 +86,12 @@ export class Drives {
       row.lastChild.append(input);
     }
     const remove = element("button", "✕", { type: "button", title: "Remove", ariaLabel: `Remove drive ${i + 1}` });
-    remove.addEventListener("click", () => {
+    remove.addEventListener("click", async () => {
       this.#drives.splice(this.#drives.indexOf(drive), 1);
-      this.#show();
+      this.#changed();
+      await this.#show();
       const rows = $("drives").tBodies[0].rows;
       (rows[Math.min(i, rows.length - 1)]?.querySelector("button") ?? $("drives-add")).focus();
-      this.#changed();
     });
     row.append(document.createElement("td"));
     row.lastChild.append(remove);

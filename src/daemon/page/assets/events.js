@@ -32,6 +32,8 @@ const WORDS = {
 // The newest first: `at`, the time of day; `text`; for an event of a play `key` and `count`.
 let kept = [restored(KEPT) ?? []].flat().filter((one) => one?.text);
 
+let waits = null;
+
 function add(event) {
   const key = "id" in event ? `${event.event} ${event.id}` : null;
   const before = key && kept.find((one) => one.key === key);
@@ -41,9 +43,13 @@ function add(event) {
   const text = key ? `Play ${event.id}: ${words}` : words;
   const at = new Date().toTimeString().slice(0, 8);
   kept = [{ at, text, key, count }, ...kept.filter((one) => one !== before)].slice(0, MOST);
-  sessionStorage.setItem(KEPT, JSON.stringify(kept));
   speak(text, "event");
-  show();
+  // Of thousands that come at once, the newest are shown once.
+  waits ??= setTimeout(() => {
+    waits = null;
+    sessionStorage.setItem(KEPT, JSON.stringify(kept));
+    show();
+  });
 }
 
 function show() {

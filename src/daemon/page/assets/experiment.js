@@ -10,7 +10,7 @@
 
 import { call, known, orderIn, poll } from "./api.js";
 import { order, wilson } from "./choice.js";
-import { element, refuse, restored, say, speak, write } from "./control.js";
+import { built, element, refuse, restored, say, speak, write } from "./control.js";
 import { isForeign } from "./foreign.js";
 import { optional, right } from "./number.js";
 import { part } from "./views.js";
@@ -221,8 +221,9 @@ async function load() {
   durations = new Map(fitting.map((pattern) => [pattern.name, pattern.duration_s]));
   const names = [...durations.keys()];
   for (const [i, id] of ["asked", "other"].entries()) {
+    const options = await built(names, (name) => element("option", name));
     const before = $(id).value;
-    $(id).replaceChildren(...names.map((name) => element("option", name)));
+    $(id).replaceChildren(...options);
     // A pattern that was removed is not replaced by another one unseen: the person chooses again.
     $(id).value = offered.has(id) ? before : (names[i] ?? "");
     if ($(id).value) offered.add(id);

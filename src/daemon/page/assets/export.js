@@ -2,6 +2,7 @@
 // of the page compares both with the command's files.
 
 import { DISK_MS, exact } from "./api.js";
+import { built } from "./control.js";
 
 // A column: its name, and its value in a play's row. Null: not known.
 const of = (name) => [name, ({ play }) => play[name]];
@@ -56,14 +57,18 @@ export async function readSession(id) {
   }
 }
 
-export function csv({ session, plays }) {
+// The text of a file, in parts.
+export async function csv({ session, plays }) {
   const factors = [...new Set(plays.flatMap((play) => Object.keys(play.answer?.factors ?? {})))].sort();
   const columns = [...COLUMNS, ...factors.map((key) => [`factor_${key}`, ({ play }) => play.answer?.factors[key]])];
+  const line = (fields) => `${fields.map(field).join(",")}\n`;
   // A sequence as a whole is no stimulus: its items have rows.
-  const rows = plays.filter((play) => play.items === 0).map((play) => columns.map(([, value]) => field(value({ session, play }))));
-  return [columns.map(([name]) => field(name)), ...rows].map((row) => `${row.join(",")}\n`).join("");
+  const rows = await built(plays.filter((play) => play.items === 0), (play) => line(columns.map(([, value]) => value({ session, play }))));
+  return [line(columns.map(([name]) => name)), ...rows];
 }
 
-export function json(read) {
-  return `${JSON.stringify(read, null, 1).replace(/"\\u0000(-?\d+)"/g, "$1")}\n`;
+export async function json({ plays, ...read }) {
+  const text = (value, indent = "") => JSON.stringify(value, null, 1).replace(/"\\u0000(-?\d+)"/g, "$1").replaceAll("\n", `\n${indent}`);
+  const rows = await built(plays, (play, i) => `${i ? "," : ""}\n  ${text(play, "  ")}`);
+  return [text(read).slice(0, -2), ',\n "plays": [', ...rows, rows.length ? "\n ]\n}\n" : "]\n}\n"];
 }

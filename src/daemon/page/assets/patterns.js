@@ -12,8 +12,8 @@ import { number, optional, right } from "./number.js";
 import { part } from "./views.js";
 
 const $ = (id) => document.getElementById(id);
-// Items that are built at once. The others are empty until they come into view, so that a list of thousands costs little.
-const AT_ONCE = 100;
+// Patterns that are listed, at most; the search finds the others.
+const LISTED = 200;
 
 // Where a pattern is stored, as the list shows it and as the search finds it.
 const where = ({ library }) => (library ? "library" : "site");
@@ -25,6 +25,8 @@ export class Patterns {
   // By name and SHA-256.
   #details = new Map();
   #byName = new Map();
+  // What was listed, by name: its item of the list, and `of`, the pattern as it was built.
+  #items = new Map();
   // Lists that were asked for: an older one shows nothing.
   #asked = 0;
   #chosen = new Chosen({
@@ -37,11 +39,12 @@ export class Patterns {
 
   constructor() {
     this.refresh = part({ view: "play", at: "patterns-title", load: () => this.#load(), again: true });
-    $("search").addEventListener("input", () => this.#filter());
+    $("search").addEventListener("input", () => this.#list());
     document.addEventListener("array", () => {
       $("nearest").checked = false;
       // What a pattern is for, and what it reaches, depends on the array.
       $("pattern-list").replaceChildren();
+      this.#items.clear();
       this.#details.clear();
     });
   }
@@ -52,38 +55,41 @@ export class Patterns {
     if (asked !== this.#asked) return;
     // Those of this site come first.
     const patterns = [...all.filter(({ library }) => !library), ...all.filter(({ library }) => library)];
-    const before = this.#byName;
     this.#byName = new Map(patterns.map((pattern) => [pattern.name, pattern]));
     const keys = new Set(patterns.map(key));
     for (const old of this.#details.keys()) if (!keys.has(old)) this.#details.delete(old);
+    for (const old of this.#items.keys()) if (!this.#byName.has(old)) this.#items.delete(old);
     $("pattern-errors").textContent = errors.join(" · ");
     $("nearest-label").hidden = !patterns.some(isForeign);
-    this.#list(before);
-    this.#filter();
+    this.#list();
     this.#chosen.renew(this.#byName);
     this.#mark();
   }
 
-  // Shows the list. The items of patterns that are as `before` stay as they are.
-  #list(before) {
+  // Shows the patterns that the search finds. What is listed as it was stays the same item, with what it said.
+  #list() {
+    const words = $("search").value.toLowerCase().split(/\s+/);
+    const found = [...this.#byName.values()].filter((pattern) => words.every((word) => `${pattern.name} ${where(pattern)}`.includes(word)));
     const list = $("pattern-list");
-    const old = new Map([...list.children].map((item) => [item.dataset.name, item]));
-    const isSame = (pattern) => JSON.stringify(pattern) === JSON.stringify(before.get(pattern.name));
-    const items = [...this.#byName.values()].map((pattern, i) => {
-      const item = old.get(pattern.name) ?? element("li");
-      const isNew = !item.isConnected || !isSame(pattern);
-      item.dataset.name = pattern.name;
-      if (isNew && (i < AT_ONCE || item.firstChild)) this.#build(item);
-      // Also one whose map could not be fetched.
-      if (isNew || !item.querySelector(".map > *")) this.#view.observe(item);
-      return item;
-    });
-    for (const [name, item] of old) if (!this.#byName.has(name)) this.#view.unobserve(item);
+    const items = found.slice(0, LISTED).map((pattern) => this.#item(pattern));
+    $("pattern-none").textContent = found.length > LISTED ? `The first ${LISTED} of ${found.length}: search for others.` : found.length ? "" : this.#byName.size ? "No pattern fits the search." : "No pattern is stored.";
+    $("pattern-none").hidden = found.length > 0 && found.length <= LISTED;
     if (items.length === list.children.length && items.every((item, i) => item === list.children[i])) return;
     const [focus, top] = [document.activeElement, list.scrollTop];
     list.replaceChildren(...items);
     list.scrollTop = top;
     if (list.contains(focus)) focus.focus({ preventScroll: true });
+  }
+
+  #item(pattern) {
+    const { item, of: before } = this.#items.get(pattern.name) ?? { item: element("li") };
+    const of = JSON.stringify(pattern);
+    this.#items.set(pattern.name, { item, of });
+    item.dataset.name = pattern.name;
+    if (of !== before) this.#build(item);
+    // Also one whose map could not be fetched.
+    if (!item.querySelector(".map > *")) this.#view.observe(item);
+    return item;
   }
 
   // A pattern of the list in full, fetched once. If the daemon has another one by now, the list is fetched again.
@@ -138,19 +144,10 @@ export class Patterns {
 
   #draw(item) {
     this.#view.unobserve(item);
-    if (!item.firstChild) this.#build(item);
     const pattern = this.#byName.get(item.dataset.name);
     // Where the pins of another array stand is not known here.
     if (isForeign(pattern)) return;
     this.details(pattern).then((details) => pattern.sha256 === this.#byName.get(pattern.name)?.sha256 && item.querySelector(".map").replaceChildren(thumbnail(details)), () => {});
-  }
-
-  #filter() {
-    const words = $("search").value.toLowerCase().split(/\s+/);
-    const items = [...$("pattern-list").children];
-    for (const item of items) item.hidden = !words.every((word) => `${item.dataset.name} ${where(this.#byName.get(item.dataset.name))}`.includes(word));
-    $("pattern-none").hidden = items.some((item) => !item.hidden);
-    $("pattern-none").textContent = items.length ? "No pattern fits the search." : "No pattern is stored.";
   }
 
   // Marks the chosen pattern, and the one beside it.

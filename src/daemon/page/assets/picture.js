@@ -21,13 +21,13 @@ async function base64(bytes) {
   return url.slice(url.indexOf(",") + 1);
 }
 
-// The brightness of an image's pixels at a size, row by row.
+// The brightness of an image's pixels at a size, row by row, as bytes.
 async function brightness(image, width, height) {
   const context = element("canvas", "", { width, height }).getContext("2d");
   context.fillRect(0, 0, width, height);
   context.drawImage(image, 0, 0, width, height);
   const { data } = context.getImageData(0, 0, width, height);
-  return Array.from({ length: width * height }, (_, i) => Math.round( 0.2126 * data[4 * i] + 0.7152 * data[4 * i + 1] + 0.0722 * data[4 * i + 2]));
+  return new Uint8ClampedArray(width * height).map((_, i) => 0.2126 * data[4 * i] + 0.7152 * data[4 * i + 1] + 0.0722 * data[4 * i + 2]);
 }
 
 // An NPY file of bytes, as integers of 16 bits, which the daemon takes.
@@ -36,7 +36,11 @@ function npy(rows, columns, bytes) {
   // The data begins at a multiple of 64 bytes; ten of them stand before the header.
   const length = Math.ceil((head.length + 11) / 64) * 64 - 10;
   const text = `${head.padEnd(length - 1)}\n`;
-  return new Uint8Array([0x93, ...new TextEncoder().encode("NUMPY"), 1, 0, length & 255, length >> 8, ...new TextEncoder().encode(text), ...bytes.flatMap((byte) => [byte, 0])]);
+  const start = [0x93, ...new TextEncoder().encode("NUMPY"), 1, 0, length & 255, length >> 8, ...new TextEncoder().encode(text)];
+  const file = new Uint8Array(start.length + 2 * bytes.length);
+  file.set(start);
+  bytes.forEach((byte, i) => (file[start.length + 2 * i] = byte));
+  return file;
 }
 
 // Columns and rows of an NPY file; the daemon reads the rest.
@@ -61,13 +65,12 @@ export async function picture(file) {
   }
   const size = [image.width, image.height];
   const [columns, rows] = size.map((pixels) => Math.max(1, Math.min(pixels, Math.round((CELLS * pixels) / Math.max(...size)))));
-  const cells = { columns, rows, grey: await brightness(image, columns, rows) };
+  const cells = { columns, rows, grey: [...(await brightness(image, columns, rows))] };
   // Behind the signature, the head of the first chunk, width and height.
   const [bits, colours] = bytes.slice(3 * 8);
   if (PNG.every((byte, i) => bytes[i] === byte) && colours === GREY && (bits === 8 || bits === 16)) {
     return { name: name.replace(/(\.png)?$/i, ".png"), data: await base64(bytes), size, levels: 2 ** bits - 1, cells, note: "" };
   }
-  const array = npy(size[1], size[0], await brightness(image, ...size));
-  if (array.length > MOST_BYTES) throw new Error(`${file.name} has ${size.join(" × ")} pixels: too many for an image that is not grey, make it smaller`);
-  return { name: `${name.replace(/\.\w+$/, "")}.npy`, data: await base64(array), size, levels: 255, cells, note: "Its brightness counts, not its colours." };
+  if (2 * size[0] * size[1] > MOST_BYTES) throw new Error(`${file.name} has ${size.join(" × ")} pixels: too many for an image that is not grey, make it smaller`);
+  return { name: `${name.replace(/\.\w+$/, "")}.npy`, data: await base64(npy(size[1], size[0], await brightness(image, ...size))), size, levels: 255, cells, note: "Its brightness counts, not its colours." };
 }

@@ -1,12 +1,14 @@
 // The last play: its receipt.
 
-import { call, last } from "./api.js";
+import { call, last, text } from "./api.js";
 import { facts, refuse, say, write } from "./control.js";
 import { keep } from "./toml.js";
 import { part } from "./views.js";
 
 const $ = (id) => document.getElementById(id);
 
+// Items of a sequence that are shown as JSON: the file has all.
+const ITEMS = 100;
 // The play that is shown.
 let shown = null;
 const NONE = $("receipt-summary").textContent;
@@ -40,7 +42,9 @@ function show(receipt) {
     ]),
   ]);
   $("receipt-more").hidden = $("receipt-keep").hidden = false;
-  $("receipt-json").textContent = JSON.stringify(receipt, null, 1);
+  const isCut = receipt.items?.length > ITEMS;
+  write($("receipt-more").firstElementChild, isCut ? `The receipt, with items 1 to ${ITEMS} of ${receipt.items.length}: the file has all` : "The whole receipt");
+  $("receipt-json").textContent = JSON.stringify(isCut ? { ...receipt, items: receipt.items.slice(0, ITEMS) } : receipt, null, 1);
 }
 
 // How many items of a sequence ended in which state.
@@ -64,8 +68,8 @@ async function load() {
 export function bindReceipt() {
   $("receipt-keep").addEventListener("click", async () => {
     try {
-      const receipt = await whole(shown);
-      keep(JSON.stringify(receipt, null, 1), "application/json", `play-${receipt.id}.json`);
+      const id = shown;
+      keep(await text(`/v1/plays/${id}`), "application/json", `play-${id}.json`);
       say($("receipt-keep"), "");
     } catch (error) {
       refuse($("receipt-keep"), error);

@@ -13,7 +13,7 @@ import { part } from "./views.js";
 const $ = (id) => document.getElementById(id);
 // Rows of a page, and sessions of the list.
 const PAGE = 100;
-const LISTED = 200;
+const LISTED = 100;
 
 let sessions = [];
 // The session that the table shows, and its first row: `{ id, from }`, counted from 0. Files are those of this session.
@@ -124,13 +124,13 @@ function playRow(play) {
   return row;
 }
 
-// Saves the session that the table shows as a file.
+// Saves the session that the table shows as a file. `write`: its text, in parts.
 async function download(button, kind, write) {
   button.disabled = true;
   say(button, "The daemon reads its record …", "wait");
   try {
     const read = await readSession(shown.id);
-    const url = URL.createObjectURL(new Blob([write(read)], { type: kind }));
+    const url = URL.createObjectURL(new Blob(await write(read), { type: kind }));
     const name = `session-${read.session.id}${read.complete ? "" : "-incomplete"}.${kind.split("/")[1]}`;
     element("a", "", { href: url, download: name }).click();
     setTimeout(() => URL.revokeObjectURL(url), 10000);
