@@ -398,8 +398,9 @@ impl Route {
             },
             Self::Arm => Operation {
                 summary: "Enable the motors",
-                description: "With `assume_rest` the device takes every pin as at rest; without it, it must know where the pins are. If a \
-                              pin may have drifted by more than 20 µm, `assume_rest` needs `checked`: who has looked at the \
+                description: "A device that knows where its pins are first returns those that stand above rest. Another one needs `assume_rest`, \
+                              which takes every pin as at rest, and with `checked` ends what the device knows. If a \
+                              pin may have drifted or stand by more than 20 µm in all, `assume_rest` needs `checked`: who has looked at the \
                               pins; but not if telemetry showed all pins until the motors were disarmed. The client states with `silence_s` or \
                               `unattended` whether the motors may stay armed without it; `armed` in the status shows what is left.",
                 body: Body::OptionalJson("ArmRequest"),

@@ -127,7 +127,7 @@ impl Lab {
             let (is, said) = (um(self.net[motor]), f64::from(at.rest_error_um[motor]));
             let height = um(i64::from(at.movements[motor].high));
             // The estimate adds what the motor may have scattered.
-            assert!((is - 0.1..=is + 45.0).contains(&said), "{what}, pin {motor}: {said} um, is {is}");
+            assert!((is - 0.1..=is + 60.0).contains(&said), "{what}, pin {motor}: {said} um, is {is}");
             assert!((height - is).abs() < 0.1, "{what}, pin {motor}: height {height} um, is {is}");
         }
     }
@@ -195,7 +195,7 @@ enum By {
 #[test]
 fn status_says_how_high_pins_stand_in_every_phase() {
     let stroke = "[[drive]]\nmotor = 3\nfrequency_hz = 5.0\namplitude_um = 80.0\nphase = 0.0\n\
-                  [[drive]]\nmotor = 4\nfrequency_hz = 60.0\namplitude_um = 60.0\nphase = 90.0\n";
+                  [[drive]]\nmotor = 4\nfrequency_hz = 60.0\namplitude_um = 60.0\nphase = 0.25\n";
     let noise =
         "[[noise]]\nmotor = 5\nlow_hz = 5.0\nhigh_hz = 50.0\nrms_um = 12.0\nduration_s = 2.0\nseed = 4\n";
     let press = "[[ramp]]\nmotor = 9\nto_um = 200.0\nrise_s = 0.05\nhold_s = 0.1\nfall_s = 0.05\n\
@@ -344,7 +344,11 @@ impl Lab {
     fn step(&mut self, random: &mut Random, live: &mut (u64, u64)) {
         let array = Array::paper();
         let before = self.rig.mock.controller().state();
-        match random.between(0.0, 20.0) as u64 {
+        let order = random.between(0.0, 20.0) as u64;
+        // What a failure shows.
+        let net = (0..MOTORS).map(|motor| self.net[motor] - self.base[motor]).max();
+        println!("{:?}: {before:?}, highest {net:?}; order {order}, answered {:?}", self.rig.now(), self.answered.last());
+        match order {
             0 => _ = self.rig.start(&drives(random), Some(0.3)),
             1 | 2 => _ = self.rig.start(&ramp(random.between(2.0, MOST_UM), 5.0), None),
             3 => _ = self.rig.start(&ramp(19.0, 5.0), None),
@@ -370,7 +374,10 @@ impl Lab {
                 while !self.answered.iter().any(|(of, _)| *of == ticket) {
                     self.run(1);
                 }
-                let taken = self.answered.contains(&(ticket, Ok(())));
+                // Whether the device was told in time or not: a person has looked.
+                let taken = self.answered.iter().any(|(of, result)| {
+                    *of == ticket && matches!(result, Ok(()) | Err(CommandError::Timeout))
+                });
                 if taken && before != State::Returning {
                     self.base = self.net;
                 }

@@ -127,9 +127,9 @@ impl PositionControl {
         if now.is_none() {
             (self.seen, self.unseen_since) = (false, None);
         }
-        // Without a link the device may have played all that it had.
-        let until = if now.is_some() { begun_by } else { Tick(u64::MAX) };
-        self.standing.bound(|motor| self.motors[usize::from(motor)].highest(until));
+        if now.is_some() {
+            self.bound_standing(begun_by);
+        }
         self.motors.iter_mut().for_each(|motor| motor.remember(begun_by));
         // The strokes that are remembered may have been cut: their planned ends do not count.
         let over = self.account.over.clone();
@@ -143,6 +143,11 @@ impl PositionControl {
         self.replacement.clear();
         (self.last_sample, self.advanced_to) = (None, Tick(0));
         self.valid_from = None;
+    }
+
+    /// Moves were cut, or the link is lost: pins may stand as high as any move that began before `until` has taken them.
+    pub(super) fn bound_standing(&mut self, until: Tick) {
+        self.standing.bound(|motor| self.motors[usize::from(motor)].highest(until));
     }
 
     /// The device has cut its moves at a tick, and had so many return pulses outstanding then.

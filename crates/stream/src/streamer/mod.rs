@@ -137,6 +137,7 @@ impl Streamer {
             Counters { played: counters.played + bursts, pulses: counters.pulses + pulses, ..counters }
         });
         let lost = lost.or(self.known.status().map(|(_, tick)| tick)).unwrap_or_default();
+        self.control.bound_standing(Tick(u64::MAX));
         self.control.reckon_to(lost);
         self.close_all(counters, Some((&session, lost)), emit);
         self.operations.disconnected(emit);
