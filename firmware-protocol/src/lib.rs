@@ -103,8 +103,9 @@
 //! The device accepts, refuses or drops a move as a whole, and the two moves of a stroke together. A `Verdict` lists the moves of a frame
 //! that were not accepted; a frame without a verdict was accepted as sent.
 //!
-//! A move is *late* if it begins before the rendered end, or before the drivers are ready. A late move up is dropped. A late move down, unless
-//! it belongs to a stroke, lowers the goal at once, to the height of the pin at most, and counts as late.
+//! A move is *late* if it begins before the rendered end, or before the drivers are ready. It counts as late, and a late move up is dropped. A late move down
+//! lowers the goal at once, to the height of the pin at most, unless it belongs to a stroke, or a move of the motor that begins at its tick or
+//! later has begun already: that one is newer.
 //!
 //! The first frame of a play has a `mark`, and its `base` is the onset. It is all or nothing: if the onset is late, or it has more than
 //! [`batch::MAX_FIRST_BATCH`] moves, the device takes none of it and reports `OnsetRefused`. Its mark says for how long pins may be held. The first frame of a later item of a play has a mark, too. If that one
@@ -252,7 +253,7 @@
 //! | disarm, shutdown, abort, host silent, link lost, another session | returns, then disarms |
 //! | e-stop, own fault | turns lines off after the tick being played; latches; pins stay where they are. `reset` leads to disarmed |
 //! | outputs do not follow (PIO, DMA) | as its own fault, with the cause `Output`: counts nothing from the last block on that was seen to be played, and the position is unknown. Only a restart ends it |
-//! | late move | drops it and reports it; one down lowers the goal at once, and the device reports that, too (`Lowered`, `late`) |
+//! | late move | drops it and reports it; one down, of no stroke and with no newer one begun, lowers the goal at once, and the device reports that, too (`Lowered`, `late`) |
 //! | a pin above rest without a pulse for longer than the play says (`Mark::hold`), at least [`array::Layout::least_hold`] and at most [`array::Layout::longest_hold`] | sets the goal to 0 and reports it (`Lowered`, `held`) |
 //! | no valid frame for `host_timeout` ticks while armed or returning | as if the host had asked for disarm, with the cause `HostTimeout`. `arm` sets the time; the maximum is 10 s |
 //!

@@ -7,7 +7,7 @@
 use crate::array::{CAPACITY, Layout, Ring};
 pub use crate::array::{correction, within_correction};
 use crate::moves::Move;
-use crate::tick::Tick;
+use crate::tick::{BLOCK, Tick};
 use serde::{Deserialize, Serialize};
 
 /// Why a move or a command was refused.
@@ -91,12 +91,14 @@ struct SlidingSecond {
     /// When the next bucket begins.
     next: Tick,
     ended: [[u16; CAPACITY]; BUCKETS],
+    /// Pulses begun, from their first until a second after the last.
     charged: [u32; CAPACITY],
 }
 
 impl SlidingSecond {
     const fn new(tick_hz: u32, now: Tick) -> Self {
-        let ticks = tick_hz.div_ceil(BUCKETS_PER_S as u32);
+        // Time passes a block at a time, so a bucket may begin and end later by as much.
+        let ticks = (tick_hz + BLOCK).div_ceil(BUCKETS_PER_S as u32);
         Self {
             bucket: 0,
             ticks,
@@ -106,12 +108,11 @@ impl SlidingSecond {
         }
     }
 
-    /// Pulses begun, from their first until a second after the last.
-    fn charged(&mut self, now: Tick) -> &mut [u32; CAPACITY] {
+    /// Lets time pass. In each block that is a bucket at most.
+    fn pass(&mut self, now: Tick) {
         if self.next <= now {
             self.next_buckets(now);
         }
-        &mut self.charged
     }
 
     #[inline(never)]
@@ -124,22 +125,24 @@ impl SlidingSecond {
             self.bucket = if self.bucket + 1 < BUCKETS { self.bucket + 1 } else { 0 };
             let old = &mut self.ended[self.bucket];
             for (charged, ended) in self.charged.iter_mut().zip(old) {
-                *charged = charged.saturating_sub(u32::from(core::mem::take(ended)));
+                if *ended > 0 {
+                    *charged = charged.saturating_sub(u32::from(core::mem::take(ended)));
+                }
             }
         }
     }
 
-    /// Ends at `now` a move counted with `charged` pulses, of which `played` were played.
-    fn end(&mut self, now: Tick, motor: usize, charged: u32, played: u32) {
-        let sum = &mut self.charged(now)[motor];
+    /// Ends a move counted with `charged` pulses, of which `played` were played.
+    fn end(&mut self, motor: usize, charged: u32, played: u32) {
+        let sum = &mut self.charged[motor];
         *sum = (*sum + played).saturating_sub(charged);
         let ended = &mut self.ended[self.bucket][motor];
         *ended = ended.saturating_add(u16::try_from(played).unwrap_or(u16::MAX));
     }
 
     /// Counts no longer the last `pulses` that have ended, at most a bucket's time ago.
-    fn take_back(&mut self, now: Tick, motor: usize, pulses: u16) {
-        let sum = &mut self.charged(now)[motor];
+    fn take_back(&mut self, motor: usize, pulses: u16) {
+        let sum = &mut self.charged[motor];
         *sum = sum.saturating_sub(pulses.into());
         let before = if self.bucket > 0 { self.bucket - 1 } else { BUCKETS - 1 };
         let mut left = pulses;
@@ -196,19 +199,18 @@ impl OnTime {
         self.limits_motor || self.limits_rail
     }
 
-    /// Counts a move of `pulses` that begins at `now`.
+    /// Counts a move of `pulses` that begins.
     ///
     /// # Errors
     /// The limit that the move would break; then nothing is counted.
     pub fn begin(
         &mut self,
-        now: Tick,
         motor: usize,
         pulses: u32,
         [back, back_on_rail]: [u32; 2],
         layout: &Layout,
     ) -> Result<(), Refusal> {
-        let charged = self.pulses.charged(now);
+        let charged = &mut self.pulses.charged;
         if self.limits_motor && charged[motor] + pulses + back > self.limits.motor {
             return Err(Refusal::MotorOnTime);
         }
@@ -222,8 +224,8 @@ impl OnTime {
 
     /// The most pulses for which [`Self::begin`] would succeed.
     #[must_use]
-    pub fn room(&mut self, now: Tick, motor: usize, [back, back_on_rail]: [u32; 2], layout: &Layout) -> u32 {
-        let charged = self.pulses.charged(now);
+    pub fn room(&self, motor: usize, [back, back_on_rail]: [u32; 2], layout: &Layout) -> u32 {
+        let charged = &self.pulses.charged;
         let (mut room, limits) = (u32::MAX, self.limits);
         if self.limits_motor {
             room = limits.motor.saturating_sub(charged[motor] + back);
@@ -235,24 +237,24 @@ impl OnTime {
         room
     }
 
-    /// Lets time pass. A caller that does so in each block never counts for long: at most a bucket ends at a time.
+    /// Lets time pass up to `now`, where what is counted next begins or ends; in steps of a block at most, so that it is never long.
     pub fn pass(&mut self, now: Tick) {
-        self.pulses.charged(now);
+        self.pulses.pass(now);
     }
 
     /// Counts a burst that no limit may refuse.
-    pub fn count(&mut self, now: Tick, motor: usize, pulses: u32) {
-        self.pulses.charged(now)[motor] += pulses;
+    pub fn count(&mut self, motor: usize, pulses: u32) {
+        self.pulses.charged[motor] += pulses;
     }
 
-    /// Ends at `now` a move counted with `charged` pulses, of which `played` were played.
-    pub fn end(&mut self, now: Tick, motor: usize, charged: u32, played: u32) {
-        self.pulses.end(now, motor, charged, played);
+    /// Ends a move counted with `charged` pulses, of which `played` were played.
+    pub fn end(&mut self, motor: usize, charged: u32, played: u32) {
+        self.pulses.end(motor, charged, played);
     }
 
     /// Counts no longer the last pulses that have ended: they were not played.
-    pub fn take_back(&mut self, now: Tick, motor: usize, pulses: u16) {
-        self.pulses.take_back(now, motor, pulses);
+    pub fn take_back(&mut self, motor: usize, pulses: u16) {
+        self.pulses.take_back(motor, pulses);
     }
 }
 
@@ -299,23 +301,22 @@ impl Pushing {
         self.limit > 0
     }
 
-    /// Whether every motor may push `pulses` more at `now`.
+    /// Whether every motor may push `pulses` more.
     #[must_use]
-    pub fn allows_all(&mut self, now: Tick, pulses: u32) -> bool {
-        let limit = self.limit;
-        self.pulses.charged(now).iter().all(|charged| charged + pulses <= limit)
+    pub fn allows_all(&self, pulses: u32) -> bool {
+        self.pulses.charged.iter().all(|charged| charged + pulses <= self.limit)
     }
 
-    /// Counts a surplus that begins at `now`.
+    /// Counts a surplus that begins.
     ///
     /// # Errors
     /// [`Refusal::Pushing`] if it would break the limit; then nothing is counted.
-    pub fn begin(&mut self, now: Tick, motor: usize, pulses: u32) -> Result<(), Refusal> {
+    pub fn begin(&mut self, motor: usize, pulses: u32) -> Result<(), Refusal> {
         // A move that pushes nothing breaks no limit, even one that was lowered.
         if pulses == 0 {
             return Ok(());
         }
-        let charged = &mut self.pulses.charged(now)[motor];
+        let charged = &mut self.pulses.charged[motor];
         if *charged + pulses > self.limit {
             return Err(Refusal::Pushing);
         }
@@ -324,37 +325,37 @@ impl Pushing {
     }
 
     /// Counts as many of `pulses` as do not break the limit, and returns their number.
-    pub fn begin_some(&mut self, now: Tick, motor: usize, pulses: u32) -> u32 {
-        let some = pulses.min(self.room(now, motor));
-        self.count(now, motor, some);
+    pub fn begin_some(&mut self, motor: usize, pulses: u32) -> u32 {
+        let some = pulses.min(self.room(motor));
+        self.count(motor, some);
         some
     }
 
     /// How many pulses more a motor may push.
     #[must_use]
-    pub fn room(&mut self, now: Tick, motor: usize) -> u32 {
-        self.limit.saturating_sub(self.pulses.charged(now)[motor])
+    pub fn room(&self, motor: usize) -> u32 {
+        self.limit.saturating_sub(self.pulses.charged[motor])
     }
 
     /// Lets time pass, as [`OnTime::pass`].
     pub fn pass(&mut self, now: Tick) {
-        self.pulses.charged(now);
+        self.pulses.pass(now);
     }
 
     /// Counts pulses that no limit may refuse.
-    pub fn count(&mut self, now: Tick, motor: usize, pulses: u32) {
-        self.pulses.charged(now)[motor] += pulses;
+    pub fn count(&mut self, motor: usize, pulses: u32) {
+        self.pulses.charged[motor] += pulses;
     }
 
     /// Counts no longer the last pulses that have ended: they were not played.
-    pub fn take_back(&mut self, now: Tick, motor: usize, pulses: u16) {
-        self.pulses.take_back(now, motor, pulses);
+    pub fn take_back(&mut self, motor: usize, pulses: u16) {
+        self.pulses.take_back(motor, pulses);
     }
 
-    /// Ends at `now` a surplus of `pulses`, of which `played` keep counting.
-    pub fn end(&mut self, now: Tick, motor: usize, pulses: u32, played: u32) {
+    /// Ends a surplus of `pulses`, of which `played` keep counting.
+    pub fn end(&mut self, motor: usize, pulses: u32, played: u32) {
         if pulses > 0 || played > 0 {
-            self.pulses.end(now, motor, pulses, played);
+            self.pulses.end(motor, pulses, played);
         }
     }
 }
@@ -457,6 +458,14 @@ mod tests {
         );
     }
 
+    /// Lets time pass from the block of `passed` to that of `now`.
+    fn pass(account: &mut OnTime, passed: &mut u64, now: u64) {
+        while *passed + u64::from(BLOCK) <= now {
+            *passed += u64::from(BLOCK);
+            account.pass(Tick(*passed));
+        }
+    }
+
     proptest! {
         /// Compared with a plain list of bursts. Pins come down whatever was counted: no way up begins without room for its way back.
         #[test]
@@ -464,17 +473,18 @@ mod tests {
             let limits = PowerLimits { motor: 2_000, rail: 5_000, ..PAPER.no_limits() };
             let mut account = OnTime::new(&PAPER, Tick(0));
             account.set_limits(limits, &PAPER);
-            let (mut now, mut bursts, mut heights) = (0, std::vec::Vec::new(), [0_u32; 6]);
+            let (mut now, mut passed, mut bursts, mut heights) = (0, 0, std::vec::Vec::new(), [0_u32; 6]);
             // In the end all pins come down.
             let ends = (0..6).map(|motor| (motor, 0, 0));
             for (motor, wait, level) in moves.into_iter().chain(ends) {
                 now += wait;
+                pass(&mut account, &mut passed, now);
                 let (height, pulses) = (heights[motor], level.abs_diff(heights[motor]));
                 if level > height {
                     let back = [level, heights.iter().sum::<u32>() + pulses];
-                    if let Err(reason) = account.begin(Tick(now), motor, pulses, back, &PAPER) {
-                        // A burst counts until a second and a bucket after its end, 15 ms.
-                        let recent = bursts.iter().filter(|&&(_, _, end)| end + 86_250 > now);
+                    if let Err(reason) = account.begin(motor, pulses, back, &PAPER) {
+                        // A burst counts until a second, a bucket of 15 ms and a block after its end.
+                        let recent = bursts.iter().filter(|&&(_, _, end)| end + 86_335 > now);
                         let of = |&&(of, _, _): &&(usize, u64, u64)| reason == Refusal::RailOnTime || of == motor;
                         let played: u64 = recent.filter(of).map(|&(_, from, end)| end - from).sum();
                         let (back, limit) = match reason {
@@ -488,12 +498,13 @@ mod tests {
                         continue;
                     }
                 } else {
-                    account.count(Tick(now), motor, pulses);
+                    account.count(motor, pulses);
                 }
                 heights[motor] = level;
                 bursts.push((motor, now, now + u64::from(pulses)));
                 now += u64::from(pulses);
-                account.end(Tick(now), motor, pulses, pulses);
+                pass(&mut account, &mut passed, now);
+                account.end(motor, pulses, pulses);
             }
             for &(_, _, end) in &bursts {
                 let mut second = [0; 6];
@@ -510,16 +521,24 @@ mod tests {
     fn after_a_second_of_rest_nothing_counts() {
         let mut account = OnTime::new(&PAPER, Tick(0));
         account.set_limits(PowerLimits { motor: 100, rail: 600, ..PAPER.no_limits() }, &PAPER);
-        assert_eq!(account.begin(Tick(0), 5, 51, [50; 2], &PAPER), Err(Refusal::MotorOnTime));
-        assert_eq!(account.begin(Tick(0), 5, 50, [50; 2], &PAPER), Ok(()));
-        account.end(Tick(50), 5, 50, 50);
-        account.count(Tick(50), 5, 50);
-        account.end(Tick(100), 5, 50, 50);
-        assert_eq!(account.begin(Tick(84_000), 5, 1, [0; 2], &PAPER), Err(Refusal::MotorOnTime));
-        assert_eq!(account.begin(Tick(100 + 85_000 + 1_250), 5, 50, [50; 2], &PAPER), Ok(()));
-        assert_eq!(account.begin(Tick(1 << 40), 4, 100, [0; 2], &PAPER), Ok(()));
-        assert_eq!(account.begin(Tick(1 << 40), 3, 100, [0, 350], &PAPER), Ok(()));
-        assert_eq!(account.begin(Tick(1 << 40), 5, 1, [0, 350], &PAPER), Err(Refusal::RailOnTime));
+        let mut begin = |now, motor, pulses, back| {
+            account.pass(Tick(now));
+            let begun = account.begin(motor, pulses, back, &PAPER);
+            account.end(
+                motor,
+                if begun.is_ok() { pulses } else { 0 },
+                if begun.is_ok() { pulses } else { 0 },
+            );
+            begun
+        };
+        assert_eq!(begin(0, 5, 51, [50; 2]), Err(Refusal::MotorOnTime));
+        assert_eq!(begin(0, 5, 50, [50; 2]), Ok(()));
+        assert_eq!(begin(100, 5, 50, [0; 2]), Ok(()));
+        assert_eq!(begin(84_000, 5, 1, [0; 2]), Err(Refusal::MotorOnTime));
+        assert_eq!(begin(100 + 85_000 + 1_251, 5, 50, [50; 2]), Ok(()));
+        assert_eq!(begin(1 << 40, 4, 100, [0; 2]), Ok(()));
+        assert_eq!(begin(1 << 40, 3, 100, [0, 350]), Ok(()));
+        assert_eq!(begin(1 << 40, 5, 1, [0, 450]), Err(Refusal::RailOnTime));
     }
 
     /// A burst that is ended early counts with what was played of it, and a surplus that is over the limit counts nothing.
@@ -527,20 +546,17 @@ mod tests {
     fn what_was_not_played_does_not_count() {
         let mut account = OnTime::new(&PAPER, Tick(0));
         account.set_limits(PowerLimits { motor: 100, ..PAPER.no_limits() }, &PAPER);
-        assert_eq!(account.begin(Tick(0), 1, 50, [50; 2], &PAPER), Ok(()));
-        account.end(Tick(10), 1, 50, 10);
-        assert_eq!(account.begin(Tick(10), 1, 40, [51; 2], &PAPER), Err(Refusal::MotorOnTime));
-        assert_eq!(account.begin(Tick(10), 1, 40, [50; 2], &PAPER), Ok(()));
+        assert_eq!(account.begin(1, 50, [50; 2], &PAPER), Ok(()));
+        account.end(1, 50, 10);
+        assert_eq!(account.begin(1, 40, [51; 2], &PAPER), Err(Refusal::MotorOnTime));
+        assert_eq!(account.begin(1, 40, [50; 2], &PAPER), Ok(()));
         let mut pushing = Pushing::new(&PAPER, Tick(0));
-        assert_eq!(
-            (pushing.begin(Tick(0), 1, 0), pushing.begin(Tick(0), 1, 1)),
-            (Ok(()), Err(Refusal::Pushing))
-        );
+        assert_eq!((pushing.begin(1, 0), pushing.begin(1, 1)), (Ok(()), Err(Refusal::Pushing)));
         pushing.set_limit(100);
-        assert_eq!(pushing.begin(Tick(0), 1, 101), Err(Refusal::Pushing));
-        assert_eq!(pushing.begin(Tick(0), 1, 100), Ok(()));
-        pushing.end(Tick(30), 1, 100, 30);
-        assert_eq!(pushing.begin(Tick(30), 1, 71), Err(Refusal::Pushing));
-        assert_eq!((pushing.begin(Tick(30), 2, 100), pushing.begin(Tick(30), 1, 70)), (Ok(()), Ok(())));
+        assert_eq!(pushing.begin(1, 101), Err(Refusal::Pushing));
+        assert_eq!(pushing.begin(1, 100), Ok(()));
+        pushing.end(1, 100, 30);
+        assert_eq!(pushing.begin(1, 71), Err(Refusal::Pushing));
+        assert_eq!((pushing.begin(2, 100), pushing.begin(1, 70)), (Ok(()), Ok(())));
     }
 }

@@ -460,3 +460,42 @@ fn an_array_without_a_stop_plays_right_after_one_with_a_stop() {
         assert_eq!(bench.status().refusal, None);
     }
 }
+
+/// The device's own fault drops the ways down of all pins, at any moment. It keeps their heights: after a reset the next `arm` returns them, or
+/// seeks the stop from there.
+#[test]
+fn a_fault_that_drops_ways_down_keeps_the_return_pulses() {
+    for (shell, seek) in SHELLS.into_iter().flat_map(|shell| [0, 451].map(|seek| (shell, seek))) {
+        for event in [-100_i64, -1, 0, 1, 150, 298] {
+            let mut bench = bench(shell, stop(MAX_PUSHES_PER_S, 0));
+            let up = bench.soon();
+            let down = up + 800;
+            let motors = || 0..MOTORS as u8;
+            bench.moves(&motors().map(|motor| to(motor, up, 300)).collect::<Vec<_>>());
+            let ways = motors().map(|motor| Move { surplus: 74, ..to(motor, down, 0) });
+            bench.moves(&ways.collect::<Vec<_>>());
+            bench.run_to(down.wrapping_add_signed(event));
+            bench.device.fault(Tick(bench.now), Cause::Starved);
+            bench.is(State::Faulted, Cause::Starved);
+            bench.run(200);
+            let up = |bench: &Bench| motors().map(|motor| bench.net(motor).unsigned_abs()).sum::<u64>();
+            let left = up(&bench);
+            assert!(left > 0 && bench.outstanding() == left, "{event}: {left}");
+            let dropped = if event < 0 { 24 } else { 0 };
+            assert_eq!(bench.device.counters().dropped, dropped, "{event}");
+            bench.control(Op::Reset);
+            bench.ping(1);
+            assert_eq!((u64::from(bench.status().outstanding), bench.status().position_known), (left, true));
+            bench.control(arm(false, stop(MAX_PUSHES_PER_S, seek)));
+            bench.is(State::Returning, Cause::Request);
+            bench.settle();
+            bench.is(State::Armed, Cause::Request);
+            assert_eq!((bench.outstanding(), bench.device.counters().pulses), (0, bench.total()));
+            let below = motors().map(|motor| bench.net(motor)).collect::<Vec<_>>();
+            assert!(
+                below.iter().all(|&net| if seek == 0 { net == 0 } else { net < 0 }),
+                "{event}: {below:?}"
+            );
+        }
+    }
+}

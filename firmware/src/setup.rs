@@ -67,6 +67,11 @@ impl driver::Driver<'static> for Driver {
     }
 }
 
+/// The request of the descriptor that a device has if it knows high speed as well. One that does not refuses it (USB 2.0, 9.6.2), but embassy
+/// answers: it gets to see a request of a descriptor that there is not.
+const GET_DESCRIPTOR: u8 = 6;
+const DEVICE_QUALIFIER: u8 = 6;
+
 /// Endpoint 0.
 pub(crate) struct Pipe(InnerPipe);
 
@@ -76,7 +81,11 @@ impl ControlPipe for Pipe {
     }
     async fn setup(&mut self) -> [u8; 8] {
         self.0.setup().await;
-        take()
+        let mut packet = take();
+        if let [0x80, GET_DESCRIPTOR, _, kind @ DEVICE_QUALIFIER, ..] = &mut packet {
+            *kind = 0;
+        }
+        packet
     }
     async fn data_out(&mut self, buf: &mut [u8], first: bool, last: bool) -> Result<usize, EndpointError> {
         self.0.data_out(buf, first, last).await

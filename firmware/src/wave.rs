@@ -43,6 +43,8 @@ const BLOCK_CYCLES: u32 = BLOCK * CYCLES_PER_TICK;
 pub(crate) const FETCHED: u64 = 3;
 const FEED: usize = 0;
 const CLEAR: usize = 1;
+const CHAIN: [(usize, usize); 2] = [(FEED, CLEAR), (CLEAR, FEED)];
+const BLOCK_WORDS: u32 = BLOCK * WORDS as u32;
 
 const _: () = assert!(
     CRYSTAL_HZ as u64 * PLL.fbdiv as u64
@@ -75,7 +77,8 @@ static ZERO: AtomicU32 = AtomicU32::new(0);
 static BLOCKS: [AtomicU32; 2] = [const { AtomicU32::new(0) }; 2];
 /// Whether all outputs are forced low.
 static FORCED: AtomicBool = AtomicBool::new(false);
-/// Whether PIO, DMA or their clock have failed. Stays until the chip restarts.
+/// Whether PIO, DMA or their clock have failed. Stays until the chip restarts. The bench reads it by this name.
+#[unsafe(no_mangle)]
 static FAILED: AtomicBool = AtomicBool::new(false);
 /// The blocks that had begun when the waveform was last seen to follow, low half.
 static FOLLOWED: AtomicU32 = AtomicU32::new(0);
@@ -128,21 +131,9 @@ pub(crate) fn start(syst: &mut SYST) {
     let clear = pac::DMA.ch(CLEAR);
     clear.read_addr().write_value(ZERO.as_ptr() as u32);
     clear.write_addr().write_value(ring);
-    for (channel, other) in [(FEED, CLEAR), (CLEAR, FEED)] {
-        let feeds = channel == FEED;
-        pac::DMA.ch(channel).trans_count().write_value(BLOCK * WORDS as u32);
-        let mut ctrl = pac::dma::regs::CtrlTrig(0);
-        ctrl.set_en(true);
-        ctrl.set_high_priority(true);
-        ctrl.set_data_size(DataSize::SIZE_WORD);
-        ctrl.set_incr_read(feeds);
-        ctrl.set_incr_write(!feeds);
-        ctrl.set_ring_size(RING_BITS);
-        ctrl.set_ring_sel(!feeds);
-        ctrl.set_chain_to(other as u8);
-        ctrl.set_treq_sel(if feeds { TreqSel::PIO0_TX0 } else { TreqSel::PERMANENT });
-        ctrl.set_irq_quiet(true);
-        pac::DMA.ch(channel).al1_ctrl().write_value(ctrl.0);
+    for (channel, other) in CHAIN {
+        pac::DMA.ch(channel).trans_count().write_value(BLOCK_WORDS);
+        pac::DMA.ch(channel).al1_ctrl().write_value(control(channel, other));
     }
     // The CPU must not delay the waveform.
     pac::BUSCTRL.bus_priority().write(|w| {
@@ -165,6 +156,24 @@ pub(crate) fn start(syst: &mut SYST) {
             w.set_clkdiv_restart(1);
         });
     });
+}
+
+/// How a channel of the DMA is set up, which starts `other` when it has done a block.
+#[inline(always)]
+fn control(channel: usize, other: usize) -> u32 {
+    let feeds = channel == FEED;
+    let mut ctrl = pac::dma::regs::CtrlTrig(0);
+    ctrl.set_en(true);
+    ctrl.set_high_priority(true);
+    ctrl.set_data_size(DataSize::SIZE_WORD);
+    ctrl.set_incr_read(feeds);
+    ctrl.set_incr_write(!feeds);
+    ctrl.set_ring_size(RING_BITS);
+    ctrl.set_ring_sel(!feeds);
+    ctrl.set_chain_to(other as u8);
+    ctrl.set_treq_sel(if feeds { TreqSel::PIO0_TX0 } else { TreqSel::PERMANENT });
+    ctrl.set_irq_quiet(true);
+    ctrl.0
 }
 
 const PIO_FUNCTION: u8 = 6;
@@ -224,11 +233,35 @@ fn program_is_whole() -> bool {
     })
 }
 
+/// A channel that is at work says so in its control register.
+const BUSY: u32 = 1 << 24;
+
+/// Whether the DMA plays the block that has just begun and clears the ones before: each register is as it was set up, or where it must be. How
+/// far the one channel is follows from the words left, and the other has come to the block.
+#[inline(always)]
+fn dma_follows(blocks: u32) -> bool {
+    let block = RING.0.get() as u32 + (blocks * BLOCK_WORDS) % (RING_TICKS * WORDS) as u32 * 4;
+    let [feed, clear] = [FEED, CLEAR].map(|channel| pac::DMA.ch(channel));
+    let feeds = || {
+        let (at, left) = (feed.read_addr().read(), feed.trans_count().read());
+        let ahead = BLOCK_WORDS.wrapping_sub(left);
+        AHEAD_WORDS.contains(&ahead) && at == block + 4 * ahead
+    };
+    // A word may be fetched between the two readings.
+    (feeds() || feeds())
+        && feed.write_addr().read() == pac::PIO0.txf(0).as_ptr() as u32
+        && clear.read_addr().read() == ZERO.as_ptr() as u32
+        && clear.write_addr().read() == block
+        && CHAIN.into_iter().all(|(channel, other)| {
+            let (of, busy) = (pac::DMA.ch(channel), if channel == FEED { BUSY } else { 0 });
+            of.al1_ctrl().read() == control(channel, other) | busy && of.dbg_tcr().read() == BLOCK_WORDS
+        })
+}
+
 /// Whether PIO and DMA play the block that has just begun: the DMA is where it must be, and the PIO is on, never had to wait
 /// for a word, and has its program and its settings, the clock divider among them.
 fn follows(blocks: u32) -> bool {
-    let ahead = words_between(blocks.wrapping_mul(BLOCK * WORDS as u32), fetched());
-    AHEAD_WORDS.contains(&ahead)
+    dma_follows(blocks)
         && pac::PIO0.fdebug().read().0 & STALLED == 0
         && settings().iter().zip(&SETTINGS).all(|(setting, kept)| *setting == kept.load(SeqCst))
         && program_is_whole()

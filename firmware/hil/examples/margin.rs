@@ -1,5 +1,5 @@
-//! `margin [PATTERNS]`: the time that rendering has left over so many random patterns (200), in each condition; then while strokes
-//! are replaced at full load. `margin 0` does the latter alone.
+//! `margin [PATTERNS]`: the time that rendering has left over so many random patterns (200), in each condition; for starts of all motors after
+//! rests and holds; then while strokes are replaced at full load. `margin 0` does the latter alone.
 //!
 //! Exit 0 if at least half of the time is left in all of them, but for plays that a daemon refuses. Takes minutes.
 
@@ -8,6 +8,9 @@
 #[path = "../tests/hand.rs"]
 #[expect(dead_code, reason = "it is the tests', which use the rest of it")]
 mod hand;
+#[path = "../tests/lower_stop.rs"]
+#[expect(dead_code, reason = "it is the tests', which use the rest of it")]
+mod lower_stop;
 #[path = "../tests/margin.rs"]
 mod margin;
 #[path = "../tests/play.rs"]
@@ -18,7 +21,7 @@ mod random;
 #[path = "../tests/replace_load.rs"]
 mod replace_load;
 
-use margin::{Beside, sweep};
+use margin::{Beside, after_rests, sweep};
 use replace_load::{CONDITIONS, load};
 use std::process::ExitCode;
 use std::thread;
@@ -42,8 +45,10 @@ fn main() -> ExitCode {
     let plays = conditions.map(|&(slow, beside)| -> Run {
         Box::new(move || sweep(slow, beside, 0..patterns) || beside == Beside::BrokenLimit)
     });
+    let starts = [(1.0, false), (1.0, true), (1.1, false), (1.1, true)].into_iter().filter(|_| patterns > 0);
+    let starts = starts.map(|(slow, has_stop)| -> Run { Box::new(move || after_rests(slow, has_stop)) });
     let replaced = CONDITIONS.iter().map(|&condition| -> Run { Box::new(move || load(condition)) });
-    let mut runs: Vec<_> = plays.chain(replaced).collect();
+    let mut runs: Vec<_> = plays.chain(starts).chain(replaced).collect();
     // Two at a time.
     let mut whole = true;
     while !runs.is_empty() {

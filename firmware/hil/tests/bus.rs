@@ -33,8 +33,11 @@ const TAKEN: u64 = 2_000;
 const MANY: usize = 100;
 
 const DEVICE: [u8; 8] = [0x80, 6, 0, 1, 0, 0, 18, 0];
+/// Descriptors of a device that knows high speed, too: the device qualifier, and the configuration at the other speed.
+const QUALIFIER: [u8; 8] = [0x80, 6, 0, 6, 0, 0, 10, 0];
+const OTHER_SPEED: [u8; 8] = [0x80, 6, 0, 7, 0, 0, 9, 0];
 /// Later transfers: in both directions, with and without data, of one packet and of more, known and unknown.
-const TRANSFERS: [(&str, [u8; 8], &[u8]); 8] = [
+const TRANSFERS: [(&str, [u8; 8], &[u8]); 9] = [
     ("device descriptor", DEVICE, &[]),
     ("configuration descriptor", [0x80, 6, 0, 2, 0, 0, 255, 0], &[]),
     ("BOS descriptor", [0x80, 6, 0, 15, 0, 0, 255, 0], &[]),
@@ -42,6 +45,7 @@ const TRANSFERS: [(&str, [u8; 8], &[u8]); 8] = [
     ("line coding", [0x21, 0x20, 0, 0, 0, 0, 7, 0], &[0, 0xc2, 1, 0, 0, 0, 8]),
     ("lines", [0x21, 0x22, 3, 0, 0, 0, 0, 0], &[]),
     ("e-stop", [0x40, b'E', 0, 0, 0, 0, 0, 0], &[]),
+    ("device qualifier", QUALIFIER, &[]),
     ("unknown", [0xc0, b'?', 0, 0, 0, 0, 4, 0], &[]),
 ];
 
@@ -205,6 +209,19 @@ fn a_request_that_comes_while_the_firmware_takes_another_is_answered() {
         chip.bus("abandon").unwrap();
         assert!(answers(&mut chip), "a request is lost, {later} cycles after that of {name}");
     }
+}
+
+#[test]
+fn a_device_of_full_speed_alone_refuses_the_descriptors_of_high_speed() {
+    let mut chip = start();
+    for (setup, answered) in [(QUALIFIER, false), (OTHER_SPEED, false), (DEVICE, true)] {
+        chip.transfers.clear();
+        chip.transfer(setup, &[]).unwrap();
+        chip.run(chip.cycle() + ANSWERED).unwrap();
+        let answers: Vec<_> = chip.transfers.iter().map(Option::is_some).collect();
+        assert_eq!(answers, [answered], "{setup:02x?}");
+    }
+    assert!(answers(&mut chip));
 }
 
 #[test]

@@ -10,17 +10,19 @@ use firmware_protocol::urgent::{Urgent, Watch};
 use meissner_hil::bench::chip::ChipOptions;
 use meissner_hil::rig::Rig;
 use meissner_hil::scenario::pattern;
-use meissner_hil::time::{MS, TICK};
+use meissner_hil::time::MS;
 use meissner_stream::queues::Command;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 
 /// Most cycles from the request's SETUP packet to all lines low, whatever else is on the line.
-pub(crate) const BY_REQUEST: u64 = TICK / 2;
+pub(crate) const BY_REQUEST: u64 = 1_000;
 /// Most cycles from the packet in which the frame ends, if the frame is alone in its packet.
 pub(crate) const BY_FRAME: u64 = 1_750;
 /// The same, if it shares its packet.
-pub(crate) const BY_FRAME_SHARED: u64 = 2 * TICK;
+pub(crate) const BY_FRAME_SHARED: u64 = 3_300;
+/// The promises hold on a core that is slower by so much, too.
+const SLOW: f64 = 1.1;
 /// Tries of each test.
 #[cfg(test)]
 const TRIES: u64 = 12;
@@ -189,7 +191,7 @@ fn reach(rig: &mut Rig, state: State) {
 
 /// Stops a play so many times, prints the cycles and returns the most.
 pub(crate) fn sweep(name: &str, traffic: Traffic, channel: Channel, tries: u64, seed: u64) -> u64 {
-    let mut rig = armed(ChipOptions::new(1));
+    let mut rig = armed(ChipOptions { slow: SLOW, ..ChipOptions::new(1) });
     rig.requests_e_stops = channel == Channel::Request;
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     let mut cycles: Vec<_> =
@@ -223,7 +225,7 @@ fn lines_are_low_soon_after_a_frame_under_full_load() {
 }
 
 #[test]
-fn lines_are_low_within_two_pulse_periods_of_a_frame_anywhere_in_a_packet() {
+fn lines_are_low_soon_after_a_frame_anywhere_in_a_packet() {
     assert!(sweep("full-load", Traffic::Shared, Channel::Frame, TRIES, 3) <= BY_FRAME_SHARED);
 }
 
@@ -232,7 +234,7 @@ fn lines_are_low_within_two_pulse_periods_of_a_frame_anywhere_in_a_packet() {
 const CONTRIVED: u64 = 100;
 
 #[test]
-fn lines_are_low_within_two_pulse_periods_of_a_frame_behind_anything_in_its_packet() {
+fn lines_are_low_soon_after_a_frame_behind_anything_in_its_packet() {
     assert!(sweep("edge-45-paper", Traffic::Contrived, Channel::Frame, CONTRIVED, 6) <= BY_FRAME_SHARED);
 }
 
@@ -241,7 +243,7 @@ fn lines_are_low_within_two_pulse_periods_of_a_frame_behind_anything_in_its_pack
 const SPEEDS: u32 = 15;
 
 #[test]
-fn lines_are_low_within_half_a_pulse_period_of_a_request_right_behind_anything_in_a_packet() {
+fn lines_are_low_soon_after_a_request_right_behind_anything_in_a_packet() {
     use firmware_protocol::urgent::e_stop_request;
     use meissner_hil::bench::Function;
 
@@ -283,11 +285,11 @@ fn lines_are_low_within_half_a_pulse_period_of_a_request_right_behind_anything_i
 }
 
 #[test]
-fn lines_are_low_within_half_a_pulse_period_of_a_request() {
+fn lines_are_low_soon_after_a_request() {
     assert!(sweep("full-load", Traffic::Quiet, Channel::Request, TRIES, 4) <= BY_REQUEST);
 }
 
 #[test]
-fn lines_are_low_within_half_a_pulse_period_of_a_request_behind_a_flood() {
+fn lines_are_low_soon_after_a_request_behind_a_flood() {
     assert!(sweep("full-load", Traffic::Flood(120_000), Channel::Request, TRIES, 5) <= BY_REQUEST);
 }

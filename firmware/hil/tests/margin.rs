@@ -2,15 +2,23 @@
 //!
 //! The example `margin` runs the same over more patterns.
 
-use crate::play::{armed_with, job};
+use crate::lower_stop;
+use crate::play::{armed_with, job, job_of};
 use crate::random::{pattern, taking_turns};
 use firmware_protocol::controller::{BLOCK, HORIZON};
 use firmware_protocol::frame::{MAX_FRAME, encode};
 use firmware_protocol::message::{Cause, HostMessage, State};
+use meissner_array::pattern::Pattern;
+use meissner_array::per_motor::PerMotor;
+use meissner_array::spec::Array;
+use meissner_array::strokes::{StrokeOptions, Strokes};
 use meissner_hil::bench::chip::ChipOptions;
 use meissner_hil::rig::{Faults, Rig, RigOptions};
+use meissner_hil::scenario::pattern as named;
 use meissner_hil::time::MS;
+use meissner_stream::Gains;
 use meissner_stream::queues::{Command, StreamEvent};
+use meissner_test_support::paper::MOTORS;
 
 /// Patterns per condition in a test.
 #[cfg(test)]
@@ -88,6 +96,81 @@ fn least(rig: &mut Rig, number: u64, beside: Beside) -> u64 {
         );
     }
     left
+}
+
+/// How long the pins are still before a start, ms.
+const RESTS: [u64; 4] = [0, 100, 1_000, 10_000];
+
+/// What begins after a rest, for how many seconds it plays, and how many ticks must be left: bursts of all motors, in the same tick. Those of
+/// less than 16 pulses begin and end in the same block, and leave less than half.
+fn starts() -> Vec<(&'static str, Pattern, f64, u64)> {
+    let all = |name, format, table: &str| {
+        let tables: String = (0..MOTORS).map(|motor| format!("[[{table}\nmotor = {motor}\n")).collect();
+        Pattern::parse(&format!("format = {format}\nname = \"{name}\"\n{tables}"), name).unwrap()
+    };
+    let strokes = |um| format!("drive]]\nfrequency_hz = 300.0\nphase = 0.0\namplitude_um = {um}");
+    let hold = "ramp]]\nto_um = 40.0\nrise_s = 0.0\nhold_s = 1.5\nfall_s = 0.0";
+    vec![
+        ("8 um at 300 Hz", all("eight", 1, &strokes(8.0)), 0.05, 22),
+        ("2 um at 300 Hz", all("two", 1, &strokes(2.0)), 0.05, 17),
+        ("0.14 um at 300 Hz", all("least", 1, &strokes(0.14)), 0.05, 9),
+        ("a hold of 1.5 s at 40 um", all("hold", 2, hold), 1.6, 22),
+        ("all-in-phase", named("all-in-phase").unwrap(), 0.05, 22),
+        ("rough-noise", named("motions/rough-noise").unwrap(), 0.3, 16),
+    ]
+}
+
+/// Plays each start after each of the rests, prints the least time left and returns whether it is enough.
+pub(crate) fn after_rests(slow: f64, has_stop: bool) -> bool {
+    let settings = if has_stop { lower_stop::settings() } else { RigOptions::default().settings };
+    let options = RigOptions { settings, ..RigOptions::default() };
+    let mut rig = armed_with(ChipOptions { slow, ..ChipOptions::new(1) }, options);
+    rig.run_to(rig.now() + 150 * MS).unwrap();
+    let mut enough = true;
+    for (name, pattern, seconds, least) in starts() {
+        let surplus = settings.surplus(&PerMotor::all(Array::paper(), Gains::default()));
+        let options = StrokeOptions { surplus, ..StrokeOptions::lasting(seconds) };
+        let strokes = Strokes::new(&pattern, &options).unwrap();
+        for rest in RESTS {
+            rig.chip().unwrap().poke("SLACK_MIN", &HORIZON.to_le_bytes()).unwrap();
+            rig.notices.clear();
+            rig.run_to(rig.now() + rest * MS).unwrap();
+            rig.order(job_of(strokes.clone()));
+            rig.run_to_end(1, (seconds * 1000.0) as u64 + 200).unwrap();
+            let left = rig.chip().unwrap().read("SLACK_MIN", 4).unwrap();
+            let state = rig.tap().status().unwrap().state;
+            let ended = rig.notices.iter().find_map(|notice| match notice {
+                StreamEvent::PlayEnded { outcome, .. } => Some(outcome.bursts),
+                _ => None,
+            });
+            let bursts = ended.unwrap();
+            println!(
+                "core at {:.0} %, {}stop, {name} after {rest} ms: of {TIME} ticks, {left} are left at least; {} of {} bursts \
+                 played, then {state:?}",
+                100.0 / slow,
+                if has_stop { "" } else { "no " },
+                bursts.played,
+                bursts.planned,
+            );
+            assert_eq!(
+                (state, bursts.played),
+                (State::Armed, bursts.planned),
+                "{name} after {rest} ms: {bursts:?}"
+            );
+            enough &= left >= least;
+        }
+    }
+    enough
+}
+
+#[test]
+fn time_is_left_after_rests() {
+    assert!(after_rests(1.1, false));
+}
+
+#[test]
+fn time_is_left_after_rests_at_a_lower_stop() {
+    assert!(after_rests(1.1, true));
 }
 
 /// Plays so many patterns, prints the least time left and returns whether it is half of all.

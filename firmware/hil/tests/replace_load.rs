@@ -35,6 +35,8 @@ pub(crate) enum Replaced {
     TailsByNothing,
     /// The end of what three motors have queued, if these alone play with a lead that fills the pool, 1.1 s.
     ThreeTails,
+    /// The same of one motor, 3.3 s.
+    OneTail,
     /// All that each motor has queued, with a lead of so many ms instead of 100.
     All(u64),
     /// All that each motor has queued, as soon as the device has taken the replacement before.
@@ -45,7 +47,7 @@ pub(crate) enum Replaced {
 pub(crate) type Condition = (f64, Replaced, bool);
 
 /// The conditions whose time left is measured. A core a tenth slower has no time to do more besides the play.
-pub(crate) const CONDITIONS: [Condition; 14] = [
+pub(crate) const CONDITIONS: [Condition; 15] = [
     (1.0, Replaced::Nothing, true),
     (1.1, Replaced::Nothing, true),
     (1.1, Replaced::Motor, true),
@@ -56,6 +58,7 @@ pub(crate) const CONDITIONS: [Condition; 14] = [
     (1.1, Replaced::TailsByNothing, true),
     (1.0, Replaced::TailsByNothing, false),
     (1.1, Replaced::ThreeTails, true),
+    (1.1, Replaced::OneTail, true),
     (1.1, Replaced::All(20), true),
     (1.0, Replaced::All(20), false),
     (1.1, Replaced::Always, true),
@@ -65,7 +68,11 @@ pub(crate) const CONDITIONS: [Condition; 14] = [
 impl Replaced {
     /// The motors that play: the first ones.
     const fn motors(self) -> usize {
-        if matches!(self, Self::ThreeTails) { 3 } else { MOTORS }
+        match self {
+            Self::OneTail => 1,
+            Self::ThreeTails => 3,
+            _ => MOTORS,
+        }
     }
 
     /// Ticks for which strokes are queued.
@@ -75,6 +82,7 @@ impl Replaced {
                 Self::All(ms) => ms,
                 Self::Tails | Self::TailsByNothing => 135,
                 Self::ThreeTails => 1_100,
+                Self::OneTail => 3_300,
                 Self::Nothing | Self::Motor => 100,
                 // Twice as many strokes fit the pool.
                 Self::Always => 60,
@@ -122,6 +130,7 @@ impl Load {
             Replaced::Motor => (1 << (round % MOTORS as u64), now + 10 * TICKS),
             Replaced::Tails | Replaced::TailsByNothing => (ALL, now + 125 * TICKS),
             Replaced::ThreeTails => (0b111, now + 1_090 * TICKS),
+            Replaced::OneTail => (1, now + 3_290 * TICKS),
             Replaced::All(_) | Replaced::Always => (ALL, now + 5 * TICKS),
         };
         let until = now + self.replaced.lead();

@@ -3,7 +3,7 @@
 use crate::play::{armed, job};
 use firmware_protocol::controller::BLOCK;
 use firmware_protocol::message::{Cause, State};
-use meissner_hil::bench::chip::ChipOptions;
+use meissner_hil::bench::chip::{ChipBench, ChipOptions};
 use meissner_hil::scenario::pattern;
 use meissner_hil::time::{MS, TICK};
 use meissner_stream::queues::{Command, StreamEvent};
@@ -83,4 +83,31 @@ fn outputs_that_do_not_follow_are_forced_low_with_a_cause() {
             *most as f64 / MS as f64
         );
     }
+}
+
+/// The DMA's registers, at addresses by which a write flips bits.
+const FLIPS: u32 = 0x5000_1000;
+/// The registers of its two channels that the firmware sets, and how many bits of each can be set: addresses, words, control.
+const REGISTERS: [(u32, u32); 8] =
+    [(0x00, 32), (0x04, 32), (0x08, 32), (0x10, 24), (0x40, 32), (0x44, 32), (0x48, 32), (0x50, 24)];
+
+/// Also of an address that is a word off, or in other memory.
+#[test]
+fn a_flipped_bit_of_the_dma_is_seen_within_a_block() {
+    let mut missed = Vec::new();
+    for (register, bits) in REGISTERS {
+        // The first ones of each, and every fifth.
+        for bit in (0..bits).filter(|bit| *bit < 3 || bit % 5 == 0) {
+            let mut chip = ChipBench::start(&ChipOptions::new(1)).unwrap_or_else(|error| panic!("{error}"));
+            // Phases of the block.
+            chip.run(60 * MS + u64::from(bit) * 1_237).unwrap();
+            assert_eq!(chip.read("FAILED", 1).unwrap(), 0);
+            chip.register(FLIPS + register, 1 << bit).unwrap();
+            chip.run(chip.cycle() + WITHIN * TICK).unwrap();
+            if chip.read("FAILED", 1).unwrap() == 0 {
+                missed.push((register, bit));
+            }
+        }
+    }
+    assert!(missed.is_empty(), "{missed:x?}");
 }

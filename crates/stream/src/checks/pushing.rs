@@ -37,10 +37,12 @@ pub fn find_overpush(strokes: &Strokes, pulses_per_s: u32) -> Option<Overpush> {
         // The count needs its ticks in order.
         ended.sort_unstable();
         for (end, motor, surplus) in ended.drain(..) {
-            pushing.end(end, motor, surplus, surplus);
+            pushing.pass(end);
+            pushing.end(motor, surplus, surplus);
         }
         let surplus = u32::from(step.surplus());
-        if surplus > 0 && pushing.begin(step.begin(), motor, surplus).is_err() {
+        pushing.pass(step.begin());
+        if surplus > 0 && pushing.begin(motor, surplus).is_err() {
             let at_s = array.rate().ticks_to_seconds(step.begin().0);
             return Some(Overpush { motor: step.motor(), at_s });
         }

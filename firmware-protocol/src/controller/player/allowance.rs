@@ -45,8 +45,8 @@ impl Allowance {
     }
 
     /// Whether every motor may push `pulses` more.
-    pub(super) fn allows_pushes(&mut self, now: Tick, pulses: u32) -> bool {
-        self.pushing.allows_all(now, pulses)
+    pub(super) fn allows_pushes(&mut self, pulses: u32) -> bool {
+        self.pushing.allows_all(pulses)
     }
 
     /// The next block begins at `now`. What counts no longer is dropped here, and not when a move begins: after a rest that would be the
@@ -70,71 +70,70 @@ impl Allowance {
     /// Counts the pulses of a burst up, or nothing if a limit refuses them. `back`: the pulses down that the motor, and its rail, need then.
     pub(super) fn begin(
         &mut self,
-        now: Tick,
         motor: usize,
         pulses: u32,
         back: [u32; 2],
         layout: &Layout,
     ) -> Result<(), Refusal> {
-        self.on_time.begin(now, motor, pulses, back, layout)
+        self.on_time.begin(motor, pulses, back, layout)
     }
 
     /// How many pulses the motor may begin, if it and its rail need the pulses `back` then.
-    pub(super) fn room(&mut self, now: Tick, motor: usize, back: [u32; 2], layout: &Layout) -> u32 {
-        self.on_time.room(now, motor, back, layout)
+    pub(super) fn room(&mut self, motor: usize, back: [u32; 2], layout: &Layout) -> u32 {
+        self.on_time.room(motor, back, layout)
     }
 
     /// Counts a burst down.
-    pub(super) fn count(&mut self, now: Tick, motor: usize, pulses: u16) {
-        self.on_time.count(now, motor, pulses.into());
+    pub(super) fn count(&mut self, motor: usize, pulses: u16) {
+        self.on_time.count(motor, pulses.into());
     }
 
     /// The last pulses of a motor were rendered, and not played; so many of them were to push.
-    pub(super) fn take_back(&mut self, now: Tick, motor: usize, pulses: u16, pushes: u16) {
-        self.on_time.take_back(now, motor, pulses);
+    pub(super) fn take_back(&mut self, motor: usize, pulses: u16, pushes: u16) {
+        self.on_time.take_back(motor, pulses);
         if self.has_stop() {
-            self.pushing.take_back(now, motor, pushes);
+            self.pushing.take_back(motor, pushes);
         }
     }
 
     /// Whether a motor may push so many pulses; they count when it does.
-    pub(super) fn may_push(&mut self, now: Tick, motor: usize, pulses: u16) -> Result<(), Refusal> {
-        self.pushing.begin(now, motor, pulses.into())?;
-        self.pushing.end(now, motor, pulses.into(), 0);
+    pub(super) fn may_push(&mut self, motor: usize, pulses: u16) -> Result<(), Refusal> {
+        self.pushing.begin(motor, pulses.into())?;
+        self.pushing.end(motor, pulses.into(), 0);
         Ok(())
     }
 
     /// Counts pulses against the stop at once, unless a limit refuses them.
-    pub(super) fn push(&mut self, now: Tick, motor: usize, pulses: u16) -> Result<(), Refusal> {
-        self.pushing.begin(now, motor, pulses.into())?;
-        self.pushing.end(now, motor, pulses.into(), pulses.into());
+    pub(super) fn push(&mut self, motor: usize, pulses: u16) -> Result<(), Refusal> {
+        self.pushing.begin(motor, pulses.into())?;
+        self.pushing.end(motor, pulses.into(), pulses.into());
         Ok(())
     }
 
     /// How many pulses more a motor may push.
-    pub(super) fn room_to_push(&mut self, now: Tick, motor: usize) -> u32 {
-        self.pushing.room(now, motor)
+    pub(super) fn room_to_push(&mut self, motor: usize) -> u32 {
+        self.pushing.room(motor)
     }
 
     /// Counts pulses of a way down that push.
-    pub(super) fn count_pushes(&mut self, now: Tick, motor: usize, pulses: u16) {
-        self.pushing.count(now, motor, pulses.into());
+    pub(super) fn count_pushes(&mut self, motor: usize, pulses: u16) {
+        self.pushing.count(motor, pulses.into());
     }
 
     /// The surplus, as much of it as the limit on pushing allows. It counts.
-    pub(super) fn pushes(&mut self, now: Tick, motor: usize, surplus: u16) -> u16 {
+    pub(super) fn pushes(&mut self, motor: usize, surplus: u16) -> u16 {
         // Not more than the surplus.
-        self.pushing.begin_some(now, motor, surplus.into()) as u16
+        self.pushing.begin_some(motor, surplus.into()) as u16
     }
 
     /// Ends pulses that were counted, and of which so many were played.
-    pub(super) fn end(&mut self, now: Tick, motor: usize, pulses: u16, played: u16) {
-        self.on_time.end(now, motor, pulses.into(), played.into());
+    pub(super) fn end(&mut self, motor: usize, pulses: u16, played: u16) {
+        self.on_time.end(motor, pulses.into(), played.into());
     }
 
     /// Ends pushes that were counted, and of which so many were played.
     #[inline(never)]
-    pub(super) fn end_pushes(&mut self, now: Tick, motor: usize, pushes: u16, played: u16) {
-        self.pushing.end(now, motor, pushes.into(), played.into());
+    pub(super) fn end_pushes(&mut self, motor: usize, pushes: u16, played: u16) {
+        self.pushing.end(motor, pushes.into(), played.into());
     }
 }

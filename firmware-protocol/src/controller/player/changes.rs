@@ -93,7 +93,16 @@ impl Changes {
 
     /// Ticks from `now` to the next change, while none is overdue.
     pub(super) fn first(&self, now: u32) -> u64 {
-        self.all_waiting().map(|(_, change)| change.wrapping_sub(now)).min().map_or(u64::MAX, u64::from)
+        let mut first = u32::MAX;
+        for (mut waiting, changes) in self.waiting.parts().into_iter().zip(self.at.chunks(32)) {
+            for change in changes {
+                if waiting & 1 == 1 {
+                    first = first.min(change.wrapping_sub(now));
+                }
+                waiting >>= 1;
+            }
+        }
+        if self.waiting.is_empty() { u64::MAX } else { first.into() }
     }
 
     fn all_waiting(&self) -> impl Iterator<Item = (usize, &u32)> {

@@ -120,11 +120,11 @@ impl Player {
 
     /// Every pin counts as `pulses` above rest, and comes down against the lower stop.
     pub(in crate::controller) fn seek(&mut self, pulses: u16) -> Result<(), Refusal> {
-        if !self.allowance.allows_pushes(self.rendered, pulses.into()) {
+        if !self.allowance.allows_pushes(pulses.into()) {
             return Err(Refusal::Pushing);
         }
         for motor in 0..self.layout.motors() {
-            let _ = self.allowance.push(self.rendered, motor, pulses);
+            let _ = self.allowance.push(motor, pulses);
             self.motors[motor].place(pulses, pulses);
         }
         self.bring_down();
@@ -141,10 +141,10 @@ impl Player {
         pushes: u16,
     ) -> Result<(), Refusal> {
         let (now, index) = (self.rendered, usize::from(motor));
-        self.allowance.begin(now, index, pulses.into(), [0; 2], &self.layout)?;
+        self.allowance.begin(index, pulses.into(), [0; 2], &self.layout)?;
         // It counts when it begins.
-        self.allowance.end(now, index, pulses, 0);
-        self.allowance.may_push(now, index, pushes)?;
+        self.allowance.end(index, pulses, 0);
+        self.allowance.may_push(index, pushes)?;
         match direction {
             Direction::Up => self.shifting = Some(Shifting { motor, pulses, end: None }),
             Direction::Down => {
@@ -215,7 +215,7 @@ impl Player {
             for (direction, lines) in [(Direction::Up, run.lines.up), (Direction::Down, run.lines.down)] {
                 for motor in lines.iter().map(usize::from) {
                     let pushes = self.motors[motor].undo(direction, ticks, begin);
-                    self.allowance.take_back(now, motor, ticks, pushes);
+                    self.allowance.take_back(motor, ticks, pushes);
                 }
             }
             let counters = reporting.count();

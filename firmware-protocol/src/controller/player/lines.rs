@@ -146,9 +146,9 @@ impl Player {
     pub(super) fn end(&mut self, motor: usize) {
         let now = self.rendered;
         let Some((ended, played)) = self.motors[motor].end(now) else { return };
-        self.allowance.end(now, motor, ended.pulses, played);
+        self.allowance.end(motor, ended.pulses, played);
         if ended.pushes > 0 {
-            self.allowance.end_pushes(now, motor, ended.pushes, ended.pushed(now.0 as u32));
+            self.allowance.end_pushes(motor, ended.pushes, ended.pushed(now.0 as u32));
         }
         self.still_from = now;
         if ended.end() != now.0 as u32 {
@@ -219,7 +219,7 @@ impl Player {
     /// What a correction of a way up to fewer pulses may be: those that it leaves for the way down push, and are limited.
     #[inline(never)]
     fn without_pushes(&mut self, motor: usize, correction: i16) -> i16 {
-        let room = self.allowance.room_to_push(self.rendered, motor);
+        let room = self.allowance.room_to_push(motor);
         let room = room.saturating_sub(self.motors[motor].left_to_push().into());
         -i16::try_from(room).map_or(-correction, |room| room.min(-correction))
     }
@@ -243,7 +243,7 @@ impl Player {
             self.has_turn(motor)?;
         }
         let back = if self.allowance.limits_on_time() { self.back(motor) } else { [0; 2] };
-        self.allowance.begin(self.rendered, motor, pulses.into(), back, &self.layout)
+        self.allowance.begin(motor, pulses.into(), back, &self.layout)
     }
 
     /// Whether the limits on motors at once allow a way up.
@@ -328,7 +328,7 @@ impl Player {
         let surplus = core::mem::take(&mut of.surplus);
         if correction == 0 && surplus == 0 && of.left_to_push() == 0 {
             of.begin(now, Direction::Down, distance, 0, goal);
-            self.allowance.count(now, motor, distance);
+            self.allowance.count(motor, distance);
             return None;
         }
         self.descend_uneven(motor, distance, correction, surplus);
@@ -341,21 +341,27 @@ impl Player {
         let mut pulses = distance.saturating_add_signed(correction.min(0)).max(distance.min(1));
         let mut pushes = if self.has_stop() { self.motors[motor].pushes(pulses) } else { 0 };
         if pushes > 0 {
-            self.allowance.count_pushes(now, motor, pushes);
+            self.allowance.count_pushes(motor, pushes);
             pulses -= pushes;
         }
         if correction > 0 || surplus > 0 {
-            let back = self.back(motor);
-            let room = self.allowance.room(now, motor, back, &self.layout).saturating_sub(pulses.into());
-            let room = u16::try_from(room).unwrap_or(u16::MAX);
+            let room = if self.allowance.limits_on_time() { self.room(motor, pulses) } else { u16::MAX };
             let more = correction.max(0).cast_unsigned().min(room);
             pulses += more;
-            pushes += self.allowance.pushes(now, motor, surplus.min(room - more));
+            pushes += self.allowance.pushes(motor, surplus.min(room - more));
         }
         if pulses + pushes > 0 {
-            self.allowance.count(now, motor, pulses + pushes);
+            self.allowance.count(motor, pulses + pushes);
             self.motors[motor].begin(now, Direction::Down, pulses + pushes, pushes, goal);
         }
+    }
+
+    /// How many pulses more than `pulses` the motor may begin on its way down.
+    #[inline(never)]
+    fn room(&mut self, motor: usize, pulses: u16) -> u16 {
+        let back = self.back(motor);
+        let room = self.allowance.room(motor, back, &self.layout).saturating_sub(pulses.into());
+        u16::try_from(room).unwrap_or(u16::MAX)
     }
 
     /// Begins the burst up that shifts where the pin rests, or returns when to look again.
@@ -369,7 +375,7 @@ impl Player {
         let shifting = self.shifting.as_mut()?;
         let pulses = shifting.pulses;
         shifting.end = Some(now + u64::from(pulses));
-        self.allowance.count(now, motor, pulses);
+        self.allowance.count(motor, pulses);
         self.motors[motor].begin(now, Direction::Up, pulses, 0, 0);
         None
     }

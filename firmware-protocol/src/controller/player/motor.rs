@@ -218,7 +218,10 @@ impl Motor {
 
     #[inline(never)]
     fn note_uneven(&mut self, uneven: Uneven) {
-        self.uneven.rotate_right(1);
+        // Without a newest one there are none.
+        if self.uneven[0].is_some() {
+            self.uneven.rotate_right(1);
+        }
         self.uneven[0] = Some(uneven);
     }
 
@@ -228,7 +231,9 @@ impl Motor {
         let pauses = now - self.still_since > u64::from(HORIZON);
         for place in &mut self.uneven {
             let ago = |uneven: &Uneven| (now.0 as u32).wrapping_sub(uneven.of.end()).cast_signed();
-            *place = place.filter(|uneven| !pauses && ago(uneven) <= HORIZON.cast_signed());
+            if place.as_ref().is_some_and(|uneven| pauses || ago(uneven) > HORIZON.cast_signed()) {
+                *place = None;
+            }
         }
     }
 

@@ -283,7 +283,9 @@ impl Queues {
             return Poll::Pending;
         };
         let Search { passed: kept, last, .. } = self.search;
-        let at = |slot| self.get(slot).map_or(now, |slot| Tick(now.0.wrapping_add_signed(ahead(slot.tick, now).into())));
+        let at = |slot| {
+            self.get(slot).map_or(now, |slot| Tick(now.0.wrapping_add_signed(ahead(slot.tick, now).into())))
+        };
         let ticks = match kept {
             0 => begun,
             1 => [at(last[0]), begun[0]],
@@ -349,7 +351,8 @@ mod tests {
 
     /// The moves of the queue of motor 1, each with its place.
     fn all(queues: &Queues) -> Vec<(u16, Waiting)> {
-        let heads = core::iter::successors(Some(queues.queues[1].head), |&at| queues.get(at).map(|slot| slot.next));
+        let heads =
+            core::iter::successors(Some(queues.queues[1].head), |&at| queues.get(at).map(|slot| slot.next));
         heads.map_while(|at| Some((at, *queues.get(at)?))).collect()
     }
 
