@@ -85,6 +85,11 @@ impl Commands {
         Ok(receiver)
     }
 
+    /// The ticket of the command that was sent last.
+    pub(super) const fn last_ticket(&self) -> u64 {
+        self.last_ticket
+    }
+
     const fn note(&mut self, command: &Command) {
         if matches!(command, Command::Stop | Command::Disarm | Command::Reset { .. }) {
             self.breaks += 1;
