@@ -254,7 +254,7 @@ fn a_sessions_owner_cannot_keep_a_token_in_the_file() {
         "session-exclusive"
     );
     let path = format!("/v1/tokens/{}", operate.info.id);
-    assert_eq!(refusal(daemon.client().delete::<Value>(&path)).0, "session-exclusive");
+    assert_eq!(refusal(daemon.client().delete(&path)).0, "session-exclusive");
     fs::write(&file, "format = 1\n").unwrap();
     assert_answers(
         &ask(&address, "GET /v1/status", &(bearer(&operate) + "via: 1.1 x\r\n")),
