@@ -37,7 +37,8 @@ fn report(device: &str) -> Value {
 /// The report on a device that answers. If the machine stalls for half a second, the device counts as lost, so the doctor runs
 /// again: on a busy machine many times.
 fn measured(device: &str) -> Value {
-    let again = || Some(report(device)).filter(|report| !report["device"].is_null());
+    let is_whole = |report: &Value| !report["device"]["throughput_bytes_per_s"].is_null();
+    let again = || Some(report(device)).filter(is_whole);
     (0..60).find_map(|_| again()).unwrap_or_else(|| report(device))
 }
 

@@ -1,7 +1,8 @@
 //! The API over TCP: hosts, origins, tokens and roles, floods; without `listen` the daemon does not listen.
 
 use crate::harness::{
-    Daemon, PATIENT, TIMEOUT, assert_accounts, complaint, document, meissner, printed, refusal, wait_until,
+    Daemon, PATIENT, TIMEOUT, assert_accounts, complaint, directory, document, meissner, printed, refusal,
+    wait_until,
 };
 use meissner_api::{MAX_CLIENTS, SessionStarted, Status, TokenCreated};
 use serde_json::{Value, json};
@@ -244,9 +245,12 @@ fn a_token_is_needed_where_the_configuration_says_so() {
     assert!(answer.contains("www-authenticate: Bearer\r\n") && answer.contains("nosniff"), "{answer}");
 }
 
+/// Others do not revoke the owner's token. The daemon's user still shuts out an owner whose token has leaked, by the file.
 #[test]
-fn a_sessions_owner_cannot_keep_a_token_from_being_revoked() {
-    let daemon = listening("");
+fn a_sessions_owner_cannot_keep_a_token_in_the_file() {
+    let dir = directory();
+    let file = dir.path().join("tokens.toml");
+    let daemon = listening(&format!("tokens = {file:?}\n"));
     let address = address(&daemon);
     let operate = create(&daemon, "operate");
     let body = "{\"participant\": \"P07\", \"exclusive\": true}";
@@ -255,7 +259,9 @@ fn a_sessions_owner_cannot_keep_a_token_from_being_revoked() {
         refusal(daemon.client().post::<Value>("/v1/arm", &json!({"assume_rest": true}))).0,
         "session-exclusive"
     );
-    daemon.meissner().args(["token", "revoke", &operate.info.id]).assert().success();
+    let path = format!("/v1/tokens/{}", operate.info.id);
+    assert_eq!(refusal(daemon.client().delete(&path)).0, "session-exclusive");
+    fs::write(&file, "format = 1\n").unwrap();
     assert_answers(
         &ask(&address, "GET /v1/status", &(bearer(&operate) + "via: 1.1 x\r\n")),
         401,

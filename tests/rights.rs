@@ -13,6 +13,7 @@ use serde_json::{Value, json};
 use std::fs;
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
+use std::os::unix::net::UnixStream;
 use std::process::Command;
 use std::sync::Arc;
 use std::thread;
@@ -50,7 +51,7 @@ fn send(address: &str, line: &str, headers: &str, body: &str) -> BufReader<TcpSt
 }
 
 /// The status of an answer, and the problem's code if it is one.
-fn answer(reader: &mut BufReader<TcpStream>) -> (u16, String) {
+fn answer(reader: &mut impl BufRead) -> (u16, String) {
     let (mut line, mut length) = (String::new(), 0);
     reader.read_line(&mut line).unwrap();
     let status = line.split(' ').nth(1).unwrap_or_else(|| panic!("{line:?}")).parse().unwrap();
@@ -135,6 +136,17 @@ fn row(route: Route) -> Row {
     }
 }
 
+/// The answers on the socket to another client in an exclusive session, and to a client whose session is over. Tokens are made and
+/// revoked there alone.
+fn on_socket(route: Route) -> [&'static str; 2] {
+    let [.., foreign, over] = match route {
+        Route::TokenCreate | Route::TokenRevoke => CHANGES,
+        Route::Tokens => MAKES_SAFE,
+        route => row(route),
+    };
+    [foreign, over]
+}
+
 /// A request that the route's handler refuses, or that changes nothing.
 fn line(route: Route) -> String {
     let method = match route.method() {
@@ -181,11 +193,25 @@ fn every_route_asks_for_its_right() {
             let id = running.take().unwrap();
             let _: Session = owner.post(&format!("/v1/sessions/{id}/end"), &json!({})).unwrap();
         }
+        let of_rights = |code: &str| {
+            let rights = ["unauthorized", "forbidden", "session-exclusive", "session-running"];
+            rights.into_iter().find(|right| *right == code).unwrap_or_default()
+        };
         for route in Route::ALL {
             let (status, code) = ask(&address, &line(route), headers, "{\"no-such-key\": 1}");
-            let of_rights = ["unauthorized", "forbidden", "session-exclusive", "session-running"];
-            let code = if of_rights.contains(&code.as_str()) { code } else { String::new() };
-            assert_eq!(code, row(route)[column], "{} with {headers:?}: {status}", line(route));
+            assert_eq!(of_rights(&code), row(route)[column], "{} with {headers:?}: {status}", line(route));
+            // A stream of events does not end.
+            let session =
+                if column == 6 { format!("meissner-session: {}\r\n", over.token) } else { String::new() };
+            if let (5.., true) = (column, route != Route::Events) {
+                let mut stream = UnixStream::connect(daemon.socket()).unwrap();
+                stream.set_read_timeout(Some(TIMEOUT)).unwrap();
+                let head =
+                    format!("{} HTTP/1.1\r\nhost: m\r\n{session}content-length: 18\r\n\r\n", line(route));
+                stream.write_all(format!("{head}{{\"no-such-key\": 1}}").as_bytes()).unwrap();
+                let (status, code) = answer(&mut BufReader::new(stream));
+                assert_eq!(of_rights(&code), on_socket(route)[column - 5], "{head}: {status}");
+            }
         }
     }
 }
@@ -552,6 +578,7 @@ fn a_command_that_waits_keeps_the_motors_armed_until_it_is_killed() {
 #[test]
 fn in_a_dead_owners_session_everybody_stops_and_disarms_at_once() {
     let daemon = listening("");
+    let observe = create(&daemon, Role::Observe);
     let mut events = daemon.client().events().unwrap();
     let mut owner = daemon.armed();
     let started: SessionStarted =
@@ -573,7 +600,6 @@ fn in_a_dead_owners_session_everybody_stops_and_disarms_at_once() {
     wait_until(|| other.get::<Status>("/v1/status").unwrap().state == "disarmed");
     // The owner's own commands are not interventions, and an observer cannot intervene.
     let _: Status = owner.post("/v1/stop", &json!({})).unwrap();
-    let observe = create(&daemon, Role::Observe);
     assert_eq!(ask(&address(&daemon), "POST /v1/stop", &bearer(&observe.token), "{}").1, "forbidden");
     let _: Session = owner.post("/v1/sessions/running/end", &json!({})).unwrap();
     next(&mut events, |event| match event {
@@ -691,4 +717,54 @@ fn a_terminal_whose_session_is_over_says_so_and_is_not_locked() {
     assert!(printed(daemon.meissner().args(["session", "leave"])).contains("no session"));
     command(&daemon, &["session", "end", id]);
     command(&daemon, &play);
+}
+
+/// In an exclusive session only the owner decides who may come over the network, and what starts a play.
+#[test]
+fn a_stranger_on_the_socket_touches_neither_tokens_nor_edges_of_an_exclusive_session() {
+    let daemon = listening("");
+    let address = address(&daemon);
+    let mut stranger = daemon.client();
+    let mut owner = daemon.armed();
+    let its_own = create(&daemon, Role::Operate);
+    let mut events = daemon.client().events().unwrap();
+    // Far ahead, and still within the time of the test.
+    let tick = |client: &mut Client| client.get::<Status>("/v1/status").unwrap().tick.unwrap();
+    let (planned, started) = loop {
+        let planned = tick(&mut owner) + 85 * 3000;
+        let _: Status = stranger.post("/v1/edge", &json!({"at_tick": planned})).unwrap();
+        let started: SessionStarted =
+            owner.post("/v1/sessions", &json!({"participant": "P07", "exclusive": true})).unwrap();
+        owner.set_token(Some(started.token.clone()));
+        if tick(&mut owner) < planned {
+            break (planned, started);
+        }
+        // The machine stood still: the edge has come before the session.
+        let _: Session = owner.post("/v1/sessions/running/end", &json!({})).unwrap();
+        next(&mut events, |event| matches!(event, Event::Edge { .. }).then_some(()));
+    };
+    let make = json!({"role": "operate", "name": "a test"});
+    let (code, status) = refusal(stranger.post("/v1/tokens", &make));
+    assert_eq!((code.as_str(), status), ("session-exclusive", 409));
+    let path = format!("/v1/tokens/{}", its_own.info.id);
+    assert_eq!(refusal(stranger.delete(&path)).0, "session-exclusive");
+    assert_eq!(ask(&address, "GET /v1/status", &bearer(&its_own.token), "").0, 200);
+    let played: Value =
+        owner.post("/v1/play", &json!({"pattern": "pin-60", "seconds": 0.1, "on_edge_ms": 2000})).unwrap();
+    // The first edge that comes is the owner's, later than the stranger's would have been.
+    let _: Status = owner.post("/v1/edge", &json!({"at_tick": planned + 8500})).unwrap();
+    let (at, starts) = next(&mut events, |event| match event {
+        Event::Edge { edge, play, .. } => Some((edge.tick, play)),
+        _ => None,
+    });
+    assert_eq!((at >= planned + 8500, starts), (true, played["id"].as_u64()));
+    let _: Status = owner.post("/v1/stop", &json!({})).unwrap();
+    ended(&mut events);
+    let _: Session = owner.post("/v1/sessions/running/end", &json!({})).unwrap();
+    // The token of a session that is over makes and revokes none, either.
+    owner.set_token(Some(started.token));
+    assert_eq!(refusal(owner.post("/v1/tokens", &make)).0, "session-running");
+    assert_eq!(refusal(owner.delete(&path)).0, "session-running");
+    owner.set_token(None);
+    revoke(&daemon, &its_own);
 }

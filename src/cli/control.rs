@@ -122,7 +122,10 @@ pub(super) fn estop(options: &ClientOptions) -> Result<ExitCode> {
     for (place, answer) in answers {
         match answer {
             Ok(status) => {
-                let state = text::state(&status);
+                let state = match status.estop_off_ms.filter(|_| status.is_connected()) {
+                    Some(ms) => format!("{}: lines off within {ms:.1} ms of the order", text::state(&status)),
+                    None => text::state(&status),
+                };
                 said = said.and(match stopped.is_empty() {
                     true => give(json, &status, || state),
                     false if json => Ok(ExitCode::SUCCESS),

@@ -67,7 +67,7 @@ impl LiveAccount {
         self.record.updates += 1;
         match update.result {
             LiveResult::Merged { .. } => self.record.merged += 1,
-            LiveResult::Applied(Applied { received, replaced, motors, repeats }) => {
+            LiveResult::Applied(Applied { received, replaced, motors, repeats, .. }) => {
                 self.record.applied += 1;
                 self.record.repeats += u64::from(repeats);
                 let since = |tick| rate.ticks_to_ms(tick - received);
@@ -114,6 +114,7 @@ mod tests {
                 replaced: Tick(1_085),
                 motors,
                 repeats: u32::from(number == 7),
+                refused: 0,
             };
             let update = LiveUpdate {
                 result: LiveResult::Applied(applied),

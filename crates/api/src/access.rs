@@ -22,7 +22,7 @@ pub struct Access {
 /// What a route asks of a client's session.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SessionRule {
-    /// Nothing: it reads, makes safe, or is about access tokens. The owner of a session must not keep others from it.
+    /// Nothing: it reads, or makes safe. The owner of a session must not keep others from it.
     Open,
     /// Nobody else's exclusive session runs: it starts a session, also for a client whose last one is over.
     Starts,
@@ -34,7 +34,6 @@ impl Access {
     const READS: Self = Self { role: Role::Observe, local: false, session: SessionRule::Open };
     const CHANGES: Self = Self { role: Role::Operate, local: false, session: SessionRule::Owner };
     const MAKES_SAFE: Self = Self { session: SessionRule::Open, ..Self::CHANGES };
-    const TOKENS: Self = Self { local: true, ..Self::MAKES_SAFE };
 
     /// Of a request that no route takes.
     #[must_use]
@@ -52,7 +51,8 @@ impl Route {
             // Whoever sees a finger hurt may stop.
             Self::EStop => Access { role: Role::Observe, ..Access::MAKES_SAFE },
             Self::SessionStart => Access { session: SessionRule::Starts, ..Access::CHANGES },
-            Self::TokenCreate | Self::Tokens | Self::TokenRevoke => Access::TOKENS,
+            Self::Tokens => Access { local: true, ..Access::MAKES_SAFE },
+            Self::TokenCreate | Self::TokenRevoke => Access { local: true, ..Access::CHANGES },
             Self::Play
             | Self::Sequence
             | Self::Live

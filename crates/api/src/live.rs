@@ -201,6 +201,11 @@ pub struct LiveApplied {
     pub ticks: Vec<Option<u64>>,
     /// How often the device got it too late for some motor, so that it was sent again.
     pub repeats: u32,
+    /// Moves of the play that the device has refused since the answer before: they are not on the pins. The events `refused` say which, and
+    /// why.
+    #[serde(default)]
+    #[schema(required)]
+    pub refused: u64,
 }
 
 /// The daemon's answer to a message: exactly one of the keys besides `seq`.

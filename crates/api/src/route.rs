@@ -329,14 +329,22 @@ impl Route {
                 description: "Nothing is played, and no device is needed. The daemon compiles the sequence as `POST /v1/sequence` does, and \
                               follows the estimate of the drift of a device without telemetry, from level pins on: with the lower stop, the \
                               limit and the calibration that are in use. A study of many plays is one sequence of all its plays. \
-                              It follows ten million strokes.",
+                              It follows ten million strokes. One check is computed at a time, with low priority, and three \
+                              more wait: a further one is `busy`.",
                 body: Body::Json("SequenceRequest"),
                 statuses: OK,
                 answer: Answer::Json("PlanCheck"),
                 errors: &[
                     SENT,
                     &[Code::NotFound, Code::BadPattern, Code::Empty, Code::OtherArray, Code::StaleBoot],
-                    &[Code::TooDense, Code::TooSlow, Code::PushLimit, Code::PowerLimit, Code::Store],
+                    &[
+                        Code::TooDense,
+                        Code::TooSlow,
+                        Code::PushLimit,
+                        Code::PowerLimit,
+                        Code::Store,
+                        Code::Busy,
+                    ],
                     ANY,
                 ],
                 ..Operation::post("/v1/sequence/check")
@@ -377,7 +385,8 @@ impl Route {
                 summary: "Stop at once, switch the motors off and latch the fault",
                 description: "The daemon acts before it reads the body, and passes the command on even if its queue is full, \
                               too many clients are connected or it shuts down. As the first request of a connection it \
-                              waits for no other client. `POST /v1/reset` clears the latch.",
+                              waits for no other client. It answers when the device has confirmed that all lines are off; \
+                              `estop_off_ms` says how long after the order that was. `POST /v1/reset` clears the latch.",
                 body: Body::None,
                 errors: &[&[Code::NoDevice, Code::Timeout], ANY],
                 ..Operation::post("/v1/estop")
@@ -451,7 +460,7 @@ impl Route {
             Self::Edge => Operation {
                 summary: "Make an edge at the trigger input of a simulated array",
                 description: "For tests and pilots: it does what a pulse at the trigger input of a board does. A board refuses it. The event \
-                              `edge` tells of each edge.",
+                              `edge` tells of each edge. An edge to come is withdrawn when its client loses the right to order it.",
                 body: Body::OptionalJson("EdgeRequest"),
                 errors: &[BODY, &[Code::DeviceRefused, Code::QueueFull], COMMAND, ANY],
                 ..Operation::post("/v1/edge")
@@ -765,13 +774,13 @@ impl Route {
             },
             Self::TokenCreate => Operation {
                 summary: "Create an access token for clients that come over the network",
-                description: "Only clients of the Unix socket may do this. The daemon keeps a hash and shows the token once. There are at \
-                              most 100 tokens. A network client sends it as `Authorization: Bearer TOKEN`, and the token of a session \
+                description: "Only clients of the Unix socket may do this, during an exclusive session only its owner. The daemon keeps \
+                              a hash and shows the token once. There are at most 100 tokens. A network client sends it as `Authorization: Bearer TOKEN`, and the token of a session \
                               in the header `Meissner-Session`.",
                 body: Body::Json("TokenRequest"),
                 statuses: &[(201, "Created")],
                 answer: Answer::Json("TokenCreated"),
-                errors: &[&[Code::BadRequest, Code::TooLarge, Code::Slow, Code::Exists, Code::Store], ANY],
+                errors: &[BODY, &[Code::Exists, Code::Store], ANY],
                 ..Operation::post("/v1/tokens")
             },
             Self::Tokens => Operation {
@@ -784,10 +793,10 @@ impl Route {
                 method: Method::Delete,
                 summary: "Revoke an access token",
                 description: "At once it is not valid any more: what its clients have open or waiting ends, also their plays. Only clients \
-                              of the Unix socket may do this.",
+                              of the Unix socket may do this, during an exclusive session only its owner.",
                 parameter: Some("The token's id"),
                 answer: Answer::Json("TokenInfo"),
-                errors: &[&[Code::BadRequest, Code::NotFound, Code::Store], ANY],
+                errors: &[CHANGE, &[Code::NotFound, Code::Store], ANY],
                 ..Operation::get("/v1/tokens/{id}")
             },
             Self::Metrics => Operation {

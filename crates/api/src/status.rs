@@ -264,7 +264,7 @@ pub struct ArmedStatus {
 /// How the daemon and its device stand.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 #[schema(examples(json!({
-    "state": "armed", "cause": "request", "armed": {"by": "ada (uid 1000, pid 4711)", "silence_s": 10.0, "left_s": 7.4}, "estops": 0, "position": "known",
+    "state": "armed", "cause": "request", "armed": {"by": "ada (uid 1000, pid 4711)", "silence_s": 10.0, "left_s": 7.4}, "estops": 0, "estop_off_ms": null, "position": "known",
     "standing": null,
     "device": {
         "kind": "mock", "firmware": "0.1.0", "build": "6d656973", "boot": 305419896, "simulated": true, "telemetry": true, "trigger_input": true
@@ -314,6 +314,10 @@ pub struct Status {
     #[serde(default)]
     #[schema(required)]
     pub estops: u64,
+    /// By when the device had confirmed the last emergency stop, ms after its order: all lines were off by then. Null: it has confirmed none.
+    #[serde(default)]
+    #[schema(required, minimum = 0.0)]
+    pub estop_off_ms: Option<f64>,
     /// Whether the device knows where its pins are: `known` or `unknown`.
     pub position: String,
     /// Pins that stand above rest while nothing drives them; null: none that the daemon knows of.

@@ -23,7 +23,7 @@ const TRIES: usize = 3;
 const TIMEOUT: Duration = Duration::from_millis(1500);
 /// Length of the daemon's line, at most, bytes.
 const MAX_LINE: u64 = 4096;
-/// The daemon's line after the device has confirmed an emergency stop.
+/// The beginning of the daemon's line after the device has confirmed an emergency stop; the rest says when.
 pub const STOPPED: &str = "stopped";
 
 /// Stops at once, switches the motors off and latches the fault; waits for the device's confirmation. A daemon on the network gets the

@@ -41,7 +41,7 @@ pub struct LinkReport {
     pub hello: DeviceHello,
     /// Its round trips.
     pub round_trip: RoundTripStats,
-    /// Bytes per second that it acknowledged; `None` if it answered no frame of the probe.
+    /// Bytes per second that it acknowledged; `None` if it answered no frame of the probe, or the host stood still in every round.
     pub throughput_bytes_per_s: Option<u32>,
     /// Its clock's drift against the host's.
     pub drift: Drift,

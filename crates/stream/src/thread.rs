@@ -113,11 +113,16 @@ impl Loop {
                         self.queues.event(StreamEvent::Disconnected { reason, device: Some(old) });
                     }
                 }
-                Command::Edge(at) => {
+                Command::Edge { at, by } => {
                     let device = self.device.as_mut().ok_or(CommandError::NoDevice);
-                    let result = device.and_then(|device| device.edge(HostInstant::now(), at));
+                    let result = device.and_then(|device| device.edge(HostInstant::now(), at, by));
                     if request.ticket != 0 {
                         self.queues.event(StreamEvent::Answer { ticket: request.ticket, result });
+                    }
+                }
+                Command::WithdrawEdges(by) => {
+                    if let Some(device) = &mut self.device {
+                        device.withdraw_edges(by);
                     }
                 }
                 _ => self.streamer.execute(now, request, &mut self.queues),

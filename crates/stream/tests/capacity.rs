@@ -164,3 +164,41 @@ fn measuring_is_bounded_and_deterministic() {
         assert_eq!(run(), (carried, bytes));
     }
 }
+
+/// The machine stands still at any moment of the measurement, once or again and again. No play is refused by it: what was measured meanwhile
+/// does not count, and the line is measured again when the machine works.
+#[test]
+fn no_stall_in_the_measurement_makes_a_line_slow() {
+    const MS: Duration = Duration::from_millis(1);
+    let fast = Line::default();
+    let uart = Line { bytes_per_s: 11_520, ..fast };
+    // The handshake and the first pings take some 30 ms.
+    for (at, stall) in (0..60).step_by(7).flat_map(|at| [3, 20, 120, 240].map(|stall| (at, stall))) {
+        for (line, again) in [(fast, false), (fast, true), (uart, false), (uart, true)] {
+            let what = format!("{stall} ms after {at} ms of {}, again: {again}", line.bytes_per_s);
+            let mut rig = Rig::new(line, 7);
+            rig.run(at * MS);
+            for _ in 0..if again { 1_000 / stall } else { 1 } {
+                rig.stall(stall * MS);
+                rig.run(MS);
+            }
+            let measured = |rig: &mut Rig| last_snapshot(&rig.take_events()).line_bytes_per_s;
+            if line == fast {
+                rig.run_ms(800);
+                let carried = measured(&mut rig);
+                assert!(carried.is_none_or(|carried| carried > 200_000), "{what}: {carried:?}");
+                rig.arm();
+                let play = rig.start(&all_at(300.0), None);
+                assert_eq!(answer(&rig.take_events(), play), Some(Ok(())), "{what}");
+            } else {
+                // Idle round trips that were held up make it seem a little faster.
+                rig.run_ms(4_000);
+                let carried = measured(&mut rig);
+                assert!(
+                    carried.is_some_and(|carried| (8_000..=20_000).contains(&carried)),
+                    "{what}: {carried:?}"
+                );
+            }
+        }
+    }
+}

@@ -16,7 +16,7 @@ const MS: u64 = 85;
 /// An edge comes so many ticks from now; returns its tick.
 fn edge_in(rig: &mut Rig, ticks: u64) -> Tick {
     let tick = rig.mock.now() + ticks;
-    assert!(rig.mock.edge_at(tick));
+    assert!(rig.mock.edge_at(tick, 0));
     tick
 }
 
@@ -189,7 +189,7 @@ fn an_edge_right_after_the_onset_stops_the_play() {
         rig.run_ms(20);
         let first = edge_in(&mut rig, 0);
         let last = first + DELAY + after;
-        assert!(rig.mock.edge_at(last));
+        assert!(rig.mock.edge_at(last, 0));
         rig.run_ms(600);
         let outcome = rig.outcomes().pop().unwrap();
         let edges = [outcome.started_by, outcome.stopped_by].map(|edge| edge.map(|edge| edge.at.tick));
@@ -272,7 +272,7 @@ fn a_burst_of_edges_counts_one_in_each_dead_time() {
     let mut rig = Rig::armed(Line::default(), 9);
     let first = rig.mock.now() + 100;
     for after in 0..3 * MS {
-        assert!(rig.mock.edge_at(first + after));
+        assert!(rig.mock.edge_at(first + after, 0));
     }
     rig.run_ms(50);
     let found: Vec<_> =
@@ -347,4 +347,21 @@ fn a_device_that_comes_back_plays_nothing_of_a_play_that_waited() {
     let outcome = rig::into_outcomes(events).pop().unwrap();
     assert_eq!((outcome.play.id, &outcome.cause, outcome.onset), (id, &Some(EndCause::Unplugged), None));
     assert_eq!(first_pulse(&mut rig), None);
+}
+
+#[test]
+fn edges_to_come_are_withdrawn_for_one_client_alone() {
+    let mut rig = Rig::armed(Line::default(), 1);
+    let at = [1, 2, 3, 4].map(|ms| rig.mock.now() + 100 * ms * MS);
+    for (number, tick) in (0..).zip(at) {
+        assert!(rig.mock.edge_at(tick, number % 2));
+    }
+    rig.mock.withdraw_edges(1);
+    rig.run_ms(600);
+    let came: Vec<Tick> = edges(&rig.take_events()).iter().map(|(edge, ..)| edge.at.tick).collect();
+    assert_eq!(came, [at[0], at[2]]);
+    let later = rig.mock.now() + MS;
+    assert!(rig.mock.edge_at(later, 1), "it may order others");
+    rig.run_ms(100);
+    assert_eq!(edges(&rig.take_events()).len(), 1);
 }

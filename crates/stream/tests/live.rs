@@ -537,3 +537,46 @@ fn a_pin_that_is_held_for_too_long_comes_down_and_follows_the_next_level() {
     assert_closed(&into_outcomes(live.events).pop().expect("it ended"));
     assert!((known - is).abs() < 2.0, "{known} um where the pin is at {is} um");
 }
+
+/// Levels of all pins as often as clients may send them, evenly and in bunches: the device refuses no move, and the pins end where the last
+/// levels are.
+#[test]
+fn levels_that_come_as_often_as_they_may_lose_no_move() {
+    let array = Array::paper();
+    for (seed, line) in [(1, Line::default()), (2, bad_line())] {
+        for glide_ticks in [0, 425, 1_700] {
+            let mut live = LivePlay::start(line, seed, all(wave(60.0, 0.0, 0.0)));
+            let (mut random, mut wanted) = (Random::new(seed), [0_u16; MOTORS]);
+            for number in 0..500_u32 {
+                let mut motions = all(None);
+                for motor in 0..MOTORS {
+                    wanted[motor] = random.between(0.0, 700.0) as u16;
+                    motions[motor] = Some(LiveMotion::Level { array, pulses: wanted[motor], glide_ticks });
+                }
+                live.number += 1;
+                let update =
+                    LiveUpdate { motions, ..LiveUpdate::new(array, live.id, live.number, live.rig.now()) };
+                live.rig.send(Command::UpdateLive(Box::new(update)));
+                // 500 a second: every 2 ms, and then by chance as far apart on average.
+                let wait = if number < 250 { 2.0 } else { random.between(0.0, 4.0) };
+                live.run(Duration::from_micros((wait * 1e3) as u64));
+            }
+            live.run(100 * MS);
+            let net = bursts_on_the_lines(&live.rig.mock.take_trace()).net;
+            assert_eq!(net, wanted.map(i64::from), "seed {seed}, {glide_ticks} ticks");
+            live.rig.send(Command::EndLive(live.id));
+            live.run(500 * MS);
+            let refused: Vec<_> = live
+                .events
+                .iter()
+                .filter_map(|event| match event {
+                    StreamEvent::StrokeRefused { reason, .. } => Some(format!("{reason:?}")),
+                    _ => None,
+                })
+                .collect();
+            let outcome = into_outcomes(live.events).pop().expect("it ended");
+            assert_closed(&outcome);
+            assert_eq!(outcome.bursts.refused, 0, "seed {seed}, {glide_ticks} ticks: {refused:?}");
+        }
+    }
+}

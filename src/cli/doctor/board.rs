@@ -137,9 +137,13 @@ fn judged(at: &Examined) -> Vec<Finding> {
     let advice = format!("{DIRECT_PORT}, without a hub, and check what else loads the machine");
     let trip = Finding::new("round trip", level, found, advice);
 
-    let line = at
-        .throughput_bytes_per_s
-        .map_or_else(|| Finding::fail("line", "no full frame came through", "check its cable"), line);
+    let line = at.throughput_bytes_per_s.map_or_else(
+        || {
+            let found = "not measured: no full frame came through, or the machine stood still meanwhile";
+            Finding::fail("line", found, "check its cable, end other programs, and run it again")
+        },
+        line,
+    );
 
     let drift = at.drift;
     let found = format!("{:+.1} ppm +- {:.1}, over {:.1} s", drift.ppm, drift.uncertainty_ppm, drift.seconds);

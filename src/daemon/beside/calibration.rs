@@ -6,13 +6,12 @@
 
 use crate::daemon::beside::predictor::Predictor;
 use crate::daemon::engine::Engine;
-use crate::daemon::state::State;
 use crate::daemon::state::stored_calibration::{
     CalibrationRun, StoredCalibration, no_file, read, report, with_other_motors, write,
 };
-use crate::daemon::system::runtime::blocking;
+use crate::daemon::state::{Caller, State, going_on};
 use crate::receipts::refusal;
-use meissner_api::{Code, Event, Problem};
+use meissner_api::{Code, Event, Problem, Route};
 use meissner_input::message::quote;
 use meissner_stream::calibrate::Calibration;
 use meissner_stream::queues::{Command, CommandError};
@@ -63,9 +62,8 @@ impl Engine {
         self: &Arc<Self>,
         new: Calibration,
     ) -> Result<Vec<u8>, Problem> {
-        self.lock().check_asker()?;
         let engine = Arc::clone(self);
-        let used = blocking(move || {
+        let used = self.changing(move || {
             engine.add_calibration(new, |state| {
                 if state.plays.receipts.device().is_none() {
                     return Err(refusal(CommandError::NoDevice));
@@ -166,15 +164,19 @@ impl Engine {
         predictor.compute(move || {
             let fitted = device.ok_or_else(|| "the device is gone: nothing was stored".to_owned());
             let fitted = fitted.and_then(|device| run.fit(&receipt, &device, &identity));
-            engine.store_calibration(id, fitted);
+            engine.store_calibration(id, run.by.as_ref(), fitted);
         });
     }
 
-    /// Stores a calibration, uses it and publishes the result, or publishes why there is none.
-    fn store_calibration(&self, id: u64, fitted: Result<Calibration, String>) {
+    /// Stores a calibration that this client has ordered, uses it and publishes the result, or publishes why there is none.
+    fn store_calibration(&self, id: u64, by: Option<&Caller>, fitted: Result<Calibration, String>) {
+        let still_may = |state: &State| match by {
+            Some(by) => state.check_right(by, going_on(Route::Calibrate.access())).map_err(|no| no.problem),
+            None => Ok(()),
+        };
         let motors = fitted.iter().flat_map(|new| new.motors().iter().map(|fit| fit.motor)).collect();
         let added =
-            fitted.and_then(|new| self.add_calibration(new, |_| Ok(())).map_err(|problem| problem.detail));
+            fitted.and_then(|new| self.add_calibration(new, still_may).map_err(|problem| problem.detail));
         let mut state = self.lock();
         state.calibration.running = None;
         let problem = added.err();

@@ -294,7 +294,12 @@ mod tests {
         }
         let estop = port.pop().unwrap();
         assert!(matches!(estop.command, Command::EStop) && port.pop().is_none(), "one does for both");
+        assert_eq!(engine.estops.switch.confirmed_after(), None);
         port.event(StreamEvent::Answer { ticket: estop.ticket, result: Ok(()) });
+        assert!(
+            engine.estops.switch.confirmed_after().is_some(),
+            "of the first, which the device has confirmed, too"
+        );
         engine.lock().apply(events.pop().unwrap());
         for reply in &mut replies {
             assert_eq!(reply.try_recv(), Ok(Ok(())));

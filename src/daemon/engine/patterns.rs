@@ -1,6 +1,6 @@
 //! The patterns' store in use, and the pattern that a request names.
 //!
-//! Bounds: plays hold two patterns of the directory, other requests two; further requests wait.
+//! Bounds: plays of one pattern hold four patterns of the directory, other plays two, checks one, other requests two; further requests wait.
 
 use crate::daemon::engine::Engine;
 use crate::daemon::system::runtime::Lane;

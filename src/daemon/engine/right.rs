@@ -3,7 +3,9 @@
 //! Invariant: [`Right::check`] checks again at each call; [`Right::ended`] checks whenever a right may have ended.
 
 use crate::daemon::engine::Engine;
-use crate::daemon::state::{Caller, NoRight};
+use crate::daemon::state::{Asker, Caller, NoRight};
+use crate::daemon::system::runtime::blocking;
+use meissner_api::Problem;
 use meissner_api::access::Access;
 use std::future;
 use std::sync::Arc;
@@ -37,6 +39,23 @@ impl Right {
                 return future::pending().await;
             }
         }
+    }
+}
+
+impl Engine {
+    /// Makes a change that waits for a disk, on another thread, if the requesting client still may when its turn has come.
+    pub(in crate::daemon) async fn changing<T: Send + 'static>(
+        self: &Arc<Self>,
+        change: impl FnOnce() -> T + Send + 'static,
+    ) -> Result<T, Problem> {
+        let (engine, asker) = (Arc::clone(self), Asker::find());
+        let work = move || {
+            if let Some(Asker { caller, access, .. }) = asker {
+                engine.lock().check_right(&caller, access).map_err(|no| no.problem)?;
+            }
+            Ok(change())
+        };
+        blocking(work).await?
     }
 }
 

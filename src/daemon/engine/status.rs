@@ -37,6 +37,7 @@ impl Engine {
             cause,
             armed: daemon.armed.status(),
             estops: self.estops.switch.newest(),
+            estop_off_ms: self.estops.switch.confirmed_after().map(|after| after.as_secs_f64() * 1e3),
             position: position.to_owned(),
             standing: snapshot.and_then(|at| standing(at, now)),
             device: receipts.device(),

@@ -18,12 +18,10 @@ const RATE: u32 = 128 << 10;
 const DISCARDED: Duration = Duration::from_millis(100);
 /// How often the daemon checks whether a body is late.
 const LOOK_EVERY: Duration = Duration::from_millis(100);
-/// The place for a body that is larger than any without packed samples: one at a time.
-static PACKED: Semaphore = Semaphore::const_new(1);
-/// Places for large bodies that arrive or are processed: each holds a file, and further ones wait.
-static FILES: Semaphore = Semaphore::const_new(4);
-/// Bodies that wait for a place among them.
-static WAITING: AtomicUsize = AtomicUsize::new(0);
+/// The places for large bodies that are orders.
+pub(in crate::daemon) static ORDERS: Files = Files::new(4);
+/// The places for large bodies of readers: no order waits for them.
+pub(in crate::daemon) static READS: Files = Files::new(1);
 /// How long they wait.
 const FILES_TIMEOUT: Duration = Duration::from_secs(10);
 /// How long a body that is not complete keeps its place while others wait for one.
@@ -53,18 +51,46 @@ fn allowed(length: usize) -> Duration {
 
 /// Reads a body of at most `max` bytes.
 pub(in crate::daemon) async fn read(body: Body, max: usize) -> Result<Vec<u8>, Problem> {
-    collect(body, max, usize::MAX, &mut Places::default()).await
+    collect(body, max, usize::MAX, &ORDERS, &mut Places::default()).await
 }
 
-/// Reads a body as large as a file. A large one takes a place among [`FILES`], and one with packed samples that of [`PACKED`], until the
-/// returned places are dropped.
-pub(in crate::daemon) async fn read_file(body: Body, max: usize) -> Result<(Vec<u8>, Places), Problem> {
+/// Reads a body as large as a file. A large one takes a place `among` these until the returned places are dropped.
+pub(in crate::daemon) async fn read_file(
+    body: Body,
+    max: usize,
+    among: &'static Files,
+) -> Result<(Vec<u8>, Places), Problem> {
     let mut places = Places::default();
-    let bytes = collect(body, max, SMALL, &mut places).await?;
+    let bytes = collect(body, max, SMALL, among, &mut places).await?;
     Ok((bytes, places))
 }
 
-/// A place among [`FILES`].
+/// Places for large bodies that arrive or are processed.
+#[derive(Debug)]
+pub(in crate::daemon) struct Files {
+    /// Each holds a file, and further ones wait.
+    places: Semaphore,
+    /// For a body that is larger than any without packed samples: one at a time.
+    packed: Semaphore,
+    /// Bodies that wait.
+    waiting: AtomicUsize,
+}
+
+impl Files {
+    const fn new(places: usize) -> Self {
+        let [places, packed] = [Semaphore::const_new(places), Semaphore::const_new(1)];
+        Self { places, packed, waiting: AtomicUsize::new(0) }
+    }
+
+    async fn place_among(&self, places: &'static Semaphore) -> Result<Place, Problem> {
+        let busy = || Problem::new(Code::Busy, "too many files are in work: try again in a moment");
+        let _waits = Waits::new(&self.waiting);
+        let place = timeout(FILES_TIMEOUT, places.acquire()).await;
+        place.ok().and_then(Result::ok).ok_or_else(busy)
+    }
+}
+
+/// A place of a large body.
 pub(in crate::daemon) type Place = SemaphorePermit<'static>;
 
 /// The places of a body.
@@ -74,43 +100,42 @@ pub(in crate::daemon) struct Places {
     packed: Option<Place>,
 }
 
-/// Counts a body in [`WAITING`], until it is dropped, for example when the client hangs up.
-struct Waits;
+/// Counts a body that waits, until it is dropped, for example when the client hangs up.
+struct Waits<'a>(&'a AtomicUsize);
 
-impl Waits {
-    fn new() -> Self {
-        WAITING.fetch_add(1, Ordering::Relaxed);
-        Self
+impl<'a> Waits<'a> {
+    fn new(waiting: &'a AtomicUsize) -> Self {
+        waiting.fetch_add(1, Ordering::Relaxed);
+        Self(waiting)
     }
 }
 
-impl Drop for Waits {
+impl Drop for Waits<'_> {
     fn drop(&mut self) {
-        WAITING.fetch_sub(1, Ordering::Relaxed);
+        self.0.fetch_sub(1, Ordering::Relaxed);
     }
 }
 
-/// Waits for a place among [`FILES`].
+/// Waits for a place among those of [`ORDERS`].
 pub(in crate::daemon) async fn file_place() -> Result<Place, Problem> {
-    place_among(&FILES).await
-}
-
-async fn place_among(places: &'static Semaphore) -> Result<Place, Problem> {
-    let busy = || Problem::new(Code::Busy, "too many files are in work: try again in a moment");
-    let _waits = Waits::new();
-    let place = timeout(FILES_TIMEOUT, places.acquire()).await;
-    place.ok().and_then(Result::ok).ok_or_else(busy)
+    ORDERS.place_among(&ORDERS.places).await
 }
 
 /// Reads a body; takes a place when it has more than `small` bytes.
-async fn collect(mut body: Body, max: usize, small: usize, places: &mut Places) -> Result<Vec<u8>, Problem> {
+async fn collect(
+    mut body: Body,
+    max: usize,
+    small: usize,
+    among: &'static Files,
+    places: &mut Places,
+) -> Result<Vec<u8>, Problem> {
     let (mut begun, mut held) = (Instant::now(), None);
     let (mut bytes, mut length) = (Vec::new(), 0);
     loop {
         // A frame that has arrived is taken, even if the daemon reads it late.
         let frame = timeout(LOOK_EVERY, body.frame()).await;
         let Ok(frame) = frame else {
-            let is_wanted = WAITING.load(Ordering::Relaxed) > 0;
+            let is_wanted = among.waiting.load(Ordering::Relaxed) > 0;
             let held_too_long = held.is_some_and(|since: Instant| is_wanted && since.elapsed() >= HELD);
             if held_too_long || begun.elapsed() >= allowed(length) {
                 return Err(slow());
@@ -131,12 +156,12 @@ async fn collect(mut body: Body, max: usize, small: usize, places: &mut Places) 
             return Err(slow());
         }
         let needs = [
-            (length > small && places.file.is_none(), &FILES, &mut places.file),
-            (length > MAX_BODY.max(small) && places.packed.is_none(), &PACKED, &mut places.packed),
+            (length > small && places.file.is_none(), &among.places, &mut places.file),
+            (length > MAX_BODY.max(small) && places.packed.is_none(), &among.packed, &mut places.packed),
         ];
-        for (_, among, place) in needs.into_iter().filter(|(needed, ..)| *needed) {
+        for (_, all, place) in needs.into_iter().filter(|(needed, ..)| *needed) {
             let asked = Instant::now();
-            *place = Some(place_among(among).await?);
+            *place = Some(among.place_among(all).await?);
             // The client does not count as slow while the daemon was busy.
             begun += asked.elapsed();
             held = Some(Instant::now());

@@ -14,9 +14,7 @@ use axum::extract::{Extension, Request, State};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use meissner_api::{Method, Route};
-use meissner_stream::queues::Command;
 use std::sync::Arc;
-use tracing::info;
 
 /// Notes a sign of life of the client; refuses a request that it may not make, and ends a waiting request when the client's right
 /// ends.
@@ -50,13 +48,6 @@ pub(super) async fn guard(
     let waits = route.method() == Method::Get || route == Route::Home;
     tokio::select! {
         answer = answer => answer,
-        NoRight { problem, cause } = right.ended(), if waits => {
-            if route == Route::Home {
-                // Homing moves pins for a client that may no longer do so, so stop it.
-                let _ = app.engine.lock().commands.send_unanswered(Command::Stop);
-                info!("homing was stopped: {cause}");
-            }
-            ErrorResponse(problem).into_response()
-        }
+        NoRight { problem, .. } = right.ended(), if waits => ErrorResponse(problem).into_response(),
     }
 }

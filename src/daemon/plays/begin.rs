@@ -234,6 +234,7 @@ mod tests {
     use super::*;
     use crate::daemon::runtime;
     use crate::daemon::state::Caller;
+    use crate::daemon::system::runtime::{CHECKS, OTHERS, PLAYS, STORED};
     use crate::session_record::{Location, Peer, SessionRecord};
     use crate::store::{Store, Stored};
     use meissner_api::{PlayRequest, Realtime, Route, SessionRequest};
@@ -260,7 +261,7 @@ mod tests {
         let session = SessionRequest { participant: "P07".to_owned(), ..SessionRequest::default() };
         let id = engine.lock().start_session(session, None).unwrap().id;
         let (request, stored) = pin(Some(id));
-        let played = engine.play(&request, stored, Peer::local(1, 0));
+        let played = engine.play(&request, stored, Peer::local(1, 0), &STORED);
         assert_eq!(runtime().unwrap().block_on(played).unwrap_err().code, "timeout");
         let ticket = port.pop().unwrap().ticket;
         port.event(StreamEvent::Answer { ticket, result: Ok(()) });
@@ -285,7 +286,7 @@ mod tests {
         let asker = Asker { caller, access: Route::Play.access(), breaks };
         // A stop comes while the play's body or file is still being read.
         engine.lock().commands.send_unanswered(Command::Stop).unwrap();
-        let played = asker.ask(engine.play(&request, stored, client));
+        let played = asker.ask(engine.play(&request, stored, client, &STORED));
         assert_eq!(runtime().unwrap().block_on(played).unwrap_err().code, "busy");
         assert!(matches!(port.pop().unwrap().command, Command::Stop) && port.pop().is_none());
     }
@@ -308,7 +309,7 @@ mod tests {
         let engine = engine.with(record.clone(), Realtime::default(), PathBuf::new());
         let mut play = || {
             let (request, stored) = pin(None);
-            let played = engine.play(&request, stored, Peer::local(1, 0));
+            let played = engine.play(&request, stored, Peer::local(1, 0), &STORED);
             let problem = runtime().unwrap().block_on(played).unwrap_err();
             (problem.code, port.pop().is_some())
         };
@@ -317,5 +318,32 @@ mod tests {
         record.use_up_plays();
         assert_eq!(play(), ("too-many-plays".to_owned(), false));
         record.close(Duration::from_secs(300));
+    }
+
+    /// Readers, and plays of other sorts, compute without an end, in every place that there is.
+    #[test]
+    fn a_play_of_a_stored_pattern_waits_for_nobody_elses_computation() {
+        let (mut port, commands, _events) = queues().unwrap();
+        let settings = Settings::of(meissner_array::spec::Array::paper());
+        let engine = Engine::new(commands, settings, "mock".to_owned(), None);
+        runtime().unwrap().block_on(async {
+            let (end, ended) = crossbeam_channel::bounded::<()>(0);
+            let mut others = tokio::task::JoinSet::new();
+            for lane in [&CHECKS, &PLAYS, &OTHERS] {
+                for _ in 0..30 {
+                    let ended = ended.clone();
+                    others.spawn(lane.computing(move || assert!(ended.recv().is_err())));
+                }
+            }
+            tokio::task::yield_now().await;
+            let (request, stored) = pin(None);
+            let played = engine.play(&request, stored, Peer::local(1, 0), &STORED);
+            // It reaches the streamer, of which there is none here.
+            assert_eq!(played.await.unwrap_err().code, "timeout");
+            assert!(matches!(port.pop().unwrap().command, Command::Play(_)));
+            assert!(others.try_join_next().is_none(), "they compute");
+            drop(end);
+            while others.join_next().await.is_some() {}
+        });
     }
 }

@@ -5,6 +5,7 @@ use crate::daemon::plays::begin::Compiled;
 use crate::daemon::plays::terms::Terms;
 use crate::daemon::state::State;
 use crate::daemon::state::stored_calibration::{CalibrationRun, no_file};
+use crate::daemon::system::runtime::PLAYS;
 use crate::receipts::refusal;
 use crate::session_record::Peer;
 use crate::store::Stored;
@@ -38,7 +39,7 @@ impl Engine {
         }
         let terms = Terms::from(&request);
         let basis = (settings, Surplus::None, reach);
-        let compiled = Compiled::of_pattern(&request, &terms, stored, basis, client).await?;
+        let compiled = Compiled::of_pattern(&request, &terms, stored, basis, client, &PLAYS).await?;
         // The plan is made anew for each request; the session record needs no text of it.
         let compiled = Compiled { texts: Vec::new(), ..compiled };
         let check = |state: &mut State| {

@@ -12,7 +12,7 @@ use crate::daemon::plays::terms::{Terms, trigger};
 use crate::daemon::state::poses::Poses;
 use crate::daemon::state::render_job::pose;
 use crate::daemon::state::{LivePlay, NewPlay, State};
-use crate::daemon::system::runtime::{PLAYS, computing};
+use crate::daemon::system::runtime::PLAYS;
 use crate::exposure::Vibration;
 use crate::receipts::NoPrediction;
 use crate::session_record::Peer;
@@ -116,7 +116,7 @@ impl Engine {
         Ok(LiveAccepted { id, path })
     }
 
-    /// Solves the contact of an object. Plays do not wait for it. No pin goes above what participants may get.
+    /// Solves the contact of an object. Plays of stored patterns do not wait for it. No pin goes above what participants may get.
     async fn heights(
         &self,
         array: Array,
@@ -125,7 +125,7 @@ impl Engine {
     ) -> Result<Option<Arc<Heights>>, Problem> {
         let Some(object) = object else { return Ok(None) };
         let most_mm = self.lock().most_amplitude_um() / reach.iter().copied().fold(1.0, f64::max) / 1000.0;
-        let made = computing(move || Heights::new(array, &object)).await?;
+        let made = PLAYS.computing(move || Heights::new(array, &object)).await?;
         made.map(|heights| Some(Arc::new(heights.at_most(most_mm))))
             .map_err(|error| Problem::new(Code::BadRequest, error.to_string()))
     }

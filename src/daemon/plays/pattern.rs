@@ -5,7 +5,7 @@ use crate::daemon::plays::begin::{Basis, Compiled};
 use crate::daemon::plays::terms::{Terms, trigger};
 use crate::daemon::state::NewPlay;
 use crate::daemon::state::limits::check_limits;
-use crate::daemon::system::runtime::PLAYS;
+use crate::daemon::system::runtime::Lane;
 use crate::exposure::Vibration;
 use crate::receipts::{NoPrediction, Order, counts, fit, motions, too_slow};
 use crate::session_record::Peer;
@@ -25,10 +25,11 @@ impl Compiled {
         stored: Stored,
         basis: Basis,
         client: Peer,
+        lane: &'static Lane,
     ) -> Result<Self, Problem> {
         let asked = Asked::of(request);
         let receipt = terms.receipt(stored.pattern.name(), &stored.sha256, request.seconds);
-        PLAYS.computing(move || compile(&asked, receipt, stored, basis, client)).await?
+        lane.computing(move || compile(&asked, receipt, stored, basis, client)).await?
     }
 }
 
@@ -180,10 +181,11 @@ impl Engine {
         request: &PlayRequest,
         stored: Stored,
         client: Peer,
+        lane: &'static Lane,
     ) -> Result<PlayAccepted, Problem> {
         let basis = self.compiles_for(request.boot, request.open_loop)?;
         let terms = Terms::from(request);
-        let compiled = Compiled::of_pattern(request, &terms, stored, basis, client).await?;
+        let compiled = Compiled::of_pattern(request, &terms, stored, basis, client, lane).await?;
         let session = request.session.as_deref();
         self.begin(&terms, compiled, |state| state.check_before_play(session), |_, _| {}).await
     }

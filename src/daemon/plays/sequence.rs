@@ -11,7 +11,7 @@ use crate::daemon::plays::pattern::{hold, largest_um};
 use crate::daemon::plays::terms::{Terms, trigger};
 use crate::daemon::state::limits::check_limits;
 use crate::daemon::state::{NewPlay, check_samples};
-use crate::daemon::system::runtime::{PLAYS, computing};
+use crate::daemon::system::runtime::{CHECKS, Lane, PLAYS};
 use crate::receipts::{BLANK, NoPrediction, Order, PlannedItem, motions, motions_of_items, too_slow, walk};
 use crate::session_record::Peer;
 use crate::store::{MappedFrom, Stored, hash};
@@ -69,6 +69,7 @@ impl Compiled {
         terms: &Terms,
         (settings, surplus, reach): Basis,
         client: Peer,
+        lane: &'static Lane,
         find: impl Fn(String, Option<String>) -> F,
     ) -> Result<Self, Problem> {
         let mut preparing = Preparing {
@@ -117,7 +118,7 @@ impl Compiled {
                 let found = find(name.to_owned(), item.pattern_sha256.clone()).await;
                 let (stored, _place) = found.map_err(at)?;
                 let map = request.map;
-                let on = PLAYS.computing(move || stored.on(settings.array, map)).await?;
+                let on = lane.computing(move || stored.on(settings.array, map)).await?;
                 let (stored, mapped) = on.map_err(|error| at(error.into()))?;
                 memory.push((stored.sha256.clone(), stored.pattern.motion_bytes()));
                 check_samples(memory.iter().map(|(_, bytes)| bytes).sum())?;
@@ -132,7 +133,7 @@ impl Compiled {
                     held += stored.text.len();
                     texts.push((stored.sha256.clone(), Arc::clone(&stored.text)));
                 }
-                let (back, compiled) = PLAYS
+                let (back, compiled) = lane
                     .computing(move || {
                         let compiled = preparing.compile(&stored, &items, &settings);
                         (preparing, compiled)
@@ -163,7 +164,7 @@ impl Compiled {
             planned.push(PlannedItem { pattern, sha256, scale, amplitude_um, span: (0, 0) });
         }
         // Adding an item takes a while for a pattern with many drives.
-        let (preparing, added) = PLAYS
+        let (preparing, added) = lane
             .computing(move || {
                 let mut items = placed.into_iter().enumerate();
                 let added = items.try_for_each(|(number, (compiled, seconds, start))| {
@@ -201,7 +202,7 @@ impl Compiled {
             .ok_or_else(|| Problem::new(Code::BadRequest, "`items` is empty: add an item"))?;
         check_triggers(&strokes, &items, rate)?;
         let hold_ms = request.hold_ms;
-        let (fits, bandwidth, hold, counts, strokes) = PLAYS
+        let (fits, bandwidth, hold, counts, strokes) = lane
             .computing(move || {
                 let bandwidth = Bandwidth::of(&strokes, &settings).max(bandwidth);
                 let fits = check_limits(&strokes, &settings);
@@ -366,12 +367,13 @@ impl Engine {
             (state.gains(), state.calibration.in_use().is_some())
         };
         let settings = basis.0;
-        let compiled = Compiled::of_sequence(request, &Terms::from(request), basis, client, find).await?;
+        let compiled =
+            Compiled::of_sequence(request, &Terms::from(request), basis, client, &CHECKS, find).await?;
         let Source::Compiled(strokes) = compiled.strokes else {
             return Err(Problem::new(Code::BadRequest, "internal error: a sequence is not live"));
         };
         let (rate, end) = (settings.array.rate(), strokes.end().unwrap_or(0));
-        let drift = computing(move || forecast_drift(*strokes, &settings, &gains)).await?;
+        let drift = CHECKS.computing(move || forecast_drift(*strokes, &settings, &gains)).await?;
         let Drift { um, motor, stopped_at, followed_until } =
             drift.map_err(|error| Problem::new(Code::BadRequest, error.to_string()))?;
         let planned = compiled.new.items.unwrap_or_default();
@@ -402,7 +404,7 @@ impl Engine {
     ) -> Result<PlayAccepted, Problem> {
         let basis = self.compiles_for(request.boot, request.open_loop)?;
         let terms = Terms::from(request);
-        let compiled = Compiled::of_sequence(request, &terms, basis, client, find).await?;
+        let compiled = Compiled::of_sequence(request, &terms, basis, client, &PLAYS, find).await?;
         let session = request.session.as_deref();
         self.begin(&terms, compiled, |state| state.check_before_play(session), |_, _| {}).await
     }

@@ -58,6 +58,11 @@ impl Caller {
         self.session.as_deref()
     }
 
+    /// Whether this caller may do what the other may: it acts under the same tokens.
+    pub(super) fn has_rights_of(&self, other: &Self) -> bool {
+        (self.access, &self.session) == (other.access, &other.session)
+    }
+
     /// Whether a request of this caller is a sign of life of the other: it is the same client, or shows the same session.
     pub(super) fn is_same(&self, other: &Self) -> bool {
         self.client == other.client || self.session.is_some() && self.session == other.session

@@ -85,7 +85,7 @@ impl Commands {
         Ok(receiver)
     }
 
-    /// The ticket of the last command that waits for its answer.
+    /// The ticket of the command that was sent last.
     pub(super) const fn last_ticket(&self) -> u64 {
         self.last_ticket
     }

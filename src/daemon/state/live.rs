@@ -343,9 +343,10 @@ fn over() -> Problem {
 fn answer(update: &LiveUpdate) -> LiveAnswer {
     let seq = Some(update.number);
     match update.result {
-        LiveResult::Applied(Applied { received, replaced, motors, repeats }) => {
+        LiveResult::Applied(Applied { received, replaced, motors, repeats, refused }) => {
             let ticks = motors.iter().map(|tick| tick.map(|tick| tick.0)).collect();
-            let applied = LiveApplied { received_tick: received.0, from_tick: replaced.0, ticks, repeats };
+            let (received_tick, from_tick) = (received.0, replaced.0);
+            let applied = LiveApplied { received_tick, from_tick, ticks, repeats, refused };
             LiveAnswer { seq, applied: Some(applied), ..LiveAnswer::default() }
         }
         LiveResult::Merged { into } => LiveAnswer { seq, merged_into: Some(into), ..LiveAnswer::default() },

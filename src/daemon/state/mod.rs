@@ -77,19 +77,26 @@ pub(super) struct State {
 
 impl State {
     /// Sends a command, for the play of that id if it is about one.
-    pub(super) fn send(&mut self, command: Command, play: Option<u64>) -> Result<Reply, Problem> {
+    pub(super) fn send(&mut self, mut command: Command, play: Option<u64>) -> Result<Reply, Problem> {
         self.check_asker()?;
         self.commands.accepts(&command)?;
         self.forget_unanswered();
         let held = self.hold_homing(&command)?;
-        match command {
+        let caller = Asker::find().map(|asker| asker.caller);
+        let homes = caller.clone().filter(|_| matches!(command, Command::Home));
+        match &mut command {
             Command::Arm { .. } | Command::ArmUnchecked => self.connection.armed_once = true,
-            Command::Home => self.moves(Asker::find().map(|asker| asker.caller)),
+            Command::Home => self.moves(caller),
+            Command::Edge { by, .. } => *by = caller.map_or(0, |caller| self.rights.edges_of(caller)),
             _ => {}
         }
         let sent = self.commands.send(command, play);
         self.begin_homing(held, sent.is_ok());
-        sent
+        let reply = sent?;
+        if let Some(caller) = homes {
+            self.rights.set_homing(self.commands.last_ticket(), caller);
+        }
+        Ok(reply)
     }
 
     /// Applies an event of the streamer. Returns the API's event, and whether the log needs it.
@@ -103,6 +110,7 @@ impl State {
         let mut event = match &streamed {
             StreamEvent::Answer { ticket, result } => {
                 self.end_homing(*ticket);
+                self.rights.answered(*ticket);
                 let play = self.commands.answer(*ticket, *result);
                 play.and_then(|id| self.settle_play(id, result.is_ok()))
             }

@@ -1,10 +1,10 @@
 //! Rights of clients. They are checked at each use, and when one ends, the plays and searches that it allowed end, too.
 //!
-//! Work that outlives its request holds the request's [`Caller`]: plays and searches here, and event streams, live connections and
-//! waiting requests through [`Right`](crate::daemon::engine::right::Right). A right ends in three cases: its access token is revoked or
-//! gets a lesser role; the owner of an exclusive session comes back after others were allowed to act; or the session that the
-//! caller shows is over. Then [`State::rights_changed`] ends plays and searches, and wakes the others, which check their rights
-//! again.
+//! Work that outlives its request holds the request's [`Caller`]: plays, edges to come, homing and searches here, and event streams,
+//! live connections and waiting requests through [`Right`](crate::daemon::engine::right::Right). A right ends in four cases: its access
+//! token is revoked or gets a lesser role; an exclusive session begins; its owner comes back after others were allowed to act; or
+//! the session that the caller shows is over. Then [`State::rights_changed`] ends the work here, and wakes the others, which check
+//! their rights again.
 //!
 //! Invariant: no caller stores the answer of [`State::check_right`].
 
@@ -19,6 +19,7 @@ use meissner_stream::queues::Command;
 use std::collections::HashMap;
 use std::sync::Arc;
 use tokio::sync::watch;
+use tracing::info;
 
 /// See the module.
 #[derive(Debug)]
@@ -26,13 +27,19 @@ pub(in crate::daemon) struct Rights {
     tokens: Arc<TokenStore>,
     /// For each play that is not over, the client by whose right it was ordered.
     plays: HashMap<u64, Caller>,
+    /// The clients that have ordered edges of a simulated array, and may still order some.
+    edges: Vec<(u64, Caller)>,
+    last_edges: u64,
+    /// The ticket of the homing under way, and the client that has ordered it.
+    homing: Option<(u64, Caller)>,
     changed: watch::Sender<()>,
 }
 
 impl Default for Rights {
     fn default() -> Self {
         let tokens = Arc::new(TokenStore::open(None));
-        Self { tokens, plays: HashMap::new(), changed: watch::Sender::new(()) }
+        let (plays, edges, last_edges, homing) = Default::default();
+        Self { tokens, plays, edges, last_edges, homing, changed: watch::Sender::new(()) }
     }
 }
 
@@ -61,6 +68,26 @@ impl Rights {
         if let Some(Asker { caller, .. }) = Asker::find() {
             self.plays.insert(id, caller);
         }
+    }
+
+    /// The number by which the edges of a client can be withdrawn: the same for all with its rights.
+    pub(super) fn edges_of(&mut self, caller: Caller) -> u64 {
+        if let Some((number, _)) = self.edges.iter().find(|(_, by)| by.has_rights_of(&caller)) {
+            return *number;
+        }
+        self.last_edges += 1;
+        self.edges.push((self.last_edges, caller));
+        self.last_edges
+    }
+
+    /// Notes that homing is about to begin for a client.
+    pub(super) fn set_homing(&mut self, ticket: u64, caller: Caller) {
+        self.homing = Some((ticket, caller));
+    }
+
+    /// Notes that the command of this ticket was answered.
+    pub(super) fn answered(&mut self, ticket: u64) {
+        self.homing.take_if(|(of, _)| *of == ticket);
     }
 
     /// Forgets a play that is over, or was not accepted.
@@ -129,29 +156,163 @@ impl State {
         }
     }
 
-    /// Call this when a right may have ended: ends the plays and searches that it had allowed.
+    /// Call this when a right may have ended: ends the work that it had allowed.
     pub(in crate::daemon) fn rights_changed(&mut self) {
         self.end_forbidden();
         self.rights.changed.send_replace(());
     }
 
-    /// Ends the plays and the search of clients that may not order them any more.
+    /// Ends the plays, the edges to come, the homing and the search of clients that may not order them any more. What does not fit
+    /// into the queue of commands is tried again with the streamer's next report.
     pub(super) fn end_forbidden(&mut self) {
         let needs = going_on(Route::Play.access());
         let forbidden = |caller: &Caller| self.check_right(caller, needs).err().map(|no| no.cause.clone());
         let plays: Vec<_> =
             self.rights.plays.iter().filter_map(|(&id, caller)| Some((id, forbidden(caller)?))).collect();
         let ends_search = self.searches.caller().and_then(forbidden).is_some();
+        let stops_homing = self.rights.homing.as_ref().and_then(|(_, caller)| forbidden(caller));
+        let orders = Route::Edge.access();
+        let lost = |(_, caller): &&(u64, Caller)| self.check_right(caller, orders).is_err();
+        let edges: Vec<u64> = self.rights.edges.iter().filter(lost).map(|(number, _)| *number).collect();
         for (id, cause) in plays {
             self.cancel_play(id, cause);
         }
         if ends_search {
             self.cancel_running_search();
         }
+        if let Some(cause) = stops_homing
+            && self.commands.send_unanswered(Command::Stop).is_ok()
+        {
+            self.rights.homing = None;
+            info!("homing was stopped: {cause}");
+        }
+        for number in edges {
+            if self.commands.send_unanswered(Command::WithdrawEdges(number)).is_ok() {
+                self.rights.edges.retain(|(of, _)| *of != number);
+            }
+        }
     }
 
     /// Ends a play for this cause. If too many commands wait, the streamer's next report orders it again.
     pub(in crate::daemon) fn cancel_play(&mut self, id: u64, cause: EndCause) {
         let _ = self.commands.send_unanswered(Command::Cancel { id, cause });
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::daemon::engine::Engine;
+    use crate::daemon::runtime;
+    use crate::daemon::system::runtime::blocking;
+    use crate::session_record::Peer;
+    use meissner_api::{Session, SessionRequest};
+    use meissner_array::spec::Array;
+    use meissner_stream::Settings;
+    use meissner_stream::queues::{At, StreamEvent, ThreadQueues, queues};
+    use std::future::ready;
+    use std::pin::pin;
+    use std::sync::mpsc;
+    use std::time::Duration;
+
+    fn engine() -> (Arc<Engine>, ThreadQueues) {
+        let (port, commands, events) = queues().unwrap();
+        // The events of the streamer are passed on by the tests.
+        drop(events);
+        let engine = Engine::new(commands, Settings::of(Array::paper()), "mock".to_owned(), None);
+        engine.lock().sessions.set_silence(Duration::from_secs(3600));
+        (Arc::new(engine), port)
+    }
+
+    /// A client that shows this session token.
+    fn client(session: Option<&str>) -> Caller {
+        Caller::new(Peer::local(1, 0), None, session, None)
+    }
+
+    fn asker(caller: Caller, route: Route) -> Asker {
+        Asker { caller, access: route.access(), breaks: 0 }
+    }
+
+    /// Sends a command for a client, which then hangs up.
+    fn order(engine: &Engine, caller: Caller, route: Route, command: Command) {
+        let sent = asker(caller, route).ask(async { engine.send(command).map(drop) });
+        runtime().unwrap().block_on(sent).unwrap();
+    }
+
+    fn exclusive(engine: &Engine) -> String {
+        let request =
+            SessionRequest { participant: "P07".to_owned(), exclusive: true, ..SessionRequest::default() };
+        engine.lock().start_session(request, None).unwrap().token
+    }
+
+    fn commands(port: &mut ThreadQueues) -> Vec<String> {
+        std::iter::from_fn(|| port.pop()).map(|request| format!("{:?}", request.command)).collect()
+    }
+
+    #[test]
+    fn edges_to_come_are_withdrawn_with_the_right_of_who_ordered_them() {
+        let (engine, mut port) = engine();
+        let edge = |caller| order(&engine, caller, Route::Edge, Command::Edge { at: At::After(1), by: 0 });
+        edge(client(None));
+        edge(client(None));
+        let token = exclusive(&engine);
+        edge(client(Some(&token)));
+        let sent = commands(&mut port);
+        let [one, two] = [1, 2].map(|by| format!("{:?}", Command::Edge { at: At::After(1), by }));
+        assert_eq!(sent, [one.clone(), one, "WithdrawEdges(1)".to_owned(), two]);
+        // Each is withdrawn once; those of the owner when its session is over.
+        engine.lock().rights_changed();
+        assert_eq!(commands(&mut port), Vec::<String>::new());
+        let ended: Session = engine.lock().close_session("request").unwrap();
+        assert_eq!(ended.participant, "P07");
+        assert_eq!(commands(&mut port), ["WithdrawEdges(2)"]);
+    }
+
+    /// Also when the client has hung up meanwhile.
+    #[test]
+    fn homing_is_stopped_with_the_right_of_who_ordered_it() {
+        let (engine, mut port) = engine();
+        order(&engine, client(None), Route::Home, Command::Home);
+        let token = exclusive(&engine);
+        assert_eq!(commands(&mut port), ["Home", "Stop"]);
+        order(&engine, client(Some(&token)), Route::Home, Command::Home);
+        engine.lock().rights_changed();
+        let home = port.pop().unwrap();
+        assert!(matches!(home.command, Command::Home) && port.pop().is_none(), "the owner's goes on");
+        // What is over is not stopped.
+        engine.lock().apply(StreamEvent::Answer { ticket: home.ticket, result: Ok(()) });
+        engine.lock().close_session("request").unwrap();
+        exclusive(&engine);
+        assert_eq!(commands(&mut port), Vec::<String>::new());
+    }
+
+    #[test]
+    fn a_change_that_waits_for_the_disk_asks_again_when_its_turn_comes() {
+        let (engine, _port) = engine();
+        runtime().unwrap().block_on(async {
+            let (end, ended) = crossbeam_channel::bounded::<()>(0);
+            let stuck = || {
+                let ended = ended.clone();
+                blocking(move || assert!(ended.recv().is_err()))
+            };
+            // All threads for disks are taken.
+            let readers: Vec<_> = (0..8).map(|_| tokio::spawn(stuck())).collect();
+            tokio::task::yield_now().await;
+            let (changed, changes) = mpsc::channel();
+            let change = engine.changing(move || changed.send(()).unwrap());
+            let mut change = pin!(asker(client(None), Route::Import).ask(change));
+            tokio::select! {
+                biased;
+                _ = &mut change => panic!("it waits"),
+                () = ready(()) => {}
+            }
+            exclusive(&engine);
+            drop(end);
+            assert_eq!(change.await.unwrap_err().code, "session-exclusive");
+            assert!(changes.recv().is_err(), "nothing was changed");
+            for reader in readers {
+                reader.await.unwrap().unwrap();
+            }
+        });
     }
 }

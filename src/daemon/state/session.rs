@@ -194,6 +194,7 @@ impl State {
         (session.ended, session.reason) = (Some(local_time()), Some(reason.to_owned()));
         session.release_in_s = None;
         self.sessions.running = None;
+        self.rights_changed();
         self.publish(&Event::SessionEnded { session: Box::new(session.clone()) });
         Some(session)
     }

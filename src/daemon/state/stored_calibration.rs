@@ -5,6 +5,7 @@
 //!
 //! Invariant: the file is replaced atomically.
 
+use crate::daemon::state::{Asker, Caller};
 use crate::file::{self, read_regular};
 use crate::session_record::utc_now;
 use firmware_protocol::stroke::Direction;
@@ -36,13 +37,15 @@ pub(in crate::daemon) fn no_file() -> Problem {
 #[derive(Debug)]
 pub(in crate::daemon) struct CalibrationRun {
     pub(in crate::daemon) id: u64,
+    /// The client that has ordered it.
+    pub(in crate::daemon) by: Option<Caller>,
     plan: Plan,
     bursts: Vec<MeasuredBurst>,
 }
 
 impl CalibrationRun {
     pub(in crate::daemon) fn new(id: u64, plan: Plan) -> Self {
-        Self { id, plan, bursts: Vec::new() }
+        Self { id, by: Asker::find().map(|asker| asker.caller), plan, bursts: Vec::new() }
     }
 
     pub(in crate::daemon) fn add(&mut self, burst: MeasuredBurst) {
@@ -53,8 +56,8 @@ impl CalibrationRun {
 
     /// Takes the measured bursts; the rest stays, so that other plays are still refused.
     pub(in crate::daemon) fn take(&mut self) -> Self {
-        let Self { id, plan, bursts } = self;
-        Self { id: *id, plan: plan.clone(), bursts: std::mem::take(bursts) }
+        let Self { id, by, plan, bursts } = self;
+        Self { id: *id, by: by.clone(), plan: plan.clone(), bursts: std::mem::take(bursts) }
     }
 
     /// Fits a plan that was played on this device.

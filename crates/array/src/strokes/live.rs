@@ -16,7 +16,10 @@ use firmware_protocol::array::MotorSet;
 use firmware_protocol::moves::Move;
 use firmware_protocol::tick::Tick;
 
-/// The steps of a glide, ms: the motor averages over twice as long.
+/// The steps of a glide, ms: the motor averages over twice as long. Also the moves of one glide and the next are so far apart: however
+/// often a level changes, the device takes the moves of all motors ([`Layout::max_dense`]).
+///
+/// [`Layout::max_dense`]: firmware_protocol::array::Layout::max_dense
 const GLIDE_STEP_MS: u64 = 2;
 
 /// What a motor of a live play does.
@@ -62,11 +65,13 @@ struct Glide {
     moves: u64,
     apart: u64,
     next: u64,
+    /// When the last move before it begins.
+    before: Tick,
 }
 
 impl Glide {
     /// At rest.
-    const REST: Self = Self { begin: Tick(0), from: 0, to: 0, moves: 0, apart: 1, next: 0 };
+    const REST: Self = Self { begin: Tick(0), from: 0, to: 0, moves: 0, apart: 1, next: 0, before: Tick(0) };
 
     fn new(array: Array, begin: Tick, from: u16, to: u16, glide_ticks: u32) -> Self {
         let step = array.rate().of_ms(GLIDE_STEP_MS);
@@ -81,7 +86,7 @@ impl Glide {
         };
         // Few pulses take as long in fewer steps.
         let apart = if moves > 1 { (ticks / moves).max(step) } else { step };
-        Self { begin, from, to, moves, apart, next: 0 }
+        Self { begin, from, to, moves, apart, next: 0, before: Tick(0) }
     }
 
     /// The level after so many of its moves.
@@ -99,6 +104,12 @@ impl Glide {
         let level = self.level(begun);
         let Some(last) = begun.checked_sub(1) else { return (level, tick) };
         (level, tick.max(self.begin + (last * self.apart + u64::from(level.abs_diff(self.level(last))))))
+    }
+
+    /// When the last move before `tick` begins, its own or one before it.
+    fn last_before(&self, tick: Tick) -> Tick {
+        let begun = (tick.max(self.begin) - self.begin).div_ceil(self.apart).min(self.moves);
+        begun.checked_sub(1).map_or(self.before, |last| self.begin + last * self.apart)
     }
 
     /// When its next move begins.
@@ -187,10 +198,11 @@ impl LiveMotor {
     fn changed(&self, motion: LiveMotion, from: Tick) -> (Self, Tick) {
         let array = motion.array();
         let vibrates = matches!(self.motion, LiveMotion::Wave(_));
-        let (level, from) = self.glide.at(from);
+        let last = self.glide.last_before(from);
+        let (level, from) = self.glide.at(from.max(last + array.rate().of_ms(GLIDE_STEP_MS)));
         match motion {
             LiveMotion::Wave(wave) if level > 0 => {
-                let glide = Glide::new(array, from, level, 0, 0);
+                let glide = Glide { before: last, ..Glide::new(array, from, level, 0, 0) };
                 // The third of three moves begins a millisecond after the first.
                 let down = from + u64::from(level).max(array.rate().of_ms(1));
                 (Self { motion, glide, oscillator: self.oscillator.changed(wave, down) }, from)
@@ -198,7 +210,7 @@ impl LiveMotor {
             LiveMotion::Wave(wave) => {
                 let oscillator = self.oscillator.changed(wave, from);
                 let begin = oscillator.up(oscillator.next);
-                (Self { motion, glide: Glide::REST, oscillator }, begin)
+                (Self { motion, glide: Glide { before: last, ..Glide::REST }, oscillator }, begin)
             }
             LiveMotion::Level { pulses, glide_ticks, .. } => {
                 // What goes up before that comes down again by itself.
@@ -207,7 +219,7 @@ impl LiveMotor {
                 } else {
                     from
                 };
-                let glide = Glide::new(array, begin, level, pulses, glide_ticks);
+                let glide = Glide { before: last, ..Glide::new(array, begin, level, pulses, glide_ticks) };
                 (Self { motion, glide, oscillator: self.oscillator }, begin)
             }
         }
@@ -468,6 +480,39 @@ mod tests {
                 let from = strokes.replace(3, motion, now);
                 prop_assert!(from >= now && from >= busy);
             }
+        }
+    }
+
+    proptest! {
+        /// The device takes them then: each begins a millisecond after the last but one before it, and at most eight in 10 ms.
+        #[test]
+        fn moves_are_no_denser_than_the_device_takes_them_however_often_the_motion_changes(
+            changes in prop::collection::vec((1_u64..400, 0_u8..6, 0_u16..700), 1..120),
+        ) {
+            let array = Array::paper();
+            let mut strokes = live(wave(60.0, 0.0, 0.0));
+            let (mut from, mut begun) = (ONSET, Vec::new());
+            for (after, kind, pulses) in changes {
+                let next = from + after;
+                while let Some(begin) = strokes.next_up(3).filter(|begin| *begin < next) {
+                    let step = strokes.next_of(3).unwrap().unwrap();
+                    begun.push(begin.0);
+                    if let Step::Stroke(stroke) = step {
+                        begun.push(stroke.down.0);
+                    }
+                }
+                from = next;
+                let motion = match kind {
+                    0 => wave(300.0, 20.0, 0.0).into(),
+                    1 => wave(60.0, 0.0, 0.0).into(),
+                    _ => LiveMotion::Level { array, pulses, glide_ticks: [0, 85, 425, 1_700][usize::from(kind) - 2] },
+                };
+                strokes.replace(3, motion, from);
+            }
+            let least = u64::from(array.layout().least_apart());
+            prop_assert!(begun.windows(3).all(|three| three[2] >= three[0] + least), "{begun:?}");
+            let most = u64::from(array.layout().dense_ticks());
+            prop_assert!(begun.windows(9).all(|nine| nine[8] > nine[0] + most), "{begun:?}");
         }
     }
 }

@@ -81,6 +81,11 @@ impl Account {
         self.lateness.worst_ms = late_ms;
     }
 
+    /// The moves that the device has refused so far.
+    pub(super) const fn refused_so_far(&self) -> u64 {
+        self.refused
+    }
+
     /// Counts a refused step of so many moves.
     pub(super) const fn refused(&mut self, moves: u64) {
         self.refused += moves;

@@ -430,6 +430,11 @@ impl Active {
         self.account.late(step.moves() as u64, late_ms, cause)
     }
 
+    /// The moves that the device has refused so far.
+    pub(super) const fn refused_so_far(&self) -> u64 {
+        self.account.refused_so_far()
+    }
+
     /// Counts a refused step of so many moves that begins at this tick.
     pub(super) fn refused(&mut self, motor: u8, up: Tick, moves: u64) {
         self.account.refused(moves);

@@ -59,8 +59,8 @@ pub struct Mock {
     trace: Option<Vec<(Tick, Run)>>,
     positions: Arc<TruePositions>,
     distort: Option<Distortion>,
-    /// Ticks of the edges to come, in order.
-    edges: VecDeque<Tick>,
+    /// Ticks of the edges to come, in order, and who has ordered each.
+    edges: VecDeque<(Tick, u64)>,
 }
 
 /// What changes telemetry samples before they are sent.
@@ -201,18 +201,23 @@ impl Mock {
         self.play(1, false);
     }
 
-    /// A rising edge of the trigger input comes at this tick, or in the last tick played if that is later. Returns whether there was
-    /// room for it: 1 024 may wait.
-    pub fn edge_at(&mut self, tick: Tick) -> bool {
+    /// A rising edge of the trigger input comes at this tick, or in the last tick played if that is later, by order of client `by`.
+    /// Returns whether there was room for it: 1 024 may wait.
+    pub fn edge_at(&mut self, tick: Tick, by: u64) -> bool {
         if tick < self.now {
             self.controller.edge(Tick(self.now.0 - 1));
             return true;
         }
         let room = self.edges.len() < EDGES;
         if room {
-            self.edges.insert(self.edges.partition_point(|&waits| waits <= tick), tick);
+            self.edges.insert(self.edges.partition_point(|&(waits, _)| waits <= tick), (tick, by));
         }
         room
+    }
+
+    /// Forgets the edges to come that this client has ordered.
+    pub fn withdraw_edges(&mut self, by: u64) {
+        self.edges.retain(|&(_, of)| of != by);
     }
 
     /// Whether nothing can happen in the controller until bytes come.
@@ -260,7 +265,7 @@ impl Mock {
             while self.now < end {
                 self.play(end - self.now, self.controller.forced_off(self.now));
             }
-            while let Some(tick) = self.edges.pop_front_if(|tick| *tick < self.now) {
+            while let Some((tick, _)) = self.edges.pop_front_if(|(tick, _)| *tick < self.now) {
                 self.controller.edge(tick);
             }
             self.controller.poll(self.now);

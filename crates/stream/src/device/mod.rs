@@ -220,14 +220,22 @@ impl Device {
         }
     }
 
-    /// An edge of the trigger input of the mock comes: now ([`At::Next`]), at a tick, or after some time. Never blocks.
+    /// An edge of the trigger input of the mock comes: now ([`At::Next`]), at a tick, or after some time. Client `by` has ordered it.
+    /// Never blocks.
     ///
     /// # Errors
     /// If it is no mock, if the edge is more than an hour ahead, or if there is no room for more edges to come.
-    pub fn edge(&mut self, now: HostInstant, at: At) -> Result<(), CommandError> {
+    pub fn edge(&mut self, now: HostInstant, at: At, by: u64) -> Result<(), CommandError> {
         match self {
-            Self::Mock(mock) => mock.edge(now, at),
+            Self::Mock(mock) => mock.edge(now, at, by),
             Self::Pty(..) | Self::Serial(_) | Self::Usb(_) => Err(CommandError::NotSimulated),
+        }
+    }
+
+    /// Forgets the edges to come that this client has ordered.
+    pub fn withdraw_edges(&mut self, by: u64) {
+        if let Self::Mock(mock) = self {
+            mock.withdraw_edges(by);
         }
     }
 

@@ -109,7 +109,7 @@ impl WallMock {
     }
 
     /// An edge of its trigger input comes: now, at a tick, or after some time.
-    pub(super) fn edge(&mut self, now: HostInstant, at: At) -> Result<(), CommandError> {
+    pub(super) fn edge(&mut self, now: HostInstant, at: At, by: u64) -> Result<(), CommandError> {
         self.run(now);
         let present = self.mock.now();
         let tick = match at {
@@ -117,11 +117,16 @@ impl WallMock {
             At::After(ns) => present + self.rate.duration_to_ticks(Duration::from_nanos(ns)),
             At::Next | At::Monotonic(_) | At::Edge(_) => Tick(present.0 - 1),
         };
-        // Nothing takes back an edge that waits, so one by a wrong tick may not keep its place for years.
+        // An edge by a wrong tick may not keep its place for years.
         if tick > present + self.rate.duration_to_ticks(FARTHEST_EDGE) {
             return Err(CommandError::TooFar { most_min: (FARTHEST_EDGE.as_secs() / 60) as u32 });
         }
-        self.mock.edge_at(tick).then_some(()).ok_or(CommandError::TooManyEdges)
+        self.mock.edge_at(tick, by).then_some(()).ok_or(CommandError::TooManyEdges)
+    }
+
+    /// Forgets the edges to come that this client has ordered.
+    pub(super) fn withdraw_edges(&mut self, by: u64) {
+        self.mock.withdraw_edges(by);
     }
 
     /// Takes in the bytes that were written, and runs up to `now`.

@@ -11,11 +11,17 @@
 use crate::queues::CommandError;
 use crate::sync::Doorbell;
 use crate::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use crate::time::HostInstant;
 use rustix::fd::{AsFd, BorrowedFd};
+use std::array;
 use std::sync::Arc;
+use std::time::Duration;
 
 /// Tickets from here on belong to emergency stops: the ticket of the one with number n is `ESTOP_TICKETS` + n.
 pub const ESTOP_TICKETS: u64 = 1 << 63;
+
+/// Emergency stops whose times are kept: of more that wait for one answer, the time of a later one is told.
+const TIMED: u64 = 64;
 
 /// See the module. Its descriptor is readable when there are new answers.
 #[derive(Clone, Debug)]
@@ -30,21 +36,37 @@ struct Shared {
     answered: AtomicU64,
     /// The last error was that no device is connected; otherwise that it did not answer.
     no_device: AtomicBool,
+    /// When the last ones were ordered, by number, ns.
+    ordered_at: [AtomicU64; TIMED as usize],
+    /// How long after its order the last one was confirmed, ns; 0: none was.
+    confirmed_after: AtomicU64,
     streamer_wake: Arc<Doorbell>,
     answer_wake: Doorbell,
 }
 
 impl EStopSwitch {
     pub(super) fn new(streamer_wake: Arc<Doorbell>, answer_wake: Doorbell) -> Self {
-        let (requested, confirmed, answered) = Default::default();
+        let (requested, confirmed, answered, confirmed_after) = Default::default();
         let no_device = AtomicBool::new(false);
-        Self(Arc::new(Shared { requested, confirmed, answered, no_device, streamer_wake, answer_wake }))
+        let ordered_at = array::from_fn(|_| AtomicU64::new(0));
+        Self(Arc::new(Shared {
+            requested,
+            confirmed,
+            answered,
+            no_device,
+            ordered_at,
+            confirmed_after,
+            streamer_wake,
+            answer_wake,
+        }))
     }
 
     /// Orders an emergency stop; returns its number.
     #[must_use]
     pub fn request(&self) -> u64 {
+        let now = HostInstant::now();
         let number = self.0.requested.fetch_add(1, Ordering::AcqRel) + 1;
+        self.0.ordered_at(number).store(now.as_ns(), Ordering::Release);
         self.0.streamer_wake.ring();
         number
     }
@@ -62,6 +84,13 @@ impl EStopSwitch {
         }
         let error = if no_device { CommandError::NoDevice } else { CommandError::Timeout };
         is_answered.then_some(Err(error))
+    }
+
+    /// How long after its order the device had confirmed the last emergency stop, with which all lines were off; none if it has confirmed
+    /// none. Of several that one answer confirms, the first counts.
+    #[must_use]
+    pub fn confirmed_after(&self) -> Option<Duration> {
+        Some(self.0.confirmed_after.load(Ordering::Acquire)).filter(|ns| *ns > 0).map(Duration::from_nanos)
     }
 
     /// Makes the descriptor unreadable until there are more answers.
@@ -83,13 +112,27 @@ impl EStopSwitch {
 
     /// The streamer answers this one and all before it.
     pub(super) fn set_answer(&self, number: u64, result: Result<(), CommandError>) {
-        let Shared { confirmed, answered, no_device, answer_wake, .. } = &*self.0;
+        let Shared { confirmed, answered, no_device, answer_wake, confirmed_after, .. } = &*self.0;
         match result {
-            Ok(()) => drop(confirmed.fetch_max(number, Ordering::AcqRel)),
+            Ok(()) => {
+                let first = (confirmed.load(Ordering::Acquire) + 1).max((number + 1).saturating_sub(TIMED));
+                if first <= number {
+                    let ordered_at = HostInstant::from_ns(self.0.ordered_at(first).load(Ordering::Acquire));
+                    let took = HostInstant::now().since(ordered_at).as_nanos();
+                    confirmed_after.store(u64::try_from(took).unwrap_or(u64::MAX).max(1), Ordering::Release);
+                }
+                confirmed.fetch_max(number, Ordering::AcqRel);
+            }
             Err(error) => no_device.store(error == CommandError::NoDevice, Ordering::Release),
         }
         answered.fetch_max(number, Ordering::AcqRel);
         answer_wake.ring();
+    }
+}
+
+impl Shared {
+    fn ordered_at(&self, number: u64) -> &AtomicU64 {
+        &self.ordered_at[(number % TIMED) as usize]
     }
 }
 

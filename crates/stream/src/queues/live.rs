@@ -54,6 +54,8 @@ pub struct Applied {
     pub motors: PerMotor<Option<Tick>>,
     /// How often a frame came too late for some motor, and was sent again.
     pub repeats: u32,
+    /// Moves of the play that the device has refused since the last update that was applied: they are not on the pins.
+    pub refused: u64,
 }
 
 impl Applied {

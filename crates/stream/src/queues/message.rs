@@ -73,7 +73,14 @@ pub enum Command {
     /// Move all pins to their rest position. The answer comes when they are there.
     Home,
     /// Make an edge of a simulated array's trigger input: now ([`At::Next`]), at a tick, or after some time. Refused by a board.
-    Edge(At),
+    Edge {
+        /// When.
+        at: At,
+        /// The client that orders it, for [`Self::WithdrawEdges`].
+        by: u64,
+    },
+    /// Forget the edges to come that this client has ordered.
+    WithdrawEdges(u64),
     /// Use these gains of the motors.
     SetGains(Box<PerMotor<Gains>>),
     /// Use these settings from the next `arm` on, or at once while disarmed. Refused if they are for another array.

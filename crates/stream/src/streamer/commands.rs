@@ -44,7 +44,8 @@ impl Streamer {
         let taken = match request.command {
             Command::Connect(_) => Ok(None),
             // The thread has made it, or there is no simulated array.
-            Command::Edge(_) => Err(CommandError::NotSimulated),
+            Command::Edge { .. } => Err(CommandError::NotSimulated),
+            Command::WithdrawEdges(_) => Ok(None),
             Command::Play(play) if stale => {
                 answer(ticket, Err(CommandError::Timeout), emit);
                 emit.event(StreamEvent::PlayRejected(play));

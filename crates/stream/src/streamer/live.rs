@@ -49,6 +49,8 @@ pub(super) struct Live {
     replaced: Tick,
     /// Room for delays, ticks: grows when a frame came too late.
     spare: u64,
+    /// The refused moves that answers have told.
+    refused: u64,
     /// The play ends if its client is silent until then.
     deadline: HostInstant,
 }
@@ -57,6 +59,13 @@ impl Live {
     /// Whether the device has not said yet if it has replaced the strokes of `motor`, or keeps the old ones.
     pub(super) const fn is_undecided(&self, motor: u8) -> bool {
         self.unanswered.contains(motor)
+    }
+
+    /// The same with the moves that were refused since the last answer, of so many in all.
+    const fn with_refused(&mut self, applied: Applied, refused: u64) -> LiveResult {
+        let new = refused.saturating_sub(self.refused);
+        self.refused = refused;
+        LiveResult::Applied(Applied { refused: new, ..applied })
     }
 }
 
@@ -165,6 +174,7 @@ impl Streamer {
             self.live.waiting = Some(update);
             return;
         }
+        let refused = active.refused_so_far();
         let Some(strokes) = active.live_strokes() else { return };
         let from = from.max(strokes.onset());
         // What the device does not hold must be sent, even if it is as before.
@@ -181,11 +191,17 @@ impl Streamer {
             }
             _ => {
                 let received = session.clock().tick_at(update.received_at).unwrap_or(tick);
-                Applied { received, replaced: from, motors: PerMotor::all(array, None), repeats: 0 }
+                Applied {
+                    received,
+                    replaced: from,
+                    motors: PerMotor::all(array, None),
+                    repeats: 0,
+                    refused: 0,
+                }
             }
         };
         if changed.is_empty() {
-            give_back(update, LiveResult::Applied(applied), emit);
+            give_back(update, self.live.with_refused(applied, refused), emit);
             return;
         }
         let horizon = tick + rate.ms_in_ticks(self.settings.lead_ms) as u64 + batch_ticks(&self.settings);
@@ -261,6 +277,7 @@ impl Streamer {
         if let Some(strokes) = active.live_strokes() {
             kept.iter().for_each(|motor| strokes.revert(motor));
         }
+        let refused = active.refused_so_far();
         let rate = self.rate();
         let (least_spare, most_spare) = (wake_up(rate), rate.of_ms(MOST_SPARE_MS));
         let live = &mut self.live;
@@ -272,7 +289,10 @@ impl Streamer {
         let Some(mut update) = live.sent.take() else { return };
         if live.kept.is_empty() {
             live.spare = (live.spare / 2).max(least_spare);
-            let result = update.result;
+            let result = match update.result {
+                LiveResult::Applied(applied) => live.with_refused(applied, refused),
+                result => result,
+            };
             give_back(update, result, emit);
             return;
         }
@@ -284,7 +304,8 @@ impl Streamer {
                 for motor in live.kept.iter().map(usize::from) {
                     newer.motions[motor] = newer.motions[motor].or(update.motions[motor]);
                 }
-                give_back(update, LiveResult::Applied(applied.without(live.kept)), emit);
+                let applied = applied.without(live.kept);
+                give_back(update, live.with_refused(applied, refused), emit);
             }
             None => {
                 // Of the others the result is known.

@@ -21,7 +21,7 @@ mod reports;
 
 use crate::active::{Active, Phase};
 use crate::control::PositionControl;
-use crate::link::{Event, LineRate, Session};
+use crate::link::{Budget, Event, LineRate, Session};
 use crate::queues::{CommandError, Emit, MAX_QUEUED_PLAYS, Snapshot, StreamEvent};
 use crate::settings::Settings;
 use crate::time::HostInstant;
@@ -186,6 +186,10 @@ impl Streamer {
         if let Some(session) = &mut self.session {
             let events = &mut self.events;
             session.check_silence(now, &mut |event| events.push_back(event));
+        }
+        let is_idle = self.state() == State::Disarmed && self.plays.is_empty() && self.operations.is_empty();
+        if let Some(session) = self.session.as_mut().filter(|session| is_idle && session.wants_probe(now)) {
+            session.probe(Budget::default());
         }
         self.handle_link_events(now, emit);
         self.send_next_op();

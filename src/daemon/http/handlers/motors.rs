@@ -187,7 +187,7 @@ pub(in crate::daemon::http) async fn edge(
     let result = async {
         let request = EdgeRequest::parse(&body::read_command(body).await?)?;
         logged.set_arguments(&request);
-        carry_out(&app, Command::Edge(edge_at(&request)), TIMEOUT).await
+        carry_out(&app, Command::Edge { at: edge_at(&request), by: 0 }, TIMEOUT).await
     }
     .await;
     logged.result(result)

@@ -53,11 +53,11 @@ pub(in crate::daemon::http) async fn import(
         logged.set_title(format!("import of {shown:?}"));
         let replace = replaces(&uri)?;
         logged.set_arguments(&json!({"name": shown, "replace": replace}));
-        let (text, _places) = body::read_file(body, MAX_PACKED_BODY).await?;
+        let (text, _places) = body::read_file(body, MAX_PACKED_BODY, &body::ORDERS).await?;
         let text = String::from_utf8(text)
             .map_err(|_| Problem::new(Code::BadPattern, "not UTF-8 text: write patterns as TOML in UTF-8"))?;
-        app.engine.lock().check_asker()?;
-        let put = blocking(move || app.store.get().put(&name, &text, replace)).await??;
+        let store = app.store.get();
+        let put = app.engine.changing(move || store.put(&name, &text, replace)).await??;
         let Put { stored, replaced: replaced_sha256 } = put;
         let sha256 = stored.sha256.clone();
         let done =
@@ -107,9 +107,8 @@ pub(in crate::daemon::http) async fn remove(
         logged.set_title(format!("removal of {shown:?}"));
         logged.set_arguments(&json!({"name": shown}));
         let _place = body::file_place().await?;
-        let asked = name.clone();
-        app.engine.lock().check_asker()?;
-        let sha256 = blocking(move || app.store.get().remove(&asked)).await??;
+        let (store, asked) = (app.store.get(), name.clone());
+        let sha256 = app.engine.changing(move || store.remove(&asked)).await??;
         logged.set_arguments(&json!({"name": shown, "sha256": sha256}));
         Ok(Json(RemovedPattern { name, sha256 }))
     }

@@ -8,7 +8,7 @@ use crate::daemon::http::body;
 use crate::daemon::http::request_log::LoggedRequest;
 use crate::daemon::sockets::activity::Activity;
 use crate::daemon::state::{check_samples, no_play};
-use crate::daemon::system::runtime::PLAYS;
+use crate::daemon::system::runtime::{CHECKS, Lane, PLAYS, STORED, check_place};
 use crate::session_record::Peer;
 use crate::store::Stored;
 use axum::Json;
@@ -38,7 +38,7 @@ pub(in crate::daemon::http) async fn play(
 ) -> Answer<(StatusCode, Json<PlayAccepted>)> {
     let mut logged = LoggedRequest::new(&app.engine, "play", peer);
     let result = async {
-        let (body, _places) = body::read_file(body, MAX_PACKED_BODY).await?;
+        let (body, _places) = body::read_file(body, MAX_PACKED_BODY, &body::ORDERS).await?;
         let mut request = if body.len() <= body::MAX_COMMAND {
             PlayRequest::parse(&body)?
         } else {
@@ -46,7 +46,7 @@ pub(in crate::daemon::http) async fn play(
         };
         let inline = match std::mem::take(&mut request.pattern) {
             PatternChoice::Inline(keys) => {
-                let stored = inline(&app, keys).await?;
+                let stored = inline(&app, &PLAYS, keys).await?;
                 // The record has the hash, and keeps the text.
                 request.pattern = stored.pattern.name().into();
                 request.pattern_sha256 = Some(stored.sha256.clone());
@@ -60,14 +60,14 @@ pub(in crate::daemon::http) async fn play(
         logged.set_arguments(&request);
         request.session = app.engine.lock().session_of_play(request.session.as_deref())?;
         logged.set_arguments(&request);
-        let (stored, _place) = match inline {
-            Some(stored) => (stored, None),
+        let (lane, (stored, _place)) = match inline {
+            Some(stored) => (&PLAYS, (stored, None)),
             None => {
                 let (name, sha256) = (request.pattern.name(), request.pattern_sha256.as_deref());
-                find(app.store.get(), &app.engine, &PLAYS, name, sha256).await?
+                (&STORED, find(app.store.get(), &app.engine, &STORED, name, sha256).await?)
             }
         };
-        let accepted = app.engine.play(&request, stored, peer).await?;
+        let accepted = app.engine.play(&request, stored, peer, lane).await?;
         logged.set_play(accepted.id);
         Ok((StatusCode::ACCEPTED, Json(accepted)))
     }
@@ -76,9 +76,9 @@ pub(in crate::daemon::http) async fn play(
 }
 
 /// The pattern that a request holds.
-async fn inline(app: &App, keys: Box<Map<String, Value>>) -> Result<Stored, Problem> {
+async fn inline(app: &App, lane: &'static Lane, keys: Box<Map<String, Value>>) -> Result<Stored, Problem> {
     let (store, array) = (app.store.get(), app.engine.lock().settings.array);
-    Ok(PLAYS.computing(move || store.inline(*keys, array)).await??)
+    Ok(lane.computing(move || store.inline(*keys, array)).await??)
 }
 
 /// The request as the session record keeps it: only the number of its items, because their ends record the rest.
@@ -112,16 +112,20 @@ struct ReadSequence {
 }
 
 /// Parses on a separate thread, because the body may be as large as a file.
-async fn read_sequence(app: &App, body: Body) -> Result<ReadSequence, Problem> {
-    let (body, _places) = body::read_file(body, MAX_PACKED_BODY).await?;
-    let mut request = PLAYS.computing(move || SequenceRequest::parse(&body)).await??;
+async fn read_sequence(
+    app: &App,
+    (lane, among): (&'static Lane, &'static body::Files),
+    body: Body,
+) -> Result<ReadSequence, Problem> {
+    let (body, _places) = body::read_file(body, MAX_PACKED_BODY, among).await?;
+    let mut request = lane.computing(move || SequenceRequest::parse(&body)).await??;
     let mut inlines: HashMap<String, Stored> = HashMap::new();
     for (number, item) in request.items.iter_mut().enumerate() {
         let Some(PatternChoice::Inline(keys)) = item.pattern.take_if(|pattern| pattern.inline().is_some())
         else {
             continue;
         };
-        let stored = inline(app, keys).await;
+        let stored = inline(app, lane, keys).await;
         let stored = stored.map_err(|problem| Problem {
             detail: format!("`items[{number}]`: {}", problem.detail),
             ..problem
@@ -137,13 +141,14 @@ async fn read_sequence(app: &App, body: Body) -> Result<ReadSequence, Problem> {
 /// Finds a pattern of a sequence: one that it holds, or one that is stored.
 async fn find_for(
     app: &App,
+    lane: &'static Lane,
     inlines: &HashMap<String, Stored>,
     name: String,
     sha256: Option<String>,
 ) -> Result<(Stored, Option<SemaphorePermit<'static>>), Problem> {
     match sha256.as_ref().and_then(|sha256| inlines.get(sha256)) {
         Some(stored) => Ok((stored.clone(), None)),
-        None => find(app.store.get(), &app.engine, &PLAYS, &name, sha256.as_deref()).await,
+        None => find(app.store.get(), &app.engine, lane, &name, sha256.as_deref()).await,
     }
 }
 
@@ -154,10 +159,11 @@ pub(in crate::daemon::http) async fn sequence(
 ) -> Answer<(StatusCode, Json<PlayAccepted>)> {
     let mut logged = LoggedRequest::new(&app.engine, "sequence", peer);
     let result = async {
-        let ReadSequence { mut request, inlines, _places } = read_sequence(&app, body).await?;
+        let ReadSequence { mut request, inlines, _places } =
+            read_sequence(&app, (&PLAYS, &body::ORDERS), body).await?;
         request.session = app.engine.lock().session_of_play(request.session.as_deref())?;
         logged.set_arguments(&asked_of_sequence(&request));
-        let find = |name, sha256| find_for(&app, &inlines, name, sha256);
+        let find = |name, sha256| find_for(&app, &PLAYS, &inlines, name, sha256);
         let accepted = app.engine.sequence(&request, peer, find).await?;
         logged.set_play(accepted.id);
         Ok((StatusCode::ACCEPTED, Json(accepted)))
@@ -171,8 +177,16 @@ pub(in crate::daemon::http) async fn check(
     Extension(peer): Extension<Peer>,
     body: Body,
 ) -> Answer<Json<PlanCheck>> {
-    let ReadSequence { request, inlines, _places } = read_sequence(&app, body).await?;
-    let find = |name, sha256| find_for(&app, &inlines, name, sha256);
+    let _checks = match check_place() {
+        Ok(place) => place,
+        Err(problem) => {
+            body::discard(body).await;
+            return Err(problem.into());
+        }
+    };
+    let ReadSequence { request, inlines, _places } =
+        read_sequence(&app, (&CHECKS, &body::READS), body).await?;
+    let find = |name, sha256| find_for(&app, &CHECKS, &inlines, name, sha256);
     Ok(Json(app.engine.check_sequence(&request, peer, find).await?))
 }
 

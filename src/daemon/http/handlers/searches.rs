@@ -26,7 +26,7 @@ pub(in crate::daemon::http) async fn start(
 ) -> Answer<(StatusCode, Json<Search>)> {
     let mut logged = LoggedRequest::new(&app.engine, "search", peer);
     let result = async {
-        let (body, _places) = body::read_file(body, MAX_SEARCH_BODY).await?;
+        let (body, _places) = body::read_file(body, MAX_SEARCH_BODY, &body::ORDERS).await?;
         let (request, asked) = if body.len() <= body::MAX_COMMAND {
             parse(&body)?
         } else {

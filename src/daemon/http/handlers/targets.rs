@@ -5,7 +5,7 @@ use crate::daemon::http::app::App;
 use crate::daemon::http::body;
 use crate::daemon::http::handlers::patterns::replaces;
 use crate::daemon::http::request_log::LoggedRequest;
-use crate::daemon::system::runtime::{OTHERS, blocking, computing};
+use crate::daemon::system::runtime::{OTHERS, PLAYS, blocking};
 use crate::session_record::Peer;
 use crate::store::TargetStoreError;
 use axum::Json;
@@ -37,12 +37,12 @@ pub(super) async fn find(app: &App, target: &Value) -> Answer<Target> {
     let bad = |error| Problem::new(Code::BadTarget, format!("the target is refused: {error}"));
     if let Some(name) = target.as_str() {
         let (store, name) = (app.store.get(), name.to_owned());
-        let stored = blocking(move || store.target(&name)).await??.target;
+        let stored = PLAYS.blocking(move || store.target(&name)).await??.target;
         return Ok(stored.with_array(array).map_err(bad)?);
     }
     let text = target.to_string();
     let read = move || Target::read_json(&text).and_then(|target| target.with_array(array));
-    Ok(computing(read).await?.map_err(bad)?)
+    Ok(PLAYS.computing(read).await?.map_err(bad)?)
 }
 
 /// The object of a request, which holds it, or names a target at rest.
@@ -56,7 +56,7 @@ pub(super) async fn find_object(app: &App, object: &Value) -> Answer<Object> {
         return Ok(Object::new(name, surface_of(target.shape()), Touch::default()));
     }
     let text = object.to_string();
-    let read = computing(move || Object::read_json(&text, &mut no_files)).await?;
+    let read = PLAYS.computing(move || Object::read_json(&text, &mut no_files)).await?;
     Ok(read.map_err(|error| bad(format!("the object is refused: {error}")))?)
 }
 
@@ -89,12 +89,12 @@ pub(in crate::daemon::http) async fn store(
         logged.set_title(format!("storing of the target {shown:?}"));
         let replace = replaces(&uri)?;
         logged.set_arguments(&json!({"name": shown, "replace": replace}));
-        let (text, _place) = body::read_file(body, MAX_BYTES).await?;
+        let (text, _place) = body::read_file(body, MAX_BYTES, &body::ORDERS).await?;
         let text = String::from_utf8(text)
             .map_err(|_| Problem::new(Code::BadTarget, "not UTF-8 text: write targets as TOML in UTF-8"))?;
-        app.engine.lock().check_asker()?;
-        let put = move || app.store.get().put_target(&name, &text, replace);
-        let (stored, replaced_sha256) = blocking(put).await??;
+        let store = app.store.get();
+        let put = move || store.put_target(&name, &text, replace);
+        let (stored, replaced_sha256) = app.engine.changing(put).await??;
         let status = if replaced_sha256.is_none() { StatusCode::CREATED } else { StatusCode::OK };
         let (name, sha256, warnings) =
             (stored.target.name().to_owned(), stored.sha256, stored.target.warnings());
@@ -120,9 +120,8 @@ pub(in crate::daemon::http) async fn remove(
         logged.set_title(format!("removal of the target {shown:?}"));
         logged.set_arguments(&json!({"name": shown}));
         let _place = body::file_place().await?;
-        app.engine.lock().check_asker()?;
-        let asked = name.clone();
-        let sha256 = blocking(move || app.store.get().remove_target(&asked)).await??;
+        let (store, asked) = (app.store.get(), name.clone());
+        let sha256 = app.engine.changing(move || store.remove_target(&asked)).await??;
         logged.set_arguments(&json!({"name": shown, "sha256": sha256}));
         Ok(Json(RemovedTarget { name, sha256 }))
     }

@@ -4,7 +4,6 @@ use crate::daemon::http::answer::{Answer, path};
 use crate::daemon::http::app::App;
 use crate::daemon::http::body;
 use crate::daemon::http::request_log::LoggedRequest;
-use crate::daemon::system::runtime::blocking;
 use crate::session_record::Peer;
 use axum::Json;
 use axum::body::Body;
@@ -13,6 +12,7 @@ use axum::extract::{Extension, Path, State};
 use axum::http::StatusCode;
 use meissner_api::{TokenCreated, TokenInfo, TokenList, TokenRequest};
 use serde_json::json;
+use std::sync::Arc;
 
 pub(in crate::daemon::http) async fn create(
     State(app): State<App>,
@@ -23,7 +23,8 @@ pub(in crate::daemon::http) async fn create(
     let result = async {
         let request = TokenRequest::parse(&body::read_command(body).await?)?;
         logged.set_arguments(&request);
-        let created = blocking(move || app.engine.gate.tokens.create(request.role, &request.name)).await??;
+        let gate = Arc::clone(&app.engine.gate);
+        let created = app.engine.changing(move || gate.tokens.create(request.role, &request.name)).await??;
         // Never record the token itself.
         logged.set_arguments(&created.info);
         Ok((StatusCode::CREATED, Json(created)))
@@ -46,10 +47,11 @@ pub(in crate::daemon::http) async fn revoke(
     let result = async {
         let id: String = path(id)?.chars().take(100).collect();
         logged.set_arguments(&json!({"id": id}));
-        let revoked = blocking(move || {
-            let revoked = app.engine.gate.tokens.revoke(&id);
+        let engine = Arc::clone(&app.engine);
+        let revoked = app.engine.changing(move || {
+            let revoked = engine.gate.tokens.revoke(&id);
             // Do this even if the file could not be written: the token is no longer valid.
-            app.engine.lock().rights_changed();
+            engine.lock().rights_changed();
             revoked
         });
         Ok(Json(revoked.await??))

@@ -91,7 +91,10 @@ impl Stopping {
     pub(super) fn answer(&mut self, estops: &EStops) -> bool {
         let Some(answer) = self.number.and_then(|number| estops.switch.answer(number)) else { return false };
         let line = match answer.map_err(refusal) {
-            Ok(()) => format!("{STOPPED}\n"),
+            Ok(()) => {
+                let after = estops.switch.confirmed_after().unwrap_or_default();
+                format!("{STOPPED}: lines off within {:.1} ms of the order\n", after.as_secs_f64() * 1e3)
+            }
             Err(Problem { code, detail, .. }) => format!("{code}: {detail}\n"),
         };
         // The client may be gone.

@@ -15,6 +15,9 @@ use std::time::Duration;
 /// The host retransmits a frame after a few round trips, within these bounds.
 pub(super) const RETRY: (Duration, Duration) = (Duration::from_millis(3), Duration::from_millis(50));
 
+/// How long after a probe that has measured nothing the next one may begin.
+const PROBE_AGAIN: Duration = Duration::from_secs(1);
+
 /// The line of a session.
 #[derive(Clone, Debug)]
 pub(super) struct Line {
@@ -23,6 +26,8 @@ pub(super) struct Line {
     measured: Option<MeasuredLine>,
     window_bytes: usize,
     probe: Probe,
+    /// When the last probe was over.
+    probed_at: HostInstant,
     quality: Quality,
 }
 
@@ -34,6 +39,7 @@ impl Line {
             measured: None,
             window_bytes: nominal.window_bytes(),
             probe: Probe::new(Budget::default(), nominal),
+            probed_at: HostInstant::default(),
             quality: Quality::default(),
         }
     }
@@ -54,12 +60,25 @@ impl Line {
 
     /// What the probe sends next; the caller sends it and says so.
     pub(super) fn next_step(&mut self, now: HostInstant, quiet: bool) -> Step {
+        self.awake(now);
         let was_over = self.probe.is_over();
         let step = self.probe.next(now, quiet);
         if !was_over {
-            self.adopt();
+            self.adopt(now);
         }
         step
+    }
+
+    /// The host is awake.
+    pub(super) fn awake(&mut self, now: HostInstant) {
+        if self.probe.is_busy() {
+            self.probe.awake(now);
+        }
+    }
+
+    /// Whether the probe has measured nothing, and it is time to probe again.
+    pub(super) fn wants_probe(&self, now: HostInstant) -> bool {
+        self.probe.is_over() && self.measured.is_none() && now.since(self.probed_at) >= PROBE_AGAIN
     }
 
     /// When [`Self::next_step`] has something, if no answer comes before. `quiet_by`: when an open line counts as quiet.
@@ -82,14 +101,15 @@ impl Line {
     pub(super) fn answered(&mut self, now: HostInstant, token: u16, idle: Duration) -> bool {
         let is_probe = self.probe.answered(now, token, idle);
         if is_probe {
-            self.adopt();
+            self.adopt(now);
         }
         is_probe
     }
 
     /// Takes over what the probe measured, once it is over.
-    fn adopt(&mut self) {
+    fn adopt(&mut self, now: HostInstant) {
         if self.probe.is_over() {
+            self.probed_at = now;
             self.measured = self.probe.result();
             self.window_bytes = self.measured.map_or(self.nominal, |line| line.rate).window_bytes();
         }

@@ -141,6 +141,13 @@ impl Session {
         self.line.is_probed()
     }
 
+    /// Whether the link probe has measured nothing, and it is time to probe again: the host stood still, or the device did not answer.
+    /// Until something is measured, the line counts as what its transport says, and no play is refused because of it.
+    #[must_use]
+    pub fn wants_probe(&self, now: HostInstant) -> bool {
+        self.line.wants_probe(now)
+    }
+
     /// Probes the line again with this budget, for a closer measurement. Not while a play runs.
     pub fn probe(&mut self, budget: Budget) {
         self.line.probe(budget);

@@ -144,6 +144,7 @@ impl Session {
 
     /// Ends the session if the device has not answered for too long, or withholds an answer or a report.
     pub fn check_silence(&mut self, now: HostInstant, emit: &mut dyn FnMut(Event)) {
+        self.line.awake(now);
         let withheld =
             |since: Option<HostInstant>| since.is_some_and(|since| now.since(since) >= WITHHELD_FOR);
         if withheld(self.reports.missing_since(now)) {

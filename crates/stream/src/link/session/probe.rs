@@ -5,6 +5,9 @@
 //! bytes the session may have unacknowledged, so an e-stop never waits for more than that. The time that a round takes beyond the
 //! time of its bytes is the time of an acknowledgement.
 //!
+//! A round in which the host stood still says nothing about the line, so it does not count: while a round is under way the session
+//! wakes up every [`LOOK_EVERY`], and notices when it was late.
+//!
 //! The session asks [`Probe::next`] what to send, sends it, and reports what it sent and heard.
 //! Bounds: [`Budget`] in bytes and time after the first [`LEAST_ROUNDS`] rounds, [`ROUNDS`] rounds, one at a time.
 //! Invariant: a probe that ended stays over, whether or not it measured anything.
@@ -24,6 +27,11 @@ const LEAST_ROUNDS: usize = 3;
 /// The probe gives a round up after this time: the device may have lost its ping, or the host stood still. No line that
 /// carries a play is so slow.
 const ROUND_TIMEOUT: Duration = Duration::from_millis(250);
+
+/// How often the session wakes up during a round, and how much later than the last time the host has stood still. A line on which
+/// rounds are held up for less carries a play.
+const LOOK_EVERY: Duration = Duration::from_micros(500);
+const STOOD_STILL: Duration = Duration::from_millis(2);
 
 /// What a probe may cost.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -71,6 +79,9 @@ struct Round {
     ping_bytes: usize,
     /// Its ping's token.
     token: u16,
+    /// When the session was last awake, and whether the host has stood still.
+    awake: HostInstant,
+    held_up: bool,
 }
 
 /// A probe under way, or its result.
@@ -135,7 +146,7 @@ impl Probe {
         match self.stage {
             Stage::Waiting => quiet_by,
             Stage::Sending(_) => Some(now),
-            Stage::Sent(at) => Some(at + ROUND_TIMEOUT),
+            Stage::Sent(at) => Some((at + ROUND_TIMEOUT).min(self.round.awake + LOOK_EVERY)),
             Stage::Over => None,
         }
     }
@@ -160,6 +171,12 @@ impl Probe {
         }
     }
 
+    /// The session is awake.
+    pub(super) fn awake(&mut self, now: HostInstant) {
+        self.round.held_up |= now.since(self.round.awake) > STOOD_STILL;
+        self.round.awake = now;
+    }
+
     /// The session sent a filler of `len` bytes.
     pub(super) fn sent_filler(&mut self, len: usize) {
         let Stage::Sending(left) = self.stage else { return };
@@ -179,11 +196,12 @@ impl Probe {
 
     /// The device answered the ping of this token; `true` if it was the round's. `idle` is an idle round trip.
     pub(super) fn answered(&mut self, now: HostInstant, token: u16, idle: Duration) -> bool {
-        let Round { began, bytes, ping_bytes, token: ours } = self.round;
+        let Round { began, bytes, ping_bytes, token: ours, .. } = self.round;
         if token != ours || !matches!(self.stage, Stage::Sent(_)) {
             return false;
         }
-        if now.since(began) >= ROUND_TIMEOUT {
+        self.awake(now);
+        if now.since(began) >= ROUND_TIMEOUT || self.round.held_up {
             self.next_round(now);
             return true;
         }
@@ -198,14 +216,14 @@ impl Probe {
         true
     }
 
-    /// What was measured; `None` if no round was answered.
+    /// What was measured; `None` if no round counts.
     pub(super) fn result(&self) -> Option<MeasuredLine> {
         let rate = self.rate()?;
         Some(MeasuredLine { rate, ack_wait: self.ack_wait(rate) })
     }
 
     fn begin_round(&mut self, now: HostInstant, bytes: usize) {
-        self.round = Round { began: now, ..Round::default() };
+        self.round = Round { began: now, awake: now, ..Round::default() };
         self.begun += 1;
         self.stage = Stage::Sending(bytes.max(MAX_FRAME));
     }
@@ -220,7 +238,7 @@ impl Probe {
         }
     }
 
-    /// The upper quartile of the rounds: stalls of either side make rounds too slow; only an idle round trip that was
+    /// The upper quartile of the rounds: stalls of the device make rounds too slow; only an idle round trip that was
     /// itself held up makes one too fast.
     fn rate(&self) -> Option<LineRate> {
         let mut rates = self.rates;
