@@ -398,7 +398,6 @@ def test_an_answer_that_is_not_recorded_is_an_error_and_so_is_the_end_of_its_ses
         ):
             play = m.play("pin-60", 0.05, trial=1)
             play.wait()
-            assert play.wait().raw["warnings"] == []
             damage()
             for _ in range(2):
                 with pytest.raises(
