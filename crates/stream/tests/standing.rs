@@ -347,7 +347,11 @@ impl Lab {
         let order = random.between(0.0, 20.0) as u64;
         // What a failure shows.
         let net = (0..MOTORS).map(|motor| self.net[motor] - self.base[motor]).max();
-        println!("{:?}: {before:?}, highest {net:?}; order {order}, answered {:?}", self.rig.now(), self.answered.last());
+        println!(
+            "{:?}: {before:?}, highest {net:?}; order {order}, answered {:?}",
+            self.rig.now(),
+            self.answered.last()
+        );
         match order {
             0 => _ = self.rig.start(&drives(random), Some(0.3)),
             1 | 2 => _ = self.rig.start(&ramp(random.between(2.0, MOST_UM), 5.0), None),

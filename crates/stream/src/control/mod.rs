@@ -128,7 +128,7 @@ impl PositionControl {
             (self.seen, self.unseen_since) = (false, None);
         }
         if now.is_some() {
-            self.bound_standing(begun_by);
+            self.bound_standing(&self.highest(begun_by));
         }
         self.motors.iter_mut().for_each(|motor| motor.remember(begun_by));
         // The strokes that are remembered may have been cut: their planned ends do not count.
@@ -145,9 +145,14 @@ impl PositionControl {
         self.valid_from = None;
     }
 
-    /// Moves were cut, or the link is lost: pins may stand as high as any move that began before `until` has taken them.
-    pub(super) fn bound_standing(&mut self, until: Tick) {
-        self.standing.bound(|motor| self.motors[usize::from(motor)].highest(until));
+    /// The highest level of each pin by the moves that are not over and begin before `until`.
+    pub(super) fn highest(&self, until: Tick) -> PerMotor<u16> {
+        PerMotor::from_fn(self.array, |motor| self.motors[usize::from(motor)].highest(until))
+    }
+
+    /// Moves were cut, or the link is lost: pins may stand so high.
+    pub(super) fn bound_standing(&mut self, highest: &PerMotor<u16>) {
+        self.standing.bound(highest);
     }
 
     /// The device has cut its moves at a tick, and had so many return pulses outstanding then.
@@ -156,11 +161,11 @@ impl PositionControl {
         standing.cut(cut, outstanding, |motor| motors[usize::from(motor)].height_at(cut.at));
     }
 
-    /// The device does nothing and has so many return pulses outstanding. It knows where its pins are, or not.
-    pub(super) fn stands(&mut self, outstanding: u32, position_known: bool, tick: Tick) {
-        if position_known && outstanding == 0 {
+    /// The device does nothing, knows where its pins are, and has so many return pulses outstanding.
+    pub(super) fn stands(&mut self, outstanding: u32, tick: Tick) {
+        if outstanding == 0 {
             self.returned(tick);
-        } else if outstanding > 0 {
+        } else {
             self.standing.bound_by(outstanding, self.array.layout().max_up_pulses());
         }
     }
@@ -182,8 +187,10 @@ impl PositionControl {
         self.standing.highest()
     }
 
-    /// Pins that stand are taken as at rest, and nobody has looked: from here on their height is an error of their rest position.
+    /// No device returns the pins that stand any more, and nobody has looked: from here on their height is an error of their rest
+    /// position, which the next sample may show.
     pub(super) fn leave_standing(&mut self) {
+        self.seen &= self.standing.highest() == 0;
         for (motor, &pulses) in self.motors.iter_mut().zip(self.standing.heights()) {
             motor.stay_up(pulses);
         }

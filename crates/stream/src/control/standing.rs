@@ -47,10 +47,10 @@ impl Standing {
     }
 
     /// Moves were cut: each pin may stand as high as `highest` says. The device's report of the cut knows better.
-    pub(super) fn bound(&mut self, highest: impl Fn(u8) -> u16) {
+    pub(super) fn bound(&mut self, highest: &PerMotor<u16>) {
         if self.reported.is_none() {
-            for (motor, height) in (0..).zip(&mut self.heights) {
-                *height = highest(motor).max(*height);
+            for (height, &highest) in self.heights.iter_mut().zip(highest) {
+                *height = highest.max(*height);
             }
         }
         self.is_cut = true;

@@ -354,6 +354,10 @@ impl Streamer {
     fn arm(&mut self, now: HostInstant, rest: Rest) -> OpResult {
         self.ready()?;
         let is_known = self.known.status().is_some_and(|(status, _)| status.position_known);
+        if rest == Rest::Unchecked && self.known.status().is_none() {
+            // It may know where its pins are.
+            return Err(CommandError::NoDevice);
+        }
         // Nobody has looked: what the device knows to be above rest it returns.
         let assume_rest = rest == Rest::Checked || (rest == Rest::Unchecked && !is_known);
         // An operation begins a new epoch: do not send one between a play and its strokes for nothing.

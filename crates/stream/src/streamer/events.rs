@@ -39,7 +39,9 @@ impl Streamer {
     fn event(&mut self, now: HostInstant, event: Event, emit: &mut dyn Emit) {
         match event {
             Event::Opened(hello) => {
-                self.known.opened(&hello);
+                if self.known.opened(&hello) {
+                    self.control.leave_standing();
+                }
                 self.control.connected(self.known.sends_telemetry());
                 emit.event(StreamEvent::Connected(hello));
                 if self.latch.is_closed() {
@@ -220,8 +222,9 @@ impl Streamer {
         if let Some((status, tick)) = self.known.status()
             && matches!(status.state, State::Disarmed | State::Faulted)
             && self.operations.is_empty()
+            && status.position_known
         {
-            self.control.stands(status.outstanding, status.position_known, tick);
+            self.control.stands(status.outstanding, tick);
         }
         self.standing_since =
             (self.control.highest_standing() > 0).then(|| self.standing_since.unwrap_or(now));

@@ -24,12 +24,13 @@ pub(super) struct Known {
 }
 
 impl Known {
-    /// The device has answered the handshake.
-    pub(super) const fn opened(&mut self, hello: &DeviceHello) {
+    /// The device has answered the handshake. Returns whether it has started again: then it does not know of pins that it left above rest.
+    pub(super) fn opened(&mut self, hello: &DeviceHello) -> bool {
         self.telemetry = hello.features & DeviceHello::TELEMETRY != 0;
         self.trigger_input = hello.features & DeviceHello::TRIGGER_INPUT != 0;
         self.no_trigger_output = hello.features & DeviceHello::NO_TRIGGER_OUTPUT != 0;
         self.boot = Some(hello.boot);
+        self.reckoned_boot.is_some_and(|boot| boot != hello.boot)
     }
 
     /// The device is gone.
@@ -76,6 +77,7 @@ impl Known {
         if before.position_known && (status.state, status.position_known) == (State::Faulted, false) {
             // The outputs have failed: pins may have moved by anything.
             control.lose_rest();
+            control.leave_standing();
         }
         let key = |of: &Status| (of.state, of.cause, of.position_known, of.outstanding);
         key(&before) != key(&status)

@@ -137,13 +137,15 @@ impl Streamer {
             Counters { played: counters.played + bursts, pulses: counters.pulses + pulses, ..counters }
         });
         let lost = lost.or(self.known.status().map(|(_, tick)| tick)).unwrap_or_default();
-        self.control.bound_standing(Tick(u64::MAX));
+        // The device may have played all that it had, or lost its power at any moment of it.
+        let highest = self.control.highest(Tick(u64::MAX));
         self.control.reckon_to(lost);
         self.close_all(counters, Some((&session, lost)), emit);
         self.operations.disconnected(emit);
         self.homing.disconnected(emit);
         self.known.closed();
         self.control.cut(lost, None);
+        self.control.bound_standing(&highest);
         self.standing_since =
             (self.control.highest_standing() > 0).then(|| self.standing_since.unwrap_or(now));
         (self.fed_until, self.short_of_credits) = (Tick(0), false);
