@@ -79,7 +79,7 @@ struct Found {
 struct Times {
     column: String,
     unit: Option<TimeUnit>,
-    /// The first time, the newest one, and the least and the largest step.
+    /// The first time, the last one, and the least and the largest step.
     first: f64,
     last: f64,
     steps: [f64; 2],

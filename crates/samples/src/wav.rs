@@ -16,7 +16,7 @@ pub(crate) fn read(bytes: &[u8], channel: Option<usize>) -> Result<Found, Sample
     let header = || {
         // An extensible header has the kind as the first word of its GUID.
         let kind = word(0).filter(|kind| *kind != EXTENSIBLE).or_else(|| word(24))?;
-        let rate_hz = u32::from(word(4)?) | u32::from(word(6)?) << 16;
+        let rate_hz = u32::from(word(4)?) | (u32::from(word(6)?) << 16);
         Some((kind, usize::from(word(2)?), rate_hz, usize::from(word(12)?), word(14)?))
     };
     let (kind, channels, rate_hz, block, bits) = header().ok_or_else(|| other("its header is too short"))?;
