@@ -191,6 +191,7 @@ impl Engine {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::daemon::system::runtime::PLAYS;
     use crate::exposure::ParticipantLimits;
     use crate::session_record::Peer;
     use crate::store::Stored;
@@ -278,7 +279,7 @@ mod tests {
             );
             let stored = Stored::made(Pattern::parse(&text, "ramp").unwrap());
             let request = PlayRequest { pattern: "ramp".into(), open_loop, ..PlayRequest::default() };
-            runtime.block_on(engine.play(&request, stored, Peer::local(1, 0))).unwrap_err()
+            runtime.block_on(engine.play(&request, stored, Peer::local(1, 0), &PLAYS)).unwrap_err()
         };
         // Nothing answers the play that is sent.
         assert_eq!(play(100.0, false).code, "timeout");
