@@ -69,7 +69,7 @@ impl Move {
     fn level_at(&self, at_s: f64) -> u16 {
         let [before, after] = self.levels.map(f64::from);
         let share = ((at_s - self.from_s) / (self.to_s - self.from_s)).clamp(0.0, 1.0);
-        (before + share * (after - before)).ceil() as u16
+        (before + share * (after - before)).round() as u16
     }
 }
 
