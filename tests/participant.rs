@@ -121,14 +121,14 @@ fn a_restart_and_a_kill_keep_the_days_sum() {
     assert!(daemon.end().success());
     drop(daemon);
     let mut daemon = launch();
-    assert!((0.399..0.41).contains(&used(&daemon)), "{}", used(&daemon));
+    assert!((0.39..0.41).contains(&used(&daemon)), "{}", used(&daemon));
     daemon.armed();
     paused(&daemon);
     printed(daemon.meissner().args(["play", "pin-60", "--seconds", "0.4", "--wait"]));
     let file = dir.path().join("logbook/exposure.json");
     // Each report adds to the sum, so it is not exactly 0.8.
     let saved = || -> Value { serde_json::from_slice(&fs::read(&file).unwrap()).unwrap() };
-    wait_until(|| saved()["days"][0]["vibration_s"].as_f64().is_some_and(|sum| (0.799..0.81).contains(&sum)));
+    wait_until(|| saved()["days"][0]["vibration_s"].as_f64().is_some_and(|sum| (0.78..0.81).contains(&sum)));
     daemon.signal(Signal::KILL);
     daemon.wait();
     drop(daemon);
@@ -234,8 +234,13 @@ fn short_ramps_rare_strokes_and_live_levels_count_as_long_as_the_lines_move() {
         let accepted = start(&daemon, json!({"levels": true}));
         let mut lines = Lines::open(&daemon, &accepted.path);
         lines.send(&json!({"seq": 1, "um": {"9": 200.0}, "glide_ms": 20}));
-        lines.applied(1);
-        lines.send(&json!({"seq": 2, "end": true}));
+        let goes_up = lines.applied(1).ticks[9].unwrap();
+        // Until the pin is on its way.
+        let went_up = (2..).find(|seq| {
+            lines.send(&json!({"seq": seq}));
+            lines.applied(*seq).received_tick > goes_up + 1_000
+        });
+        lines.send(&json!({"seq": went_up.unwrap() + 1, "end": true}));
         let receipt = ended(&mut events);
         let (onset, over) = (receipt.onset.unwrap().actual_tick, receipt.offset.unwrap().tick);
         let moved_s = (over - onset) as f64 / 85_000.0;

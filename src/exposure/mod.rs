@@ -363,7 +363,7 @@ impl Account {
         self.count(gap_s + for_s, now);
     }
 
-    /// Counts pins that were cut and left up: they vibrate for [`STILL_S`] more.
+    /// Counts pins that were cut and left up: they vibrate for half a second more.
     pub fn left_up(&mut self, from: HostInstant, now: Now) {
         self.moved(from, STILL_S, now);
     }

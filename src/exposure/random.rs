@@ -1,7 +1,9 @@
-//! Tests random sequences of orders, with stops, restarts, kills and changed clocks, against a plain sum of the lines' vibration.
+//! Tests random sequences of orders, with stops, restarts, kills and changed clocks, against a plain
+//! sum of the lines' vibration.
 //!
-//! The simulated lab has a device that plays the compiled moves of one play after the other and brings pins down after a cut, a disk, and an
-//! [`Account`]. It notes every move. At the end, plain sums over these notes must be within the limits. `CASES=1000000` runs a million sequences.
+//! The simulated lab has a device that plays the compiled moves of one play after the other and
+//! brings pins down after a cut, a disk, and an [`Account`]. It notes every move. At the end, plain
+//! sums over these notes must be within the limits. `CASES=1000000` runs a million sequences.
 
 use super::rule::REPORT_S;
 use super::*;
@@ -67,7 +69,7 @@ impl Move {
     fn level_at(&self, at_s: f64) -> u16 {
         let [before, after] = self.levels.map(f64::from);
         let share = ((at_s - self.from_s) / (self.to_s - self.from_s)).clamp(0.0, 1.0);
-        (before + share * (after - before)).ceil() as u16
+        (before + share * (after - before)).round() as u16
     }
 }
 

@@ -2,7 +2,7 @@
 //!
 //! For the limit without a pause, all vibration before the onset counts, including that of plays that run and wait, unless a pause
 //! fits before the onset. If a start time is not fixed, the rule assumes the one that leaves the shortest pause. A play that may begin
-//! less than [`STILL_S`] after the vibration before it keeps that time, too: it is one vibration then.
+//! less than half a second after the vibration before it keeps that time, too: it is one vibration then.
 //!
 //! Invariant: a play that fits exceeds no limit, whatever else is played between the decision and its end.
 

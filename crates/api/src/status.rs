@@ -205,8 +205,8 @@ pub struct ClockSample {
     pub uncertainty_us: f64,
 }
 
-/// The limits for the person who feels the pins, what is used and what is left. Vibration is time in which pins move, as
-/// `docs/explanation/participants.md` defines it.
+/// The limits for the person who feels the pins, what is used and what is left. Vibration is time in which pins move, by
+/// their compiled moves.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct ParticipantStatus {
     /// Whose vibration is counted: the running session's participant; null without one: everybody's together.

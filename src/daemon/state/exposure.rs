@@ -187,6 +187,7 @@ impl State {
         if (arms || resets) && self.exposure.stands_s > 0.0 {
             // What a cut has left up comes down now, or with the `arm` after the reset.
             self.exposure.account.moved(now.at, self.exposure.stands_s, now);
+            let _ = self.save_exposure(now);
         }
         if arms {
             self.exposure.stands_s = 0.0;
