@@ -8,9 +8,6 @@
 #[path = "../tests/hand.rs"]
 #[expect(dead_code, reason = "it is the tests', which use the rest of it")]
 mod hand;
-#[path = "../tests/lower_stop.rs"]
-#[expect(dead_code, reason = "it is the tests', which use the rest of it")]
-mod lower_stop;
 #[path = "../tests/margin.rs"]
 mod margin;
 #[path = "../tests/play.rs"]

@@ -19,7 +19,7 @@ use meissner_stream::queues::{Command, StreamEvent};
 use meissner_stream::{Gains, LowerStopSettings, Settings};
 use meissner_test_support::paper::MOTORS;
 
-pub(crate) fn settings() -> Settings {
+fn settings() -> Settings {
     Settings { lower_stop: Some(LowerStopSettings::of(Array::paper())), ..Settings::of(Array::paper()) }
 }
 

@@ -2,7 +2,6 @@
 //!
 //! The example `margin` runs the same over more patterns.
 
-use crate::lower_stop;
 use crate::play::{armed_with, job, job_of};
 use crate::random::{pattern, taking_turns};
 use firmware_protocol::controller::{BLOCK, HORIZON};
@@ -16,8 +15,8 @@ use meissner_hil::bench::chip::ChipOptions;
 use meissner_hil::rig::{Faults, Rig, RigOptions};
 use meissner_hil::scenario::pattern as named;
 use meissner_hil::time::MS;
-use meissner_stream::Gains;
 use meissner_stream::queues::{Command, StreamEvent};
+use meissner_stream::{Gains, LowerStopSettings};
 use meissner_test_support::paper::MOTORS;
 
 /// Patterns per condition in a test.
@@ -122,8 +121,9 @@ fn starts() -> Vec<(&'static str, Pattern, f64, u64)> {
 
 /// Plays each start after each of the rests, prints the least time left and returns whether it is enough.
 pub(crate) fn after_rests(slow: f64, has_stop: bool) -> bool {
-    let settings = if has_stop { lower_stop::settings() } else { RigOptions::default().settings };
-    let options = RigOptions { settings, ..RigOptions::default() };
+    let mut options = RigOptions::default();
+    options.settings.lower_stop = has_stop.then(|| LowerStopSettings::of(Array::paper()));
+    let settings = options.settings;
     let mut rig = armed_with(ChipOptions { slow, ..ChipOptions::new(1) }, options);
     rig.run_to(rig.now() + 150 * MS).unwrap();
     let mut enough = true;
