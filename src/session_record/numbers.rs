@@ -180,15 +180,14 @@ mod tests {
         let gaps = |removed, spans: &[(u64, u64)], upto| {
             Found { removed, spans: spans.to_vec(), ..Found::default() }.gaps(upto)
         };
-        let whole: &[(u64, &[(u64, u64)], u64)] = &[
-            (0, &[], 0),
+        for (removed, spans, upto) in [
+            (0, &[][..], 0),
             (0, &[(1, 35), (36, 73), (74, 119)], 119),
             // Clocks that jumped, files that were removed because they were old, and lines that `counter` does not know yet.
             (0, &[(1, 9), (20, 30), (10, 40)], 40),
             (35, &[(36, 73)], 73),
             (0, &[(1, 35)], 20),
-        ];
-        for &(removed, spans, upto) in whole {
+        ] {
             assert_eq!(gaps(removed, spans, upto), None, "{spans:?}");
         }
         for (removed, spans, upto, says) in [

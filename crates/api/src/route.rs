@@ -517,11 +517,12 @@ impl Route {
                 summary: "Record a participant's answer to a play",
                 description: "The play belongs to the running session, has begun, and is among the last 1000 that have ended. A play has at \
                               most one answer. The session record keeps it, and every export shows it in the row of the play; the \
-                              items of a sequence repeat it.",
+                              items of a sequence repeat it. An answer whose line the disk refuses, or has not taken within 4 s, is an \
+                              error (`store`): send it again.",
                 parameter: Some("The play's id"),
                 body: Body::Json("PlayAnswer"),
                 answer: Answer::Json("AnswerTaken"),
-                errors: &[BODY, &[Code::NotFound, Code::Exists, Code::TooManyPlays], ANY],
+                errors: &[BODY, &[Code::NotFound, Code::Exists, Code::TooManyPlays, Code::Store], ANY],
                 ..Operation::post("/v1/plays/{id}/answer")
             },
             Self::Events => Operation {
