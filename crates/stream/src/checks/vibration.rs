@@ -60,7 +60,7 @@ impl Vibrating {
         let is_full = self.spans.len() + 1 >= MOST_SPANS;
         match &mut self.present {
             Some((_, until)) if is_full || start < until.saturating_add(self.still) => {
-                *until = end.max(*until)
+                *until = end.max(*until);
             }
             _ => {
                 self.close(start);
