@@ -193,7 +193,7 @@ mod tests {
             if last.is_none_or(|last| start >= last + still) {
                 if let Some(span) = spans.last_mut() {
                     for motor in 0..64 {
-                        let own = before.iter().filter(|burst| burst.2 == motor).next_back();
+                        let own = before.iter().rfind(|burst| burst.2 == motor);
                         if let Some(own) = own.filter(|own| own.3) {
                             span.1 = span.1.max((own.1 + still).min(start));
                         }
