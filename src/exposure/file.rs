@@ -120,7 +120,10 @@ impl Account {
                 let by_host_s = (now.at.as_ns() as f64 - monotonic_ns as f64) / 1e9;
                 // The monotonic clock restarts with the machine.
                 let rested_s = if by_host_s >= 0.0 { by_wall_s.min(by_host_s) } else { by_wall_s };
-                Stretch { used_s, until_s: seconds(now.at) - rested_s.max(0.0) }
+                let rested_s = rested_s.max(0.0);
+                // By the other clock the time before the next movement may be longer, and count.
+                let longer_s = (by_wall_s.max(by_host_s) - rested_s).clamp(0.0, STILL_S);
+                Stretch { used_s: used_s + longer_s, until_s: seconds(now.at) - rested_s }
             }
         };
         (self.dates, self.stretch, self.unknown) = (dates, stretch, None);

@@ -154,7 +154,7 @@ impl Kind {
 
     /// The pins that stand above rest, with their levels.
     fn standing(&self, at_s: f64) -> Vec<(u8, u16)> {
-        let last = |motor| self.moves.iter().filter(|of| of.motor == motor && of.from_s < at_s).next_back();
+        let last = |motor| self.moves.iter().rfind(|of| of.motor == motor && of.from_s < at_s);
         let levels = (0..4).filter_map(|motor| Some((motor, last(motor)?.level_at(at_s))));
         levels.filter(|(_, level)| *level > 0).collect()
     }

@@ -60,7 +60,7 @@ impl Vibrating {
         let is_full = self.spans.len() + 1 >= MOST_SPANS;
         match &mut self.present {
             Some((_, until)) if is_full || start < until.saturating_add(self.still) => {
-                *until = end.max(*until)
+                *until = end.max(*until);
             }
             _ => {
                 self.close(start);
@@ -193,7 +193,7 @@ mod tests {
             if last.is_none_or(|last| start >= last + still) {
                 if let Some(span) = spans.last_mut() {
                     for motor in 0..64 {
-                        let own = before.iter().filter(|burst| burst.2 == motor).next_back();
+                        let own = before.iter().rfind(|burst| burst.2 == motor);
                         if let Some(own) = own.filter(|own| own.3) {
                             span.1 = span.1.max((own.1 + still).min(start));
                         }
