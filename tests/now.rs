@@ -54,7 +54,7 @@ fn every_kind_of_play_shows_what_its_pins_do_and_a_stop_that_they_rest() {
 
     let ramp = json!({"motor": 7, "to_um": 200.0, "rise_s": 0.05, "hold_s": 50.0, "fall_s": 0.05});
     let held = json!({"format": 2, "name": "held", "ramp": [ramp]});
-    let _: Value = client.post("/v1/play", &json!({"pattern": held})).unwrap();
+    let _: Value = client.post("/v1/play", &json!({"pattern": &held})).unwrap();
     wait_for(&mut client, 7, PinMovement { height_um: 200.0, swing_um: 0.0, hz: 0.0 });
     stop(&mut client);
 
@@ -85,9 +85,13 @@ fn every_kind_of_play_shows_what_its_pins_do_and_a_stop_that_they_rest() {
     wait_until(|| moving(&mut client) > 0);
     stop(&mut client);
 
-    // The lines are off, wherever the pins are.
+    // An emergency stop leaves a pin up until a reset has returned it.
+    let _: Value = client.post("/v1/play", &json!({"pattern": held})).unwrap();
+    wait_for(&mut client, 7, PinMovement { height_um: 200.0, swing_um: 0.0, hz: 0.0 });
     let _: Status = client.post("/v1/estop", &json!({})).unwrap();
-    assert!(motors(&mut client).iter().all(|motor| motor.now.is_none()));
+    wait_for(&mut client, 7, PinMovement { height_um: 200.0, swing_um: 0.0, hz: 0.0 });
+    let _: Status = client.post("/v1/reset", &json!({})).unwrap();
+    wait_until(|| are_still(&mut client));
 }
 
 /// A live connection in lines of JSON.

@@ -12,6 +12,8 @@ use std::io::{Read, Write};
 use std::os::unix::fs::PermissionsExt;
 use std::os::unix::net::UnixStream;
 use std::process::{Command, Stdio};
+use std::thread;
+use std::time::Duration;
 
 fn start(client: &mut Client, participant: &str, exclusive: bool) -> SessionStarted {
     let request = json!({
@@ -395,7 +397,9 @@ fn a_session_has_a_limit_of_its_own_and_participants_have_their_days() {
     let daemon = Daemon::with("mock", &format!("{PATIENT}{limits}"));
     let (mut client, _) = owner(&daemon, "P07", false);
     let mut events = client.events().unwrap();
+    // Of plays that follow each other within half a second, the time between them counts, too.
     let mut play = |client: &mut Client, seconds: f64| {
+        thread::sleep(Duration::from_millis(600));
         let answer = client.post::<Value>("/v1/play", &json!({"pattern": "pin-60", "seconds": seconds}));
         if answer.is_ok() {
             ended(&mut events);

@@ -214,10 +214,11 @@ impl LiveMotor {
             }
             LiveMotion::Level { pulses, glide_ticks, .. } => {
                 // What goes up before that comes down again by itself.
-                let begin = if vibrates && self.oscillator.wave.moves() {
-                    self.oscillator.up(self.oscillator.first_from(from))
-                } else {
-                    from
+                let begin = match vibrates {
+                    true if self.oscillator.wave.moves() => self.oscillator.up(self.oscillator.first_from(from)),
+                    // The drive before this one, which moves nothing.
+                    true => from.max(self.oscillator.begin),
+                    false => from,
                 };
                 let glide = Glide { before: last, ..Glide::new(array, begin, level, pulses, glide_ticks) };
                 (Self { motion, glide, oscillator: self.oscillator }, begin)
