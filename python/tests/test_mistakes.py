@@ -169,7 +169,7 @@ def test_mistakes_at_plays_and_answers(m: meissner.Client) -> None:
             (lambda: play.answer("a", rt=5), "did you mean `rt_ms`?"),
             (lambda: play.answer("a", correct="yes"), "`correct` is 'yes': must be True, False or None"),
             (lambda: play.answer("a", rt_ms="5"), "`rt_ms` is '5': must be a number"),
-            (lambda: play.answer("a", rt_ms=math.nan), "`rt_ms` is nan: must be a finite number"),
+            (lambda: play.answer("a", rt_ms=math.inf), "`rt_ms` is inf: must be a finite number"),
             (lambda: play.answer("a", level=[1]), r"`level` is \[1\]: must be a number"),
             (lambda: play.answer("a", factors=[1]), r"`factors` is \[1\]: must be a dict"),
             (lambda: any_session.answer(99, "a"), "has played nothing in trial 99: play with `trial=99` first"),
