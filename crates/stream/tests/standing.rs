@@ -47,6 +47,7 @@ struct Lab {
     boots: u32,
     latest: Option<Snapshot>,
     answered: Vec<(u64, Result<(), CommandError>)>,
+    contradictions: Vec<String>,
 }
 
 impl Lab {
@@ -63,6 +64,7 @@ impl Lab {
             boots: 1000,
             latest: None,
             answered: Vec::new(),
+            contradictions: Vec::new(),
         }
     }
 
@@ -88,6 +90,10 @@ impl Lab {
             match event {
                 StreamEvent::Snapshot(snapshot) => self.latest = Some(snapshot),
                 StreamEvent::Answer { ticket, result } => self.answered.push((ticket, result)),
+                StreamEvent::Contradiction(how) => {
+                    println!("{:?}: {how:?}", self.rig.now());
+                    self.contradictions.push(format!("{how:?}"));
+                }
                 _ => {}
             }
         }
@@ -456,5 +462,6 @@ fn no_order_of_commands_raises_a_pin_unseen() {
                 lab.assert_no_false_rest(&what);
             }
         }
+        assert_eq!(lab.contradictions, Vec::<String>::new(), "case {case}");
     }
 }
