@@ -190,7 +190,7 @@
 //! | `Hello`: `tick`; `pool`, `max_up_pulses` | at most 2^56; at least 1 | contradiction `hello` |
 //! | `Hello`: `session`; `epoch`, `reports` | the host's own; any | ignored; later statuses contradict a false number |
 //! | `Hello`: others | any: for people, or not used | |
-//! | ticks of statuses, reports, telemetry | from the handshake to now (reports of cuts, verdicts: plus `horizon`), by the host's estimate of the clock ± (twice its uncertainty + 3 ms) | contradiction `clock` |
+//! | ticks of statuses, reports, telemetry | from the first `Hello` to now (reports of cuts, verdicts: plus `horizon`), by the host's estimate of the clock ± (twice its uncertainty + 3 ms) | contradiction `clock` |
 //! | `Status`: `tick` | not before the ping it answers; at most 1 s before the newest status | contradiction `clock`; a little older: ignored, a later one overtook it |
 //! | `Status`: `token` | one of the last 64 pings | measures nothing |
 //! | `Status`: `epoch`, `refusal` | from the last one named to the last one sent; what the command can be refused for; faulted after an e-stop, not armed after a disarm | contradiction `command` |

@@ -131,6 +131,27 @@ fn a_report_of_the_epoch_before_the_last_is_not_taken_for_the_last_ones() {
     run(ops).unwrap();
 }
 
+/// The device hears a hello and its answer is lost: what it reports until it answers the next one is true.
+#[test]
+fn reports_from_within_a_handshake_contradict_nothing() {
+    for lost in 1..10 {
+        let mut pair = Pair::new();
+        for _ in 0..lost {
+            pair.exchange(0, u32::MAX);
+            pair.wait(850);
+            pair.device.fault(Tick::BOOT + pair.ticks, Cause::Starved);
+        }
+        for _ in 0..40 {
+            pair.exchange(0, 0);
+            pair.wait(170);
+        }
+        let told = |event: &Event| matches!(event, Event::Cut { cut, .. } if cut.cause == Cause::Starved);
+        assert_eq!(pair.events.iter().filter(|event| told(event)).count(), 1, "{:?}", pair.events);
+        let doubted = |event: &Event| matches!(event, Event::Contradiction(_) | Event::Lost(_));
+        assert!(!pair.events.iter().any(doubted), "{lost} lost: {:?}", pair.events);
+    }
+}
+
 /// The line takes no bytes, and the e-stop goes ahead of them: the device answers a command whose frame has not left.
 #[test]
 fn an_e_stop_ahead_of_its_frame_is_answered() {

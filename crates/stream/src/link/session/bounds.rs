@@ -57,7 +57,7 @@ pub(super) struct DeviceKnowledge {
     pool: u16,
     horizon: u32,
     telemetry: bool,
-    /// The clock and the number of reports at the handshake.
+    /// The clock when the handshake began, at the earliest, and the number of reports read before.
     opened: Tick,
     reports: u16,
     /// The newest status and its tick.
@@ -100,7 +100,8 @@ impl ClockReading {
         self.tick + self.slack
     }
 
-    const fn earliest(&self) -> Tick {
+    /// The device's clock is not before this.
+    pub(super) const fn earliest(&self) -> Tick {
         Tick(self.tick.0.saturating_sub(self.slack))
     }
 }
@@ -186,12 +187,12 @@ impl DeviceKnowledge {
         self.marks.push_back(mark);
     }
 
-    /// The handshake is done; `by`: the device's clock is not beyond this.
-    pub(super) fn open(&mut self, hello: &DeviceHello, by: Tick) {
+    /// The handshake is done; the device's clock was not before `from` when it began, and is not beyond `by`.
+    pub(super) fn open(&mut self, hello: &DeviceHello, [from, by]: [Tick; 2]) {
         (self.pool, self.telemetry) = (hello.pool, hello.features & DeviceHello::TELEMETRY != 0);
         self.trigger_input = hello.features & DeviceHello::TRIGGER_INPUT != 0;
         (self.horizon, self.reports) = (hello.horizon.into(), hello.reports);
-        (self.opened, self.epoch, self.report_read_by) = (Tick(hello.tick), hello.epoch, by);
+        (self.opened, self.epoch, self.report_read_by) = (from, hello.epoch, by);
     }
 
     /// Takes over the newest status; `current`: the epoch that the session has begun last.

@@ -108,9 +108,10 @@ impl Session {
         self.phase = Phase::Open;
         self.commands.open(hello.epoch);
         self.reports.open(hello.reports);
-        // The device may answer any of the hellos.
-        self.pinger.open(self.hellos.first().unwrap_or(now), Tick(hello.tick), now);
-        self.known.open(&hello, self.reading(now)?.latest());
+        // The device may answer any of the hellos. Its session, and its reports, begin with the first one that it hears.
+        let first = self.hellos.first().unwrap_or(now);
+        self.pinger.open(first, Tick(hello.tick), now);
+        self.known.open(&hello, [self.reading(first)?.earliest(), self.reading(now)?.latest()]);
         emit(Event::Opened(hello));
         Ok(())
     }
