@@ -39,7 +39,7 @@ struct Day {
 #[derive(Debug, Serialize, Deserialize)]
 struct Since {
     vibration_s: f64,
-    /// When pins last vibrated, by both clocks; `None`: plays run or wait.
+    /// When pins last vibrated, by both clocks; `None`: plays run or wait, or pins are left up.
     until: Option<(String, u64)>,
 }
 
@@ -107,10 +107,10 @@ impl Account {
         }
         let stretch = match stretch {
             None => Stretch::NONE,
-            // The plays of a killed daemon ended at an unknown time; assume that they end now.
+            // The plays of a killed daemon ended at an unknown time; assume that they end now, and leave pins up.
             Some(Since { vibration_s, until: None }) => {
                 let used_s = checked("the stretch without a pause", vibration_s)?;
-                Stretch { used_s, until_s: seconds(now.at) }
+                Stretch { used_s, until_s: seconds(now.at) + STILL_S }
             }
             Some(Since { vibration_s, until: Some((until, monotonic_ns)) }) => {
                 let used_s = checked("the stretch without a pause", vibration_s)?;
@@ -118,9 +118,9 @@ impl Account {
                 // Take the clock by which less time has passed.
                 let by_wall_s = now.wall.duration_since(until).as_secs_f64();
                 let by_host_s = (now.at.as_ns() as f64 - monotonic_ns as f64) / 1e9;
-                // The monotonic clock restarts with the machine.
-                let rested_s = if by_host_s >= 0.0 { by_wall_s.min(by_host_s) } else { by_wall_s };
-                let rested_s = rested_s.max(0.0);
+                // The monotonic clock restarts with the machine. Pins that stand vibrate for a while yet.
+                let rested_s = if by_host_s >= -STILL_S { by_wall_s.min(by_host_s) } else { by_wall_s };
+                let rested_s = rested_s.max(-STILL_S);
                 // By the other clock the time before the next movement may be longer, and count.
                 let longer_s = (by_wall_s.max(by_host_s) - rested_s).clamp(0.0, STILL_S);
                 Stretch { used_s: used_s + longer_s, until_s: seconds(now.at) - rested_s }
@@ -137,8 +137,10 @@ impl Account {
         if self.unknown.is_some() {
             return None;
         }
-        let (at_s, mut kept_s) = (seconds(now.at), self.live.iter().map(Live::left_s).sum::<f64>());
-        if !self.live.is_empty() {
+        let (at_s, mut kept_s) = (seconds(now.at), self.stands_s);
+        kept_s += self.live.iter().map(Live::left_s).sum::<f64>();
+        let is_still = self.live.is_empty() && self.stands_s <= 0.0;
+        if !is_still {
             // A killed daemon does not know when the pins were still again, nor so how long before the next play.
             kept_s += STILL_S;
         }
@@ -165,7 +167,7 @@ impl Account {
             let rested = SignedDuration::try_from_secs_f64(at_s - stretch.until_s).unwrap_or_default();
             let wall = now.wall.saturating_sub(rested).unwrap_or(now.wall);
             let until = (wall.to_string(), (stretch.until_s.max(0.0) * 1e9) as u64);
-            Since { vibration_s: used_s, until: Some(until).filter(|_| self.live.is_empty()) }
+            Since { vibration_s: used_s, until: Some(until).filter(|_| is_still) }
         });
         // Plain data can be written.
         serde_json::to_string(&File { today, other_dates, stretch }).ok().map(|text| text + "\n")

@@ -150,6 +150,8 @@ pub struct Account {
     stretch: Stretch,
     /// The plays that run and wait, in order.
     live: Vec<Live>,
+    /// Pins were cut and left up: how long they take to come down, s.
+    stands_s: f64,
     last_held: u64,
     /// Why the sums are unknown: the daemon plays nothing until a person has checked the file.
     unknown: Option<String>,
@@ -364,8 +366,23 @@ impl Account {
     }
 
     /// Counts pins that were cut and left up: they vibrate for half a second more.
-    pub fn left_up(&mut self, from: HostInstant, now: Now) {
+    pub fn left_up(&mut self, from: HostInstant, return_s: f64, now: Now) {
         self.moved(from, STILL_S, now);
+        self.stand(return_s);
+    }
+
+    /// Notes that pins may stand, which take so long to come down.
+    pub const fn stand(&mut self, return_s: f64) {
+        self.stands_s = self.stands_s.max(return_s);
+    }
+
+    /// Counts that the pins come down that were left up. Returns whether there may be any.
+    pub fn come_down(&mut self, now: Now) -> bool {
+        let stands_s = std::mem::take(&mut self.stands_s);
+        if stands_s > 0.0 {
+            self.moved(now.at, stands_s, now);
+        }
+        stands_s > 0.0
     }
 
     /// How long the pins of a play take to come down if it is cut, s.

@@ -214,11 +214,11 @@ struct Vibrated {
     session: u64,
 }
 
-/// The rule, in plain words: what moves vibrates; less than half a second between two moves is no pause; and a pin that then stands above
-/// rest vibrates for half a second more.
+/// The rule, in plain words: what moves vibrates; less than half a second between two moves is no pause; and if a pin then stands above
+/// rest, it vibrates for half a second more.
 fn vibrated(mut moved: Vec<Moved>) -> Vec<Vibrated> {
     moved.sort_by(|a, b| a.of.from_s.total_cmp(&b.of.from_s));
-    let (mut lines, mut last, mut stands) = (Vec::new(), None::<&Moved>, [0.0_f64; 4]);
+    let (mut lines, mut last, mut stands) = (Vec::new(), None::<&Moved>, [false; 4]);
     let mut until_s = f64::NEG_INFINITY;
     for now in &moved {
         let Move { from_s, to_s, motor, levels } = now.of;
@@ -229,12 +229,11 @@ fn vibrated(mut moved: Vec<Moved>) -> Vec<Vibrated> {
         };
         if from_s - until_s < 0.5 {
             push(until_s, from_s, now);
-        } else if let Some(last) = last {
-            let stood_s = stands.iter().copied().fold(0.0, f64::max);
-            push(until_s, (stood_s + 0.5).min(from_s), last);
+        } else if let Some(last) = last.filter(|_| stands.contains(&true)) {
+            push(until_s, until_s + 0.5, last);
         }
         push(from_s.max(until_s), to_s, now);
-        stands[usize::from(motor)] = if levels[1] > 0 { to_s } else { 0.0 };
+        stands[usize::from(motor)] = levels[1] > 0;
         (until_s, last) = (until_s.max(to_s), Some(now));
     }
     lines
@@ -252,9 +251,8 @@ struct Lab<'k> {
     /// A text that was written, but may not yet be on the disk.
     on_the_way: Option<String>,
     queue: Vec<Playing<'k>>,
-    /// Pins that an emergency stop has left up, with their levels, and what the daemon counts for their way down, s.
+    /// Pins that an emergency stop has left up, with their levels.
     standing: Vec<(u8, u16)>,
-    stands_s: f64,
     /// Emergency stops with pins up.
     estops: u32,
     saved_s: f64,
@@ -283,7 +281,6 @@ impl<'k> Lab<'k> {
             on_the_way: None,
             queue: Vec::new(),
             standing: Vec::new(),
-            stands_s: 0.0,
             estops: 0,
             saved_s: 0.0,
             reported_s: 0.0,
@@ -418,13 +415,12 @@ impl<'k> Lab<'k> {
             if back_s > 0.0 && play.began_s.is_some() {
                 self.account.moved(now.at, back_s, now);
             } else if is_estop && play.began_s.is_some() {
-                self.account.left_up(now.at, now);
-                self.stands_s = self.stands_s.max(return_s);
+                self.account.left_up(now.at, return_s, now);
             }
         }
         if is_estop {
             self.estops += u32::from(!standing.is_empty());
-            self.standing = standing;
+            self.standing.extend(standing);
         }
         self.now_s += back_s;
         self.save(false);
@@ -434,9 +430,8 @@ impl<'k> Lab<'k> {
     fn arm(&mut self) {
         let standing = std::mem::take(&mut self.standing);
         let down_s = self.go_down(standing);
-        let now = self.now();
-        if self.stands_s > 0.0 {
-            self.account.moved(now.at, std::mem::take(&mut self.stands_s), now);
+        if self.account.come_down(self.now()) {
+            self.save(false);
         }
         self.now_s += down_s;
     }
@@ -498,8 +493,6 @@ impl<'k> Lab<'k> {
         } else {
             self.stop(false);
         }
-        // The device says that it is faulted, and no more.
-        self.stands_s = if self.standing.is_empty() { 0.0 } else { 0.035 };
         let arrives = !killed || self.random.below(2) == 0;
         if let Some(text) = self.on_the_way.take().filter(|_| arrives) {
             self.disk = text;
@@ -514,6 +507,8 @@ impl<'k> Lab<'k> {
             let now = self.now();
             self.account.restore(self.disk.as_bytes(), now).unwrap();
         }
+        // The device says that it is faulted, and no more.
+        self.account.stand(if self.standing.is_empty() { 0.0 } else { 0.035 });
         self.begin_session();
     }
 

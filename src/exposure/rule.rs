@@ -126,7 +126,9 @@ pub fn judge(limits: &ParticipantLimits, so_far: &SoFar<'_>, order: &Order<'_>) 
         stretch = vibration.walk(onset_s, (counted_to_s, to_s), stretch, pause_s).1;
         if let Some(cut_s) = cut_s.filter(|_| back_s > 0.0) {
             kept_s += back_s;
-            stretch = stretch.with(cut_s, cut_s + back_s, pause_s);
+            // It may come earlier, or nothing stands.
+            let used_s = stretch.used_at(cut_s - LATE_S, pause_s) + back_s;
+            stretch = Stretch { used_s, until_s: stretch.until_s.max(cut_s + back_s) };
         }
         stretch.until_s += late_s;
         free_s = free_s.max(freed_s.unwrap_or(f64::INFINITY).min(onset_s + vibration.end().min(to_s)));

@@ -2,6 +2,7 @@
 
 use super::*;
 use jiff::civil::date;
+use meissner_stream::{Hold, Settings};
 
 /// A play of one pin that vibrates all the time, until `end_s` or without end.
 fn play(end_s: Option<f64>) -> Vibration {
@@ -136,7 +137,7 @@ fn a_kill_leaves_no_smaller_sum() {
     let mut again = killed(&account, 0.0, at(2.0));
     assert_eq!((again.status(at(2.0)).day_used_s, again.status(at(2.0)).continuous_used_s), (8.5, 8.5));
     assert!(check_next(&mut again, at(2.0), &play(Some(4.0))).is_err());
-    assert_eq!(check_next(&mut again, at(7.1), &play(Some(4.0))), Ok(()), "after a pause");
+    assert_eq!(check_next(&mut again, at(7.6), &play(Some(4.0))), Ok(()), "after a pause");
     // By the wall clock an hour has passed, by the other clock two seconds.
     let hour = Now { wall: at(3600.0).wall, ..at(10.0) };
     assert!(check_next(&mut killed(&account, 0.0, hour), hour, &play(Some(4.0))).is_err());
@@ -152,6 +153,46 @@ fn a_kill_leaves_no_smaller_sum() {
     account.hold(at(200.0), play(None), Onset::Next, false).unwrap();
     let used_s = killed(&account, 200.0, at(200.0)).status(at(200.0)).day_used_s;
     assert!((used_s - 18.5).abs() < 1e-6, "{used_s}");
+}
+
+/// Pins that an emergency stop leaves up vibrate until half a second later, which the file says ahead, and come down some time.
+#[test]
+fn no_restart_makes_a_pause_of_pins_that_were_left_up() {
+    let mut account = account();
+    run(&mut account, 1, play(Some(8.0)), 100.0, 8.0);
+    account.left_up(at(108.0).at, 0.03, at(108.0));
+    let fits = |account: &Account, saved_s: f64, after: Now| {
+        let mut again = Account::new(*account.limits());
+        again.restore(account.text(at(saved_s)).unwrap().as_bytes(), after).unwrap();
+        [5.0, 5.6].map(|rests_s| {
+            let now = after.at(at(seconds(after.at) + rests_s).at);
+            check_next(&mut again, now, &play(Some(4.0))).is_ok()
+        })
+    };
+    // The last text on the disk is from before they came down.
+    assert_eq!(fits(&account, 108.0, at(200.0)), [false, true]);
+    assert!(account.come_down(at(108.1)) && !account.come_down(at(108.1)), "once");
+    // The wall clock was set forward by an hour.
+    let hour = Now { wall: at(3708.2).wall, ..at(108.2) };
+    assert_eq!(fits(&account, 108.1, hour), [false, true]);
+}
+
+/// Its pins may come down at once, or none of them stands.
+#[test]
+fn a_replaced_play_makes_no_pause() {
+    let mut account = account();
+    run(&mut account, 1, play(Some(8.0)), 0.0, 8.0);
+    let [from, until] = [10, 11].map(|seconds| seconds * 85_000);
+    let hold = Hold { longest: 0, counted_until: None, vibrates: vec![(from, until)], highest: 400 };
+    let settings = Settings::of(meissner_array::spec::Array::paper());
+    let later = Vibration::of(&hold, Some(until), &settings);
+    let held = account.hold(at(8.0), later, Onset::Next, false).unwrap();
+    account.begin(held, 2, at(8.0));
+    account.began(2, at(8.0).at);
+    for (now_s, fits) in [(12.9, false), (13.0, true)] {
+        let instead = account.hold(at(now_s), play(Some(4.0)), Onset::Next, true);
+        assert_eq!(instead.map(|held| account.forget(held)).is_ok(), fits, "{now_s}");
+    }
 }
 
 /// The clock is set forward by a day and back: neither of the two days starts again from 0.

@@ -34,8 +34,6 @@ pub(in crate::daemon) struct Exposure {
     stopped: HashSet<u64>,
     /// Commands that bring pins home: ticket, number in the account, and when they were sent.
     homings: Vec<(u64, u64, HostInstant)>,
-    /// A play was cut and its pins may still stand: how long they take to come down, s.
-    stands_s: f64,
     /// The time and day of the last save.
     saved: Option<(HostInstant, Date)>,
     /// Receives the disk's late answer, after a play has waited for it in vain.
@@ -176,21 +174,15 @@ impl State {
     /// Reserves the time of a command that brings pins home: of a homing as of a play without end, of a seek of the lower stop its own.
     pub(super) fn hold_homing(&mut self, command: &Command) -> Result<Option<u64>, Problem> {
         let (settings, now) = (self.settings, Now::read());
-        let (arms, resets) = (
-            matches!(command, Command::Arm { .. } | Command::ArmUnchecked),
-            matches!(command, Command::Reset { .. }),
-        );
-        if resets && self.is_faulted() {
+        let arms = matches!(command, Command::Arm { .. } | Command::ArmUnchecked);
+        if matches!(command, Command::Reset { .. }) && self.is_faulted() {
             // Of what was cut before this daemon began, too.
-            self.exposure.stands_s = Vibration::without_end(&settings).return_s();
+            self.exposure.account.stand(Vibration::without_end(&settings).return_s());
         }
-        if (arms || resets) && self.exposure.stands_s > 0.0 {
-            // What a cut has left up comes down now, or with the `arm` after the reset.
-            self.exposure.account.moved(now.at, self.exposure.stands_s, now);
+        // What a cut has left up comes down now.
+        let returns = arms || matches!(command, Command::Reset { keep: false, .. });
+        if returns && self.exposure.account.come_down(now) {
             let _ = self.save_exposure(now);
-        }
-        if arms {
-            self.exposure.stands_s = 0.0;
         }
         let vibration = if matches!(command, Command::Home) {
             Vibration::without_end(&settings)
@@ -284,12 +276,11 @@ impl State {
                     // After a lost link the device brings the pins down, and does not say so.
                     let back_s = over.map_or(return_s, |over_s| (over_s - played_s).max(0.0));
                     let (cut, faulted) = (onset.at + Duration::from_secs_f64(played_s), self.is_faulted());
-                    let Exposure { account, stands_s, .. } = &mut self.exposure;
+                    let account = &mut self.exposure.account;
                     if back_s > 0.0 {
                         account.moved(cut, back_s, now);
                     } else if faulted || outcome.cause == Some(EndCause::EStop) {
-                        account.left_up(cut, now);
-                        *stands_s = stands_s.max(return_s);
+                        account.left_up(cut, return_s, now);
                     }
                 }
                 if self.exposure.stopped.remove(id) && outcome.cause == Some(EndCause::Stop) {
