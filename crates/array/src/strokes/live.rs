@@ -215,7 +215,9 @@ impl LiveMotor {
             LiveMotion::Level { pulses, glide_ticks, .. } => {
                 // What goes up before that comes down again by itself.
                 let begin = match vibrates {
-                    true if self.oscillator.wave.moves() => self.oscillator.up(self.oscillator.first_from(from)),
+                    true if self.oscillator.wave.moves() => {
+                        self.oscillator.up(self.oscillator.first_from(from))
+                    }
                     // The drive before this one, which moves nothing.
                     true => from.max(self.oscillator.begin),
                     false => from,
