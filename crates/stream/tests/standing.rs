@@ -123,7 +123,11 @@ impl Lab {
 
     /// Where the shafts are, µm above rest: a motor's first burst after a rest goes only part of its way.
     fn shafts_um(&self) -> [f64; MOTORS] {
-        std::array::from_fn(|motor| self.left_um[motor] + self.rig.mock.position_um(motor as u8))
+        let mut shafts_um = self.left_um;
+        for (motor, um) in (0..).zip(&mut shafts_um) {
+            *um += self.rig.mock.position_um(motor);
+        }
+        shafts_um
     }
 
     /// How far pins are above where a person saw them last, µm, at least: by their lines and by their shafts.
@@ -328,6 +332,23 @@ fn an_emergency_stop_ends_the_return_of_a_reset() {
     }
 }
 
+/// A client arms as the link comes back: the device may know of pins that stand, and returns them then.
+#[test]
+fn an_unchecked_arm_waits_for_what_the_device_knows() {
+    let mut lab = Lab::armed(4);
+    lab.rig.start(&ramp(15.0, 5.0), None);
+    lab.run(300);
+    lab.order(Command::EStop, 50);
+    lab.order(reset(true), 50);
+    lab.rig.unplug();
+    lab.rig.connect();
+    while lab.order(Command::ArmUnchecked, 1) != Some(Ok(())) {
+        assert!(lab.answered.len() < 500, "{:?}", lab.answered.last());
+    }
+    lab.run(200);
+    assert_eq!((lab.net, lab.rig.mock.controller().state()), ([0; MOTORS], State::Armed));
+}
+
 /// The link is lost in a hold: the device returns its pins, and what the host could not know is forgotten once the device tells it.
 #[test]
 fn a_lost_link_leaves_no_height_behind() {
@@ -366,20 +387,12 @@ impl Lab {
         let array = Array::paper();
         let before = self.rig.mock.controller().state();
         // Half of the orders are what a person does next: otherwise most would meet a device that takes none.
-        let next = match before {
-            _ if random.chance(0.5) => 0.0,
-            State::Faulted => 13.0,
-            State::Disarmed => 14.0,
-            _ => 0.0,
+        let orders = match before {
+            State::Faulted if random.chance(0.5) => 13.0..14.0,
+            State::Disarmed if random.chance(0.5) => 14.0..18.0,
+            _ => 0.0..20.0,
         };
-        let span = if next == 13.0 {
-            1.0
-        } else if next > 0.0 {
-            4.0
-        } else {
-            20.0
-        };
-        let order = (next + random.between(0.0, span)) as u64;
+        let order = random.between(orders.start, orders.end) as u64;
         // What a failure shows.
         let net = (0..MOTORS).map(|motor| self.net[motor] - self.base[motor]).max();
         println!(
