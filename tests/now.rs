@@ -86,7 +86,7 @@ fn every_kind_of_play_shows_what_its_pins_do_and_a_stop_that_they_rest() {
     stop(&mut client);
 
     // An emergency stop leaves a pin up until a reset has returned it.
-    let _: Value = client.post("/v1/play", &json!({"pattern": held})).unwrap();
+    wait_until(|| client.post::<Value>("/v1/play", &json!({"pattern": held})).is_ok());
     wait_for(&mut client, 7, PinMovement { height_um: 200.0, swing_um: 0.0, hz: 0.0 });
     let _: Status = client.post("/v1/estop", &json!({})).unwrap();
     wait_for(&mut client, 7, PinMovement { height_um: 200.0, swing_um: 0.0, hz: 0.0 });
