@@ -138,7 +138,7 @@ test("during an exclusive session of another client the page offers what reads, 
   for (const hidden of ["#arm", "#home", "#reset", "#session-end", "#choice-title"]) await gone(page, hidden);
   for (const shown of ["#estop", "#stop", "#disarm"]) await there(page, shown);
   await other(daemon, "POST", "/v1/arm", { assume_rest: true }, owner);
-  await other(daemon, "POST", "/v1/play", { pattern: "pin-60", seconds: 600 }, owner);
+  await other(daemon, "POST", "/v1/play", { pattern: "pin-60", seconds: 300 }, owner);
   await shows(page, "state-text", "Playing pin-60");
   await press(page, "#stop");
   await shows(page, "state-text", "Armed");

@@ -12,7 +12,7 @@ const browser = await launch();
 const daemon = await new Daemon().start();
 const first = await open(browser, daemon);
 await arm(first);
-await (await fetch(`${daemon.url}/v1/play`, { method: "POST", body: JSON.stringify({ pattern: "edge-45", seconds: 600 }) })).json();
+await (await fetch(`${daemon.url}/v1/play`, { method: "POST", body: JSON.stringify({ pattern: "edge-45", seconds: 300 }) })).json();
 // What is to be seen in each view.
 const READY = { play: ".thumbnail", design: "#thing-result:not([hidden], .older)", record: "#sessions-none:not([hidden])", device: "#findings li" };
 for (const width of [390, 1400, 3000]) {

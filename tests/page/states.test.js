@@ -47,7 +47,7 @@ test("what stands beside E-STOP follows the state", async () => {
   await shows(page, "state-text", "Disarmed");
   assert.equal(await text(page, "estop-note"), "");
   await other(daemon, "/v1/arm", { assume_rest: true, checked: "a test" });
-  await other(daemon, "/v1/play", { pattern: "pin-60", seconds: 600 });
+  await other(daemon, "/v1/play", { pattern: "pin-60", seconds: 300 });
   await shows(page, "state-text", "Playing pin-60");
   assert.equal(await text(page, "estop-note"), "");
   // A stop of another client counts, too.
@@ -75,7 +75,7 @@ test("a state that is older than a second is not known, and an answer that was h
       network.letGo();
     }
     await other(daemon, "/v1/arm");
-    await other(daemon, "/v1/play", { pattern: "pin-60", seconds: 600 });
+    await other(daemon, "/v1/play", { pattern: "pin-60", seconds: 300 });
     await shows(page, "touch", "The state is not known");
     assert.equal(await page.$eval("#state", (state) => state.dataset.state), "unknown");
     await shows(page, "facts", "Positionnot known");

@@ -78,7 +78,7 @@ for (const [width, height, most] of [[1400, 1000, 250], [390, 844, 422], [360, 6
     const page = await open(daemon, width, height, "device");
     // Not armed by the page, whose signs of life may be late beside a build.
     await post(daemon, "/v1/arm", { assume_rest: true, checked: "a test" });
-    await post(daemon, "/v1/play", { pattern: "edge-45-rendered", seconds: 600 });
+    await post(daemon, "/v1/play", { pattern: "edge-45-rendered", seconds: 300 });
     await shows(page, "state-text", "Playing edge-45-rendered");
     await shows(page, "calibration-note", "Nothing was calibrated yet");
     await page.evaluate(() => scrollTo(0, document.documentElement.scrollHeight));
@@ -303,7 +303,7 @@ test("live regions speak at most once a second, and not of the time played", asy
     return [delays, spoken];
   });
   assert.deepEqual([delays, spoken], [[0, 1000], ["-5, 0 mm", "-6.5, 0 mm"]]);
-  await post(daemon, "/v1/play", { pattern: "pin-60", seconds: 600 });
+  await post(daemon, "/v1/play", { pattern: "pin-60", seconds: 300 });
   await shows(page, "state-say", "Playing pin-60. Pins vibrate.");
   const [shown, said] = await page.evaluate(() => new Promise((done) => {
     const counts = [0, 0];
