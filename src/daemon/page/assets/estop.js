@@ -91,14 +91,18 @@
   const NOT_KNOWN = "The state is not known: pins may vibrate. Do not touch them.";
   // The meaning of a state for a person with a finger on the pins.
   const WORDS = { disarmed: "Disarmed", armed: "Armed", returning: "Returning", faulted: "Stopped", "no-device": "No device" };
+  // Beyond it the daemon, too, wants a person to look.
+  const CHECK_UM = 20;
   function touch(status) {
     if (!status) return NOT_KNOWN;
+    const off = Math.max(0, ...(status.motors ?? []).map((motor) => Math.abs(motor.rest_error_um)));
     const standing = status.standing ? `Pins stand up to ${Math.ceil(status.standing.height_um)} µm above rest, for ${Math.round(status.standing.age_s)} s. ` : "";
     if (status.play) return status.play.pattern === "calibration" ? "Calibration: do not touch the pins." : "Pins vibrate.";
     switch (status.state) {
       case "disarmed":
         if (status.position !== "known") return `${standing}The motors are off, but the place of the pins is not known: look at them first.`;
-        return standing ? `${standing}The motors are off. Arm returns the pins.` : "Safe to touch: the motors are off.";
+        if (standing) return `${standing}The motors are off. Arm returns the pins.`;
+        return off > CHECK_UM ? `The motors are off, but pins may be ${Math.ceil(off)} µm from rest: look at them first.` : "Safe to touch: the motors are off.";
       case "armed":
         return "The motors are on: a play may begin at any moment.";
       case "returning":
