@@ -213,7 +213,7 @@ fn a_token_is_needed_where_the_configuration_says_so() {
     assert_answers(&ask(&address, "POST /v1/disarm", &bearer(&observe)), 403, "forbidden");
     assert_answers(&ask(&address, "POST /v1/tokens", &bearer(&operate)), 403, "forbidden");
     assert_eq!(state(&daemon), "armed");
-    // Whoever may look may stop.
+    // An observer may stop.
     for (token, estops) in [(&observe, 1), (&operate, 2)] {
         assert_answers(&ask(&address, "POST /v1/estop", &bearer(token)), 200, "");
         let status: Status = daemon.client().get("/v1/status").unwrap();

@@ -109,7 +109,7 @@ fn row(route: Route) -> Row {
         | Route::SessionPlays
         | Route::Metrics
         | Route::OpenApi
-        // Whoever may look may stop.
+        // An observer may stop.
         | Route::EStop => READS,
         Route::Play
         | Route::Sequence

@@ -344,8 +344,8 @@ impl Entry {
         }
     }
 
-    /// Whether the running session lacks something without this entry. It does not for requests, whoever makes them: what they do to
-    /// the session has entries of its own.
+    /// Whether the running session lacks something without this entry. Requests do not count, not even the owner's: what they
+    /// do to the session has entries of its own.
     pub(super) fn is_of_session(&self) -> bool {
         match self {
             Self::Event { event, .. } => !matches!(**event, Event::Intervened { .. }),

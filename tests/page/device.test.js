@@ -142,7 +142,7 @@ test("a token that may only read is offered nothing that it may not do, and told
   }
   await becomes(page, "network-facts", "This window may", "only read");
   await becomes(page, "network-facts", "Without a token", "nobody over the network");
-  // Whoever may look may stop.
+  // An observer may stop.
   await page.click("#estop");
   await shows(page, "estop-note", "All lines are off.");
   // With another token everything is offered.

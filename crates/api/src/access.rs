@@ -48,7 +48,7 @@ impl Route {
     pub const fn access(self) -> Access {
         match self {
             Self::Stop | Self::Disarm => Access::MAKES_SAFE,
-            // Whoever sees a finger hurt may stop.
+            // An observer who sees a hurt finger must be able to stop.
             Self::EStop => Access { role: Role::Observe, ..Access::MAKES_SAFE },
             Self::SessionStart => Access { session: SessionRule::Starts, ..Access::CHANGES },
             Self::Tokens => Access { local: true, ..Access::MAKES_SAFE },

@@ -421,7 +421,7 @@ mod tests {
             assert_eq!(
                 ask(client, "POST", "/v1/estop", &format!("Bearer {observe}")),
                 "ok",
-                "whoever looks may stop"
+                "an observer may stop"
             );
             assert_eq!(ask(client, "GET", "/v1/live/00", &format!("Bearer {observe}")), "forbidden");
             assert_eq!(ask(client, "GET", "/v1/status", &format!("Bearer {observe}")), "ok");

@@ -187,8 +187,8 @@ impl PositionControl {
         self.standing.highest()
     }
 
-    /// No device returns the pins that stand any more, and nobody has looked: from here on their height is an error of their rest
-    /// position, which the next sample may show.
+    /// The device does not return the pins that stand, and no person has checked them: from here on their height counts as an
+    /// error of their rest position, which the next sample may show.
     pub(super) fn leave_standing(&mut self) {
         self.seen &= self.standing.highest() == 0;
         for (motor, &pulses) in self.motors.iter_mut().zip(self.standing.heights()) {

@@ -66,9 +66,9 @@ pub enum Command {
         /// Take every pin as being at rest: somebody has looked.
         assume_rest: bool,
     },
-    /// Enable the motors, although nobody has looked at the pins. A device that knows where they are returns those that stand; another
-    /// one takes every pin as being at rest. The estimates stay as they are, and heights add to them, until somebody looks;
-    /// refused once they are large.
+    /// Enable the motors before a person has checked the pins. A device that knows where they are returns those that stand; another
+    /// one takes every pin as being at rest. The estimates stay, and heights add to them, until a person checks the pins; the
+    /// streamer refuses once they are large.
     ArmUnchecked,
     /// Move all pins to their rest position. The answer comes when they are there.
     Home,

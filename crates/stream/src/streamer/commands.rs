@@ -358,7 +358,7 @@ impl Streamer {
             // It may know where its pins are.
             return Err(CommandError::NoDevice);
         }
-        // Nobody has looked: what the device knows to be above rest it returns.
+        // Unless a person has checked, the device returns the pins that it knows to be above rest.
         let assume_rest = rest == Rest::Checked || (rest == Rest::Unchecked && !is_known);
         // An operation begins a new epoch: do not send one between a play and its strokes for nothing.
         match self.state() {
