@@ -1,4 +1,4 @@
-//! The architecture page against the tree, and the rule that files of a crate do not import each other in a circle.
+//! Files of a crate do not import each other in a circle.
 //!
 //! Imports are read from the source with syn: `use`, and paths in code. What only tests use does not count.
 
@@ -8,7 +8,6 @@ use std::path::{Path, PathBuf};
 use syn::visit::{self, Visit};
 
 const ROOT: &str = env!("CARGO_MANIFEST_DIR");
-const PAGE: &str = "docs/explanation/architecture.md";
 /// Where the workspace has source folders.
 const GROUPS: [&str; 4] = ["", "crates", "tests", "firmware"];
 
@@ -194,59 +193,4 @@ fn a_circle_is_found_and_a_tree_is_not() {
     assert!(circles(graph(&[("a", "b"), ("b", "c"), ("a", "c")])).is_empty());
     let found = circles(graph(&[("a", "b"), ("b", "c"), ("c", "b"), ("c", "d")]));
     assert_eq!(found.into_keys().collect::<Vec<_>>(), [file("b"), file("c")]);
-}
-
-/// What stands in backquotes.
-fn code(line: &str) -> impl Iterator<Item = &str> {
-    line.split('`').skip(1).step_by(2)
-}
-
-fn page() -> String {
-    fs::read_to_string(Path::new(ROOT).join(PAGE)).unwrap()
-}
-
-fn is_file_name(word: &str) -> bool {
-    [".rs", ".py", ".js", ".toml", ".md", ".csv", ".service"].iter().any(|end| word.ends_with(end))
-}
-
-/// `name.rs` and `folder/name.rs` stand for files in a folder that the same line names.
-#[test]
-fn every_file_that_the_page_names_exists() {
-    let root = Path::new(ROOT);
-    let mut named = 0;
-    for line in page().lines() {
-        let folders: Vec<PathBuf> = code(line)
-            .filter(|word| word.contains('/') && root.join(word).exists())
-            .flat_map(|word| [root.join(word), root.join(word).parent().unwrap().to_owned()])
-            .filter(|path| path.is_dir())
-            .collect();
-        for word in code(line).filter(|word| is_file_name(word) || word.trim_end_matches('/').contains('/')) {
-            if word.contains(' ') || word.starts_with('/') {
-                continue;
-            }
-            let there = folders.iter().any(|folder| folder.join(word).exists());
-            assert!(there || root.join(word).exists(), "{PAGE} names {word}, which is not there: {line}");
-            named += 1;
-        }
-    }
-    assert!(named > 200, "{named}");
-}
-
-/// A folder of modules has a job, so the page says where to change it. Folders `tests` hold unit tests.
-#[test]
-fn every_folder_of_modules_is_named() {
-    let page = page();
-    let mut folders = Vec::new();
-    for src in sources() {
-        let mut files = BTreeMap::new();
-        modules(&src, &Module::new(), &mut files);
-        folders.extend(files.into_values().filter(|file| file.ends_with("mod.rs")));
-    }
-    assert!(folders.len() > 30, "{folders:?}");
-    let missing: Vec<String> = folders
-        .iter()
-        .map(|file| file.parent().unwrap().strip_prefix(ROOT).unwrap().to_str().unwrap().to_owned())
-        .filter(|folder| !page.contains(folder) && !folder.ends_with("/tests"))
-        .collect();
-    assert!(missing.is_empty(), "{PAGE} does not name {missing:?}");
 }

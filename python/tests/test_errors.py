@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-import re
+import json
+import subprocess
 from pathlib import Path
 
 import pytest
@@ -14,14 +15,13 @@ from meissner._http import Answer
 from meissner._sse import EventParser
 from meissner.clocks import ClientClock
 from meissner.errors import ApiError
+from meissner.program import find_program
 
-REFERENCE = Path(__file__).parents[2] / "docs" / "reference" / "api.md"
 
-
-@pytest.mark.skipif(not REFERENCE.exists(), reason="the reference is in the repository only")
-def test_every_code_of_the_reference_has_a_class() -> None:
-    table = REFERENCE.read_text(encoding="utf-8").split("\n## Errors")[1].split("\n## ")[0]
-    codes = re.findall(r"^\| `([a-z-]+)` \| \d+ \|", table, re.MULTILINE)
+def test_every_code_of_the_api_has_a_class(tmp_path: Path) -> None:
+    subprocess.run([find_program(), "manual", tmp_path], check=True, capture_output=True)
+    document = json.loads((tmp_path / "openapi.json").read_text(encoding="utf-8"))
+    codes = document["components"]["schemas"]["Problem"]["properties"]["code"]["enum"]
     assert len(codes) > 30
     assert set(codes) == set(ApiError.by_code), "errors.py and the API's codes differ"
 

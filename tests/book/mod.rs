@@ -1,15 +1,12 @@
 //! The README and the book in `docs/`: their commands run, their snippets parse, their links have targets.
 //!
-//! `pages` reads the pages; `run` runs commands; `generated` keeps the pages that are made from the program up to date
-//! (`MEISSNER_RENEW=1 cargo test --test tests manual`).
+//! `pages` reads the pages; `run` runs commands.
 
-mod generated;
 mod pages;
 mod run;
 
 use meissner::config::{Config, LOGBOOK_DAYS, PatternsDir};
 use meissner::session_record::Location;
-use meissner_api::Receipt;
 use meissner_api::SequenceRequest;
 use meissner_array::pattern::Pattern;
 use meissner_design::Target;
@@ -230,17 +227,4 @@ fn every_page_is_in_the_summary_once() {
     let mut pages: Vec<String> = book().map(|page| page.name).filter(|name| name != "README.md").collect();
     pages.sort();
     assert_eq!(listed, pages);
-}
-
-#[test]
-fn the_reference_names_every_key_of_a_receipt_and_every_target() {
-    let receipt = serde_json::to_value(Receipt::new(1, "a", "b", None)).unwrap();
-    let page = read("docs/reference/receipt.md").text;
-    for key in receipt.as_object().unwrap().keys() {
-        assert!(page.contains(&format!("`{key}")), "docs/reference/receipt.md does not name `{key}`");
-    }
-    let page = read("docs/reference/target.md").text;
-    for name in meissner_design::shipped_names() {
-        assert!(page.contains(&format!("`{name}`")), "docs/reference/target.md does not name {name}");
-    }
 }

@@ -61,7 +61,6 @@ pub(super) fn book() -> impl Iterator<Item = Page> {
 pub(super) fn documents() -> impl Iterator<Item = Page> {
     let others = [
         "docs/SUMMARY.md",
-        "CHANGELOG.md",
         "deploy/README.md",
         "python/README.md",
         "python/psychopy/README.md",

@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 /// The page of the book that describes the API; error messages point there.
-pub const REFERENCE: &str = "docs/reference/api.md";
+pub const REFERENCE: &str = "GET /v1/openapi.json";
 
 /// Characters of [`Problem::detail`], at most; three dots follow a longer one.
 pub const MAX_DETAIL: usize = 500;

@@ -1,7 +1,7 @@
 //! A blocking client of the daemon: HTTP/1.1 over its Unix socket or over TCP, and streams of events.
 //!
 //! A [`Client`] keeps one connection open and sends JSON; `meissner-api` has the types of requests and answers, and
-//! `docs/reference/api.md` describes the routes. In the order of a call:
+//! `GET /v1/openapi.json` describes the routes. In the order of a call:
 //!
 //! - [`Endpoint`]: where to connect to.
 //! - [`Client`]: calls that wait for their answer, by default for [`ANSWER_TIMEOUT`]. Each client has its own small async runtime.

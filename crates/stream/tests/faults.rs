@@ -1,15 +1,14 @@
-//! Plays every case of `tests/faults` in virtual time, with three patterns of the library, and keeps the table of the book.
+//! Plays every case of `tests/faults` in virtual time, with three patterns of the library.
 //!
-//! `meissner-fault-cases` has the format and the judge. A play is judged on the recorded lines of the device. Renew the table with
-//! `MEISSNER_RENEW=1 cargo test -p meissner-stream --test tests -- faults`.
+//! `meissner-fault-cases` has the format and the judge. A play is judged on the recorded lines of the device.
 
 use firmware_protocol::message::State;
 use firmware_protocol::tick::Tick;
 use meissner_array::simulated::SimulatedMotorsConfig;
 use meissner_array::strokes::{Step, Stroke};
 use meissner_fault_cases::{
-    Case, Evidence, Kind, ONSET, Observed, Order, PATTERNS, PLAY, Seen, Shown, What, bytes, cases,
-    high_until, jobs, run,
+    Case, Evidence, Kind, ONSET, Observed, Order, PATTERNS, PLAY, Seen, What, bytes, cases, high_until, jobs,
+    run,
 };
 use meissner_stream::Line;
 use meissner_stream::queues::{At, Command, End, Outcome, StreamEvent};
@@ -17,9 +16,6 @@ use meissner_stream::time::HostInstant;
 use meissner_test_support::at_length;
 use meissner_test_support::paper::MOTORS;
 use meissner_test_support::rig::{self, Rig, answer, assert_closed, bursts_on_the_lines};
-use std::fmt::Write as _;
-use std::fs;
-use std::path::Path;
 use std::time::Duration;
 
 const MS: Duration = Duration::from_millis(1);
@@ -252,50 +248,26 @@ fn recovers(player: &mut Player<'_>) -> Result<(), String> {
     }
 }
 
-/// The short form plays each kind with one of the patterns, in turn; the table takes all of them.
+/// The short form plays each kind with one of the patterns, in turn; the long form with all of them.
 #[test]
 fn every_fault_ends_as_its_case_says() {
     let cases = cases();
     let kinds: Vec<Kind<'_>> = cases.iter().flat_map(Case::kinds).collect();
-    let renews = std::env::var_os("MEISSNER_RENEW").is_some();
-    if !renews && at_length(true, false) {
+    let play = |kind: &Kind<'_>, pattern: &str, seed| play(kind, pattern, seed).map(|(seen, _)| seen);
+    let mut problems: Vec<String> = Vec::new();
+    if at_length(true, false) {
         for (number, pattern) in PATTERNS.into_iter().enumerate() {
             let part: Vec<Kind<'_>> = kinds.iter().skip(number).step_by(PATTERNS.len()).copied().collect();
-            let play = |kind: &Kind<'_>, pattern: &str, _| {
-                play(kind, pattern, number as u64 + 1).map(|(seen, _)| seen)
-            };
-            let problems: Vec<String> = run(&part, &[pattern], jobs(), play, |_| ())
-                .into_iter()
-                .flat_map(|shown| shown.problems)
-                .collect();
-            assert!(problems.is_empty(), "{}", problems.join("\n"));
+            let seeded = |kind: &Kind<'_>, pattern: &str, _| play(kind, pattern, number as u64 + 1);
+            let shown = run(&part, &[pattern], jobs(), seeded, |_| ());
+            problems.extend(shown.into_iter().flat_map(|shown| shown.problems));
         }
-        return;
+    } else {
+        let shown = run(&kinds, &PATTERNS, jobs(), play, |_| ());
+        problems.extend(shown.into_iter().flat_map(|shown| shown.problems));
     }
-    let (mut table, mut problems, mut before) = (String::new(), Vec::new(), "");
-    let play = |kind: &Kind<'_>, pattern: &str, seed| play(kind, pattern, seed).map(|(seen, _)| seen);
-    for (kind, Shown { worst, problems: of_kind, .. }) in
-        kinds.iter().zip(run(&kinds, &PATTERNS, jobs(), play, |_| ()))
-    {
-        problems.extend(of_kind);
-        let Case { name, why, .. } = kind.case;
-        let (value, ends, safe, lost) = (kind.label(), worst.ends(), worst.safe(), worst.lost());
-        let why = if before == name { "" } else { why };
-        before = name;
-        let _ = writeln!(table, "| {name} | {value} | {why} | {ends} | {safe} | {lost} |");
-    }
-    let kinds = kinds.len();
     assert!(problems.is_empty(), "{}", problems.join("\n"));
-    assert!(kinds >= 60, "{kinds} kinds");
-    let page = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/reference/faults.md");
-    let text = format!("{}{table}", HEAD.replace("KINDS", &kinds.to_string()));
-    if renews {
-        fs::write(&page, &text).unwrap();
-    }
-    assert!(
-        fs::read_to_string(page).unwrap() == text,
-        "docs/reference/faults.md is old: see the head of this file"
-    );
+    assert!(kinds.len() >= 60, "{} kinds", kinds.len());
 }
 
 /// A case that expects a sign of its fault fails without the fault.
@@ -314,18 +286,3 @@ fn a_play_without_a_fault_shows_none() {
         }
     }
 }
-
-const HEAD: &str = "# Faults, and what happens
-
-Made from the cases in `tests/faults` by `MEISSNER_RENEW=1 cargo test -p meissner-stream --test tests -- faults`, in virtual time on
-the simulated array: KINDS kinds of fault, each in the middle of plays of two seconds of `pin-60`, `edge-45` and `wave`. The worst of
-the three is shown. *Low after*: of plays that are cut, milliseconds from the (last) fault to the last pulse, with the return of the
-pins. *Lost*: of the bursts that the host had sent or was to send by then, those not played; the receipt counts each of them.
-
-After each fault the same play has to run whole: reset, armed again where that is necessary, without a burst lost. Unless
-the board restarted or position control corrected bursts, all pins are where they began, counted in pulses on the lines. *Lost* is bounded
-in plays that go on to their end.
-
-| fault | value | as when | play | low after, ms | lost |
-|---|---|---|---|---|---|
-";

@@ -143,34 +143,3 @@ pub fn high_until(trace: &[(Tick, Run)], fault: Option<Tick>) -> f64 {
     let fault = fault.or(trace.first().map(|(tick, _)| *tick));
     fault.map_or(0.0, |fault| (last.since(fault).max(0)) as f64 / 85.0)
 }
-
-/// The worst of several runs of a kind.
-#[derive(Clone, Debug, Default)]
-pub struct Worst {
-    ends: Vec<&'static str>,
-    safe_ms: Option<f64>,
-    lost_percent: f64,
-}
-
-impl Worst {
-    pub fn add(&mut self, seen: &Seen) {
-        let end = if seen.is_done { "done" } else { "cut" };
-        if self.ends.last() != Some(&end) {
-            self.ends.push(end);
-        }
-        self.safe_ms = seen.safe_ms.map(|ms| self.safe_ms.map_or(ms, |safe| safe.max(ms))).or(self.safe_ms);
-        self.lost_percent = self.lost_percent.max(seen.lost_percent());
-    }
-
-    pub fn ends(&self) -> String {
-        self.ends.join(", ")
-    }
-
-    pub fn safe(&self) -> String {
-        self.safe_ms.map_or("–".to_owned(), |ms| format!("{ms:.1}"))
-    }
-
-    pub fn lost(&self) -> String {
-        format!("{:.1} %", self.lost_percent)
-    }
-}

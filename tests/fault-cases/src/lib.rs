@@ -7,7 +7,6 @@
 //! - [`case`]: the format of a file.
 //! - [`judge`]: what a run has shown, and whether that is what the case expects.
 //! - [`bytes`]: what a device must never send.
-//! - [`page`]: the rows of the book.
 //! - [`plays`]: kinds with patterns, many at once.
 //!
 //! Invariant: nothing here knows how a runner makes time pass.
@@ -18,14 +17,13 @@
 pub mod bytes;
 pub mod case;
 pub mod judge;
-pub mod page;
 pub mod plays;
 
 pub use case::{
     Case, Ends, Evidence, Expect, Fault, Kind, Lie, LineFault, Moment, Number, OfKind, Order, Phase,
     Telemetry, To, What,
 };
-pub use judge::{Observed, Seen, Worst, high_until};
+pub use judge::{Observed, Seen, high_until};
 pub use plays::{Failure, Shown, jobs, report, run};
 
 use std::collections::BTreeMap;

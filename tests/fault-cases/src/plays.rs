@@ -3,7 +3,7 @@
 //! Invariant: what is shown does not depend on which play ends first.
 
 use crate::case::Kind;
-use crate::judge::{Seen, Worst};
+use crate::judge::Seen;
 use std::sync::OnceLock;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::thread;
@@ -11,8 +11,6 @@ use std::thread;
 /// What a kind has shown.
 #[derive(Clone, Debug, Default)]
 pub struct Shown {
-    /// Over the patterns.
-    pub worst: Worst,
     /// What was not as expected.
     pub problems: Vec<String>,
     /// The same of plays that say nothing about the program.
@@ -79,7 +77,7 @@ pub fn run<E: Into<Failure>>(
         let mut shown = Shown::default();
         for seen in seen.by_ref().take(patterns.len()) {
             match seen {
-                Ok(seen) => shown.worst.add(&seen),
+                Ok(_) => {}
                 Err(Failure { problem, judged: true }) => shown.problems.push(problem),
                 Err(Failure { problem, judged: false }) => shown.unjudged.push(problem),
             }

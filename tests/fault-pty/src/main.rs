@@ -1,11 +1,10 @@
 //! Plays the cases of `tests/faults` against a real daemon in real time: `tests/faults/run pty`.
 //!
-//! It prints what each play has shown, then the kinds that failed; with `--renew` it writes its column of the book's page.
+//! It prints what each play has shown, then the kinds that failed.
 
 use clap::Parser;
-use meissner_fault_cases::page::{Account, Cell, Target, path, renew, row_of};
 use meissner_fault_cases::{PATTERNS, cases, kinds_of, report};
-use meissner_fault_pty::{ALLOWANCE_MS, run};
+use meissner_fault_pty::run;
 use std::num::NonZeroUsize;
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -21,13 +20,10 @@ struct Arguments {
     /// Play N at once.
     #[arg(long, value_name = "N", default_value = "12")]
     jobs: NonZeroUsize,
-    /// Write the cells of the book of the kinds that were played, as of this date and commit.
-    #[arg(long, num_args = 2, value_names = ["DATE", "COMMIT"])]
-    renew: Option<Vec<String>>,
 }
 
 fn main() -> ExitCode {
-    let Arguments { program, cases: names, jobs, renew: account } = Arguments::parse();
+    let Arguments { program, cases: names, jobs } = Arguments::parse();
     let cases = cases();
     let kinds = match kinds_of(&cases, &names) {
         Ok(kinds) => kinds,
@@ -44,19 +40,5 @@ fn main() -> ExitCode {
         kinds.len(),
         begun.elapsed().as_secs_f64()
     );
-    let is_good = report(&shown);
-    if let Some([date, commit]) = account.as_deref() {
-        let cells = kinds.iter().zip(&shown).map(|(kind, shown)| (row_of(kind), Cell::from(shown)));
-        let remark = format!(
-            "{} kinds, {plays} plays; bounds on time and {ALLOWANCE_MS} ms; {repeated} plays were repeated because the machine \
-             stood still",
-            kinds.len()
-        );
-        let account = Account { date, commit, command: "tests/faults/run pty --renew", remark: &remark };
-        if let Err(error) = renew(Target::Pty, &account, &cells.collect(), &cases) {
-            eprintln!("{}: {error}", path().display());
-            return ExitCode::FAILURE;
-        }
-    }
-    if is_good { ExitCode::SUCCESS } else { ExitCode::FAILURE }
+    if report(&shown) { ExitCode::SUCCESS } else { ExitCode::FAILURE }
 }
