@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import collections
 import csv
 import errno
@@ -630,22 +629,6 @@ def test_answers_without_a_level_are_no_points_of_a_procedure(m: meissner.Client
             session.answer(trial, "yes", correct=True, level=level)
         assert session.answers() == [(0.5, True)]
         assert session.remaining([Trial(number, {}) for number in (1, 2, 3, 4)]) == [Trial(4, {})]
-
-
-def test_a_log_with_answers_refuses_an_asynchronous_play(m: meissner.Client, tmp_path: Path) -> None:
-    async def work() -> None:
-        async with await meissner.connect_async(m.core.endpoint.name) as client:
-            async with client.session("P07"):
-                play = await client.play("pin-60", 0.05, trial=1)
-                await play.wait()
-                with Log(tmp_path / "answers.csv", answers=True) as log:
-                    with pytest.raises(LogError, match=r"`await session.answer\(...\)`"):
-                        log.add(1, play, response="left")
-                    assert [row["response"] for row in log.rows] == ["left"]
-                with Log(tmp_path / "log.csv") as log:
-                    log.add(1, play, response="left")
-
-    asyncio.run(work())
 
 
 def test_one_program_at_a_time_writes_a_log(tmp_path: Path) -> None:

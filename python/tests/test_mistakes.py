@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import math
 import re
 from collections.abc import Callable
@@ -131,29 +130,6 @@ def test_every_method_of_a_client_that_takes_something_has_a_mistake_here() -> N
     own = {"adopt", "end", "release", "run"}
     alone = {"close", "disarm", "doctor", "estop", "home", "now", "patterns", "sessions", "status", "stop"}
     assert public - covered == own | alone | {"synchronise", "wait_until_idle"}
-
-
-def test_the_asynchronous_client_tells_the_same(m: meissner.Client) -> None:
-    async def work() -> None:
-        async with await meissner.connect_async(m.core.endpoint.name) as connected:
-            client: Any = connected
-            calls: list[tuple[Callable[[], Any], str]] = [
-                (
-                    lambda: client.play("pin-60", duration=0.1),
-                    r"`play\(\)` has no argument `duration`: did you mean `seconds`",
-                ),
-                (lambda: client.sequence("pin-60"), "`items` is 'pin-60': must be a list"),
-                (lambda: client.play("pin-60", math.nan), "`seconds` is nan"),
-            ]
-            for call, message in calls:
-                with pytest.raises((TypeError, ValueError), match=message):
-                    await call()
-            with pytest.raises(TypeError, match="did you mean `participant`"):
-                client.session(subject="P07")
-        with pytest.raises(MeissnerError, match="the client is closed"):
-            await client.status()
-
-    asyncio.run(work())
 
 
 def test_mistakes_at_plays_and_answers(m: meissner.Client) -> None:

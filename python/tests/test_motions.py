@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import math
 from typing import Any
 
@@ -99,13 +98,3 @@ def test_items_overlap_and_may_be_blank(m: meissner.Client) -> None:
     assert play.items[1].onset is not None
     assert play.items[0].onset is not None
     assert play.items[1].onset.tick - play.items[0].onset.tick == 1700
-
-
-def test_the_client_for_asyncio_takes_samples(daemon: meissner.Daemon) -> None:
-    async def plays() -> str:
-        async with await meissner.connect_async(daemon.socket) as m:
-            await m.arm(assume_rest=True, checked="a test", silence=60.0)
-            play = await m.play(samples={9: PRESS}, rate=1000)
-            return (await play.wait()).state
-
-    assert asyncio.run(plays()) == "done"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import csv
 import warnings
 from pathlib import Path
@@ -55,7 +54,7 @@ def test_wait_warns_of_what_only_another_scale_shows(m: meissner.Client) -> None
     m.remove_pattern("fast")
 
 
-def test_a_sequence_and_the_asynchronous_client_warn(m: meissner.Client) -> None:
+def test_a_sequence_warns(m: meissner.Client) -> None:
     items: list[Any] = ["pin-60", {"pattern": {"name": "quick", **FAST}, "scale": 0.5}]
     with pytest.warns(UserWarning, match=r"`quick`: drive 1 \(motor 9\) .*reaches 3\.1 of 30 um") as told:
         play = m.sequence(items, seconds=0.05, soa=0.1)
@@ -64,14 +63,6 @@ def test_a_sequence_and_the_asynchronous_client_warn(m: meissner.Client) -> None
     assert len(told) == 1
     assert [item.reached_um for item in play.items] == pytest.approx([68.685, 3.069], abs=0.1)
     assert play.receipt.reached_um == pytest.approx(68.685, abs=0.1)
-
-    async def work() -> None:
-        async with await meissner.connect_async(m.core.endpoint.name) as client:
-            with pytest.warns(UserWarning, match=r"reaches 3\.1 of 60 um") as told:
-                await (await client.play(FAST, 0.05)).wait()
-            assert [each.filename for each in told] == [__file__]
-
-    asyncio.run(work())
 
 
 @pytest.mark.filterwarnings("ignore:.*reaches")
