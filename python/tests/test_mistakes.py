@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import meissner
-from meissner import exchange, experiment
+from meissner import experiment
 from meissner.errors import MeissnerError
 from meissner.experiment import Interleaved, Log, Press, QuestPlus, SimulatedObserver, Staircase, Trial
 
@@ -257,8 +257,6 @@ OF_THE_PACKAGE: list[tuple[Callable[[], Any], str]] = [
     (lambda: meissner.design(5), "`target` is 5: must be a name, or the path"),  # type: ignore[arg-type]
     (lambda: meissner.import_wav(None, scale_um=1), "`path` is None: must be a name, or the path"),  # type: ignore[arg-type]
     (lambda: meissner.align([1, 2], [1.0], tick_hz="x"), "`tick_hz` is 'x': must be a number"),  # type: ignore[arg-type]
-    (lambda: exchange.from_ahap("x", motor=1), "has no argument `motor`: did you mean `motors`?"),  # type: ignore[call-arg]
-    (lambda: exchange.from_hjif(5), "`path` is 5: must be a name, or the path of a file"),  # type: ignore[arg-type]
     (lambda: Press("a", 1, 0.1).after(5), "`onset` is 5: must be an instant"),  # type: ignore[arg-type]
     (lambda: Log(5.5), "`path` is 5.5: must be the path of a file"),  # type: ignore[arg-type]
     (lambda: experiment.ask(), r"`ask\(\)` needs `question`"),  # type: ignore[call-arg]
