@@ -14,7 +14,7 @@ import pytest
 import meissner
 from meissner import experiment
 from meissner.errors import MeissnerError
-from meissner.experiment import Interleaved, Log, Press, QuestPlus, SimulatedObserver, Staircase, Trial
+from meissner.experiment import Interleaved, Press, QuestPlus, SimulatedObserver, Staircase, Trial
 
 Call = Callable[[Any], Any]
 
@@ -258,7 +258,6 @@ OF_THE_PACKAGE: list[tuple[Callable[[], Any], str]] = [
     (lambda: meissner.import_wav(None, scale_um=1), "`path` is None: must be a name, or the path"),  # type: ignore[arg-type]
     (lambda: meissner.align([1, 2], [1.0], tick_hz="x"), "`tick_hz` is 'x': must be a number"),  # type: ignore[arg-type]
     (lambda: Press("a", 1, 0.1).after(5), "`onset` is 5: must be an instant"),  # type: ignore[arg-type]
-    (lambda: Log(5.5), "`path` is 5.5: must be the path of a file"),  # type: ignore[arg-type]
     (lambda: experiment.ask(), r"`ask\(\)` needs `question`"),  # type: ignore[call-arg]
 ]
 
@@ -266,13 +265,3 @@ OF_THE_PACKAGE: list[tuple[Callable[[], Any], str]] = [
 @pytest.mark.parametrize(("call", "message"), OF_THE_PACKAGE)
 def test_a_mistake_at_the_package_is_told_in_a_line(call: Callable[[], Any], message: str) -> None:
     assert re.search(message, problem_of(call))
-
-
-def test_mistakes_at_a_log(tmp_path: Path) -> None:
-    with Log(tmp_path / "log.csv") as opened:
-        log: Any = opened
-        assert "`play` is 'x': must be what `m.play(...)` returns" in problem_of(lambda: log.add(1, "x"))
-        assert "`trial` is '1': must be a `Trial`" in problem_of(lambda: log.add("1"))
-        assert "`trials[0]` is 1: must be a `Trial`" in problem_of(lambda: log.remaining([1]))
-        assert "`add()` needs `trial`" in problem_of(lambda: log.add())
-        assert log.rows == []

@@ -12,7 +12,7 @@
 - `simulate`, `design`, `render`, `displacement`: predicted spikes, a search for patterns, a pattern that feels like an object, and
   how far pins move, by the installed program.
 - `align`: the map between the device's ticks and another recorder's clock, by pulses that both have.
-- `experiment`: trial lists, staircases, QUEST+, and a log that survives a crash.
+- `experiment`: trial lists, staircases, QUEST+, keys and button boxes.
 - `errors`: one class for each code of the API.
 """
 
