@@ -227,7 +227,6 @@ OF_THE_PACKAGE: list[tuple[Callable[[], Any], str]] = [
     (lambda: meissner.demo(board="x"), "`board` is 'x': must be True, False or 'lower-stop'"),  # type: ignore[arg-type]
     (lambda: meissner.displacement("pin-60", duration=1), "did you mean `seconds`?"),  # type: ignore[call-arg]
     (lambda: meissner.displacement("pin-60", "x"), "invalid value .* for '--seconds <S>': must be a number"),  # type: ignore[arg-type]
-    (lambda: meissner.import_csv("x.csv"), r"`import_csv\(\)` needs `rate`"),  # type: ignore[call-arg]
     (lambda: stairs(1, factor=2), r"`Staircase\(\)` has no argument `factor`: did you mean `ratio`?"),
     (lambda: stairs(1, ratio=2, down=1.5), "`down` is 1.5: must be a whole number"),
     (lambda: stairs(1, ratio=2, reversals=4), "`reversals` is 4: must be above `coarse`, 4"),
@@ -255,7 +254,6 @@ OF_THE_PACKAGE: list[tuple[Callable[[], Any], str]] = [
     (lambda: meissner.simulate(None), "`scene` is None: must be a name, or the path of a file"),  # type: ignore[arg-type]
     (lambda: meissner.simulate({"duration_s": math.nan}), "`scene.duration_s` is nan: must be a finite number"),
     (lambda: meissner.design(5), "`target` is 5: must be a name, or the path"),  # type: ignore[arg-type]
-    (lambda: meissner.import_wav(None, scale_um=1), "`path` is None: must be a name, or the path"),  # type: ignore[arg-type]
     (lambda: meissner.align([1, 2], [1.0], tick_hz="x"), "`tick_hz` is 'x': must be a number"),  # type: ignore[arg-type]
     (lambda: Press("a", 1, 0.1).after(5), "`onset` is 5: must be an instant"),  # type: ignore[arg-type]
     (lambda: experiment.ask(), r"`ask\(\)` needs `question`"),  # type: ignore[call-arg]

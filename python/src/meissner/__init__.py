@@ -21,13 +21,11 @@ from __future__ import annotations
 import os
 import re
 
-from . import _sample_files
 from ._arguments import hinted, text
 from ._bodies import SequenceItem
 from ._endpoint import Endpoint, endpoints
 from ._live import Update
 from ._operations import Core, begin
-from ._sample_files import Trace
 from ._sse import Event
 from .alignment import Aligned, align
 from .arrays import Array
@@ -62,7 +60,6 @@ __all__ = [
     "Session",
     "Simulation",
     "Status",
-    "Trace",
     "Unreachable",
     "Update",
     "align",
@@ -70,13 +67,10 @@ __all__ = [
     "demo",
     "design",
     "displacement",
-    "import_csv",
-    "import_wav",
     "render",
     "simulate",
 ]
 __version__ = "0.1.0"
-import_csv, import_wav = hinted(_sample_files.import_csv), hinted(_sample_files.import_wav)
 
 
 def _core(endpoint: Endpoint, token: str | None, reconnect: float) -> Core:
