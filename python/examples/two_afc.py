@@ -3,14 +3,17 @@
 import os
 
 import meissner
-from meissner.experiment import Log, SimulatedObserver, ask, two_afc
+from meissner.experiment import SimulatedObserver, ask, two_afc
 
 observer = SimulatedObserver(0.3) if os.environ.get("MEISSNER_ANSWERS") == "simulated" else None
-with meissner.connect() as m, m.session(participant="P07", exclusive=True, seed=7), Log("P07.csv", answers=True) as log:
+with meissner.connect() as m, m.session(participant="P07", exclusive=True, seed=7, resume=True) as session:
     m.arm(assume_rest=True)
-    for trial in two_afc([0.2, 0.3, 0.4, 0.5], repeats=10, seed=7):
+    for trial in session.remaining(two_afc([0.2, 0.3, 0.4, 0.5], repeats=10, seed=7)):
         edges = [{"pattern": "edge-45", "scale": scale} for scale in trial.intervals(0.5 + trial["level"], 0.5)]
-        play = m.sequence(edges, seconds=0.1, soa=0.2, trial=trial.number)
-        play.wait()
-        correct = observer.is_correct(trial["level"]) if observer else ask("Stronger?") == str(trial["interval"])
-        log.add(trial, play, correct=int(correct))
+        m.sequence(edges, seconds=0.1, soa=0.2, trial=trial.number).wait()
+        stronger = trial["interval"]
+        if observer:
+            response = stronger if observer.is_correct(trial["level"]) else 3 - stronger
+        else:
+            response = int(ask("Stronger?"))
+        session.answer(trial, response, correct=response == stronger)

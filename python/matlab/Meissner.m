@@ -8,10 +8,10 @@ classdef Meissner < handle
   %   receipt.onset.time                              % on your clock, within +-receipt.onset.uncertainty s
   %   m.close();                                      % disarms, if this client has armed
   %
-  % Methods as in the Python package: status, synchronise, now, arm, disarm, stop, estop, reset, home, edge, play, sequence, check, later,
-  % wait, wait_until_idle, withdraw, answer, receipt, doctor, patterns, pattern, store_pattern, remove_pattern, session, session_end,
-  % sessions, session_plays, close. What are methods of a play or a session there take it first here, as in m.wait(play). Times are in
-  % seconds of the clock that 'clock' reads: GetSecs of Psychtoolbox, or by default the time since this object was made.
+  % Methods as in the Python package: status, synchronise, now, arm, disarm, stop, estop, reset, play, sequence, later, wait, receipt,
+  % session, answer, session_end, close. What are methods of a play or a session there take it first here, as in m.wait(play). Times
+  % are in seconds of the clock that 'clock' reads: GetSecs of Psychtoolbox, or by default the time since this object was made. What
+  % needs no times, such as storing a pattern, the command line does.
   %
   % The daemon must listen on TCP: see docs/how-to/network.md. MATLAB sends commands by webwrite. Octave's webwrite sends forms
   % only, and its webread one header, so Octave needs the program curl. An error has the identifier meissner:CODE with the API's
@@ -21,7 +21,7 @@ classdef Meissner < handle
 
   properties (SetAccess = private)
     url        % of the daemon
-    array      % that it drives: name, positions_mm, tick_hz and so on, as in GET /v1/array; [] of an older daemon
+    array      % that it drives: name, positions_mm, tick_hz and so on, as in GET /v1/array
   end
 
   properties (Access = private)
@@ -53,12 +53,7 @@ classdef Meissner < handle
       self.client = self.client(max(1, end - 63):end);
       if isfield(asked, 'clock'), self.clock = asked.clock; end
       self.synchronise();
-      try
-        self.array = self.get('/v1/array', 10);
-      catch failure
-        % MATLAB hides the code of an error.
-        if ~any(strcmp(failure.identifier, {'meissner:not_found', 'meissner:http'})), rethrow(failure); end
-      end
+      self.array = self.get('/v1/array', 10);
     end
 
     function delete(self)
@@ -154,17 +149,6 @@ classdef Meissner < handle
       state = self.post('/v1/reset', Meissner.options({'force'}, varargin), 10);
     end
 
-    function state = home(self)
-      % Move every pin to rest; takes up to 25 s.
-      state = self.post('/v1/home', struct(), 600);
-    end
-
-    function state = edge(self, after)
-      % Make an edge at the trigger input of a simulated array, in 'after' s or at once.
-      if nargin < 2, after = 0; end
-      state = self.post('/v1/edge', struct('at_ms', 1000 * after), 10);
-    end
-
     function play = play(self, pattern, varargin)
       % Queue a play. Options: seconds, at, scale, trigger (a code, or false), trial, labels (a struct), late, fit, map, replace,
       % endless, open_loop, strict, hold (s), on_edge (s after an edge of the trigger input), stop_on_edge. 'pattern' is a name, or a struct with the keys of a pattern file; tables of it are cells of
@@ -191,15 +175,6 @@ classdef Meissner < handle
       name = 'sequence';
       if isfield(body, 'name'), name = body.name; end
       play = self.order('/v1/sequence', body, name);
-    end
-
-    function checked = check(self, items, varargin)
-      % Ask before the first trial whether a study would stop at the drift limit on a board. Items and options isi, soa, seconds, scale
-      % and map as those of sequence: all plays of the study. Nothing is played. stopped_at is empty if the study comes to its end.
-      body = Meissner.options({'isi', 'soa', 'seconds', 'scale', 'map'}, varargin);
-      [made, body] = Meissner.items(items, body);
-      body.items = made;
-      checked = self.post('/v1/sequence/check', body, 60);
     end
 
     function instant = later(self, instant, seconds)
@@ -229,20 +204,6 @@ classdef Meissner < handle
       end
     end
 
-    function wait_until_idle(self)
-      % Wait until no play runs or waits.
-      while true
-        state = self.status();
-        if isempty(state.play) && isempty(state.queued) && ~strcmp(state.state, 'returning'), break, end
-        pause(0.02);
-      end
-    end
-
-    function receipt = withdraw(self, play)
-      % Take a waiting play out of the queue, and return its receipt.
-      receipt = self.receipt_of(jsondecode(self.send('DELETE', sprintf('/v1/plays/%d', play.id), '', '', 10)));
-    end
-
     function answer(self, play, response, varargin)
       % Record what the participant answered to a play of the running session. Options: correct, rt_ms, level, factors (a struct).
       body = Meissner.options({'correct', 'rt_ms', 'level', 'factors'}, varargin);
@@ -259,35 +220,6 @@ classdef Meissner < handle
       receipt = self.receipt_of(self.get(['/v1/plays/' name], 10));
     end
 
-    function found = doctor(self)
-      % Check what could keep the daemon's machine or its device from playing.
-      found = self.get('/v1/doctor', 20);
-    end
-
-    function found = patterns(self)
-      % List the patterns.
-      answer = self.get('/v1/patterns', 10);
-      found = answer.patterns;
-    end
-
-    function found = pattern(self, name)
-      % Show one pattern with its drives.
-      found = self.get(['/v1/patterns/' name], 10);
-    end
-
-    function stored = store_pattern(self, name, toml, varargin)
-      % Store a pattern: its TOML text. 'replace', true: also if there is one of that name.
-      asked = Meissner.options({'replace'}, varargin);
-      query = '';
-      if isfield(asked, 'replace') && asked.replace, query = '?replace=true'; end
-      stored = jsondecode(self.send('PUT', ['/v1/patterns/' name query], toml, 'application/toml', 60));
-    end
-
-    function removed = remove_pattern(self, name)
-      % Remove a stored pattern.
-      removed = jsondecode(self.send('DELETE', ['/v1/patterns/' name], '', '', 60));
-    end
-
     function id = session(self, varargin)
       % Start a session. Options: participant, exclusive, experiment, seed, labels. Every play of this client belongs to it from now on;
       % when it is over without you, plays fail (meissner:session_over) until session_end, or another session. Nothing shows that its
@@ -297,19 +229,6 @@ classdef Meissner < handle
       self.session_token = started.token;
       self.session_id = started.id;
       id = started.id;
-    end
-
-    function found = sessions(self)
-      % List the recorded sessions.
-      answer = self.get('/v1/sessions', 60);
-      found = answer.sessions;
-    end
-
-    function found = session_plays(self, id, from)
-      % The recorded plays of a session, up to 1000 from the play with the index 'from' (0: the first). If 'more' is true, ask for the
-      % next page, from 'from' plus the number of these.
-      if nargin < 3, from = 0; end
-      found = self.get(sprintf('/v1/sessions/%s/plays?from=%d', id, from), 60);
     end
 
     function session_end(self)
@@ -324,6 +243,15 @@ classdef Meissner < handle
   end
 
   methods (Access = private)
+    function wait_until_idle(self)
+      % Waits until no play runs or waits.
+      while true
+        state = self.status();
+        if isempty(state.play) && isempty(state.queued) && ~strcmp(state.state, 'returning'), break, end
+        pause(0.02);
+      end
+    end
+
     function compare(self, sent, received, host)
       % Takes one answer: the daemon read its clock between the two readings of ours.
       sample = [host, sent - host, received - host];
@@ -387,7 +315,7 @@ classdef Meissner < handle
       text = jsonencode(body);
       if ~isempty(numbers), text = [text(1:end - 1) ',' numbers '}']; end
       try
-        answer = jsondecode(self.send('POST', path, text, 'application/json', 20));
+        answer = jsondecode(self.send('POST', path, text, 20));
       catch failure
         % MATLAB hides the daemon's answer, so the status has to tell.
         is_refusal = any(strcmp(failure.identifier, {'meissner:http', 'meissner:session_running', 'meissner:session_exclusive'}));
@@ -400,10 +328,6 @@ classdef Meissner < handle
     end
 
     function receipt = receipt_of(self, raw)
-      if ~isfield(raw, 'tick_hz')
-        % An older daemon drives the paper's array.
-        raw.array = 'tula35-6x4'; raw.tick_hz = 85000; raw.mapped_from = [];
-      end
       receipt = struct('id', raw.id, 'pattern', raw.pattern, 'state', raw.state, 'cause', raw.cause, 'onset', [], 'offset', [], ...
         'late', raw.lateness.host + raw.lateness.link + raw.lateness.device, 'items', {{}}, 'raw', raw);
       receipt.onset = self.instant(raw.onset, raw, 'actual_tick');
@@ -426,21 +350,21 @@ classdef Meissner < handle
     end
 
     function answer = get(self, path, timeout)
-      answer = jsondecode(self.send('GET', path, '', '', timeout));
+      answer = jsondecode(self.send('GET', path, '', timeout));
     end
 
     function answer = post(self, path, body, timeout)
       text = jsonencode(body);
       if isempty(fieldnames(body)), text = '{}'; end
-      answer = jsondecode(self.send('POST', path, text, 'application/json', timeout));
+      answer = jsondecode(self.send('POST', path, text, timeout));
     end
 
-    function answer = send(self, method, path, body, type, timeout)
+    function answer = send(self, method, path, body, timeout)
       headers = {'Meissner-Client', self.client};
       if ~isempty(self.token), headers(end + 1, :) = {'Authorization', ['Bearer ' self.token]}; end
       if ~isempty(self.session_token), headers(end + 1, :) = {'Meissner-Session', self.session_token}; end
       if exist('OCTAVE_VERSION', 'builtin')
-        if ~isempty(type), headers(end + 1, :) = {'Content-Type', type}; end
+        headers(end + 1, :) = {'Content-Type', 'application/json'};
         answer = Meissner.by_curl(method, [self.url path], body, headers, timeout);
         return
       end
@@ -449,12 +373,8 @@ classdef Meissner < handle
       try
         if strcmp(method, 'GET')
           answer = webread([self.url path], asked);
-        elseif strcmp(method, 'DELETE')
-          asked.RequestMethod = 'delete';
-          answer = webread([self.url path], asked);
         else
-          asked.MediaType = type;
-          asked.RequestMethod = lower(method);
+          asked.MediaType = 'application/json';
           answer = webwrite([self.url path], body, asked);
         end
       catch failure
@@ -529,7 +449,7 @@ classdef Meissner < handle
       quoted = @(text) ['"' strrep(strrep(strrep(text, '\', '\\'), '"', '\"'), sprintf('\n'), '\n') '"'];
       lines = {['url = ' quoted(url)], ['request = ' method], 'silent', 'show-error', ...
         sprintf('max-time = %d', ceil(timeout)), 'write-out = "\n%{http_code}"'};
-      if ~any(strcmp(method, {'GET', 'DELETE'})), lines{end + 1} = ['data-binary = ' quoted(body)]; end
+      if ~isempty(body), lines{end + 1} = ['data-binary = ' quoted(body)]; end
       for row = 1:size(headers, 1)
         lines{end + 1} = ['header = ' quoted([headers{row, 1} ': ' headers{row, 2}])];
       end

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import asyncio
 import gzip
-import json
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -117,13 +115,8 @@ def test_a_pattern_that_is_found_is_for_the_array(tmp_path: Path) -> None:
 
 
 def check_designs(m: meissner.Client, description: Path) -> None:
-    """Both clients search for the daemon's array, or for the one that is given."""
-
-    async def search() -> program.Design:
-        async with await meissner.connect_async(m.core.endpoint.name) as client:
-            return await client.design("edge-45", objective="off-rms", budget=20, name="awaited")
-
-    designs = [m.design("edge-45", objective="off-rms", budget=20, name="found"), asyncio.run(search())]
+    """The client searches for the daemon's array, or for the one that is given."""
+    designs = [m.design("edge-45", objective="off-rms", budget=20, name="found")]
     designs.append(m.design("edge-45", objective="off-rms", budget=20, name="given", array=description))
     for found in designs:
         assert f'array = "{m.array.name}"' in found.toml
@@ -142,16 +135,6 @@ def test_an_array_that_the_program_does_not_ship(tmp_path: Path) -> None:
         export = m.export_bids(session, tmp_path / "without")
         assert export.displacement is None
         assert "no displacement of the pins: `meissner array` failed: " in export.left_out[-1]
-
-
-def test_the_asynchronous_client_reads_it_once(daemon: meissner.Daemon) -> None:
-    async def work() -> None:
-        async with await meissner.connect_async(daemon.socket) as m:
-            array = await m.array
-            assert array.motors == 24
-            assert await m.array is array
-
-    asyncio.run(work())
 
 
 def test_another_daemon_at_the_same_place_is_asked_again(daemon: meissner.Daemon) -> None:
@@ -194,25 +177,3 @@ def test_an_export_refuses_the_description_of_another_array(m: meissner.Client, 
     assert export.displacement is None
     assert f"no displacement of the pins: {line}" in export.left_out
     assert m.export_bids(session.id, tmp_path / "dataset", array="tula35-6x4").displacement is not None
-
-
-def test_a_design_needs_no_description_from_an_older_daemon(monkeypatch: pytest.MonkeyPatch) -> None:
-    asked: dict[str, object] = {}
-    monkeypatch.setattr(program, "design", lambda target, **options: asked.update(options))
-    program.design_for(Array.paper(), "dot", {"budget": 1})
-    assert asked == {"array": "tula35-6x4", "budget": 1}
-
-
-def test_an_older_daemon_drives_the_papers_array(monkeypatch: pytest.MonkeyPatch) -> None:
-    from meissner import _http
-    from meissner import _operations as ops
-    from meissner._endpoint import Endpoint
-    from meissner.clocks import ClientClock
-
-    core = ops.Core(Endpoint("http://meissner"), ClientClock())
-    asked = ops.array(core)
-    assert next(asked) == _http.get("/v1/array")
-    unknown = json.dumps({"code": "not-found", "status": 404, "detail": "no such route"})
-    with pytest.raises(StopIteration) as ended:
-        asked.send(_http.Answer(404, unknown.encode()))
-    assert ended.value.value == Array.paper()

@@ -5,7 +5,6 @@ Nothing here depends on how fast a process is: a test waits until the daemon say
 
 from __future__ import annotations
 
-import json
 import os
 import signal
 import ssl
@@ -19,11 +18,8 @@ from pathlib import Path
 import pytest
 
 import meissner
-from meissner import _http, errors
-from meissner import _operations as ops
 from meissner._endpoint import Endpoint
 from meissner._transport import BlockingTransport, tls
-from meissner.clocks import ClientClock
 from meissner.results import Status
 
 PATIENT = 120.0
@@ -91,8 +87,7 @@ def last_play(daemon: meissner.Daemon) -> str:
 
 ASYNC = """
 async def main():
-    async with await meissner.connect_async(sys.argv[1]) as m:
-        await m.arm(assume_rest=True, checked="a test", silence=SILENCE)
+    with armed() as m:
         {}
 asyncio.run(main())
 """
@@ -110,12 +105,9 @@ PHASES = {
     "thread.start()\nready()\nthread.join()",
     "in input": "m = armed()\nready()\ninput()",
     "asyncio": ASYNC.format("ready(); await asyncio.sleep(600)"),
-    "asyncio, in wait": ASYNC.format("play = await m.play('pin-60', endless=True); ready(); await play.wait()"),
-    "asyncio, in a session": ASYNC.format(
-        "async with m.session('P07'):\n            play = await m.play('pin-60', endless=True); ready(); await play.wait()"
+    "asyncio, in wait": ASYNC.format(
+        "play = m.play('pin-60', endless=True); ready(); await asyncio.to_thread(play.wait)"
     ),
-    "asyncio, without with": "async def main():\n m = await meissner.connect_async(sys.argv[1])\n"
-    " await m.arm(assume_rest=True, checked='a test', silence=SILENCE)\n ready()\n await asyncio.sleep(600)\nasyncio.run(main())",
 }
 
 
@@ -247,12 +239,11 @@ assert handlers() == [own, signal.SIG_IGN]
 
 async def main():
     loop, asked = asyncio.get_running_loop(), asyncio.Event()
-    async with await meissner.connect_async(sys.argv[1]) as m:
-        await m.arm(assume_rest=True, checked="a test", silence=SILENCE)
+    with armed() as m:
         loop.add_signal_handler(signal.SIGTERM, asked.set)
         os.kill(os.getpid(), signal.SIGTERM)
         await asked.wait()
-        assert (await m.status()).state == "armed"
+        assert m.status().state == "armed"
     loop.remove_signal_handler(signal.SIGTERM)
 asyncio.run(main())
 
@@ -386,22 +377,3 @@ def test_a_silence_that_means_nothing_is_refused(m: meissner.Client, silence: fl
     with pytest.raises(ValueError, match="1 to 86400"):
         m.arm(silence=silence)
     assert m.core.silence == 60.0
-
-
-@pytest.mark.parametrize(("stay_armed", "key"), [(False, "silence_s"), (True, "unattended")])
-def test_a_daemon_that_knows_no_silence_arms_as_before(stay_armed: bool, key: str) -> None:
-    core = ops.Core(Endpoint("http://pc"), ClientClock())
-    arming = ops.arm(core, assume_rest=True, stay_armed=stay_armed)
-    first = next(arming)
-    assert isinstance(first, _http.Request)
-    assert first.content is not None
-    assert json.loads(first.content)[key] == (True if stay_armed else 10.0)
-    problem = {"code": "bad-request", "detail": f"unknown key `{key}`: did you mean `checked`?"}
-    second = arming.send(_http.Answer(400, json.dumps(problem).encode()))
-    assert isinstance(second, _http.Request)
-    assert second.content is not None
-    assert json.loads(second.content) == {"assume_rest": True}
-    assert core.has_armed
-    with pytest.raises(errors.BadRequest):
-        arming.send(_http.Answer(400, json.dumps({**problem, "detail": "`checked` is empty"}).encode()))
-    assert not core.has_armed

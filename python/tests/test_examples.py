@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import importlib.util
 import os
 import re
@@ -11,6 +10,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -35,7 +35,6 @@ def run(name: str, folder: Path, **environment: str) -> str:
 
 def test_every_example_is_run_here() -> None:
     text = Path(__file__).read_text(encoding="utf-8")
-    text += (Path(__file__).parent / "test_osc.py").read_text(encoding="utf-8")
     assert [file.name for file in EXAMPLES.glob("*.py") if f'"{file.name}"' not in text] == []
 
 
@@ -85,31 +84,44 @@ def test_detection_threshold(tmp_path: Path) -> None:
         assert found == pytest.approx(true, rel=0.5), line
 
 
-def rows(file: Path) -> list[dict[str, str]]:
-    with file.open(newline="", encoding="utf-8") as opened:
-        return list(csv.DictReader(opened))
+def answered(daemon: meissner.Daemon) -> list[dict[str, Any]]:
+    """The recorded trials of the only session: the rows of the plays, and of their items below each."""
+    with meissner.connect(daemon.socket) as watcher:
+        (session,) = watcher.sessions()
+        plays: list[dict[str, Any]] = watcher.session_plays(session["id"])["plays"]
+    return plays
 
 
 def test_two_afc_is_short_exact_and_complete(tmp_path: Path) -> None:
     code = (EXAMPLES / "two_afc.py").read_text(encoding="utf-8").split('"""', 2)[2]
     assert sum(bool(line.strip()) for line in code.splitlines()) <= 15
     with meissner.Daemon() as daemon:
-        environment = {"MEISSNER_SOCKET": daemon.socket, "MEISSNER_ANSWERS": "simulated"}
+        environment = {
+            "MEISSNER_SOCKET": daemon.socket,
+            "MEISSNER_ANSWERS": "simulated",
+            "XDG_RUNTIME_DIR": str(tmp_path),
+        }
         run("two_afc.py", tmp_path, **environment)
-    trials = rows(tmp_path / "P07.csv")
-    assert [int(row["trial"]) for row in trials] == list(range(1, 41))
-    for row in trials:
-        assert int(row["item2_onset_tick"]) - int(row["item1_onset_tick"]) == 85_000 // 5
-        stronger = 1 if float(row["item1_scale"]) > float(row["item2_scale"]) else 2
-        assert (stronger, row["state"]) == (int(row["interval"]), "done")
-    correct = [int(row["correct"]) for row in trials]
-    assert 20 < sum(correct) <= 40
+        rows = answered(daemon)
+    trials = [row for row in rows if row["item"] is None]
+    assert [row["trial"] for row in trials] == list(range(1, 41))
+    for trial in trials:
+        first, second = (row for row in rows if row["play"] == trial["play"] and row["item"] is not None)
+        assert second["onset_tick"] - first["onset_tick"] == 85_000 // 5
+        stronger = 1 if first["scale"] > second["scale"] else 2
+        assert (str(stronger), trial["state"]) == (trial["answer"]["factors"]["interval"], "done")
+    assert 20 < sum(trial["answer"]["correct"] for trial in trials) <= 40
 
 
-def test_two_afc_killed_in_the_middle_loses_no_finished_trial(tmp_path: Path) -> None:
-    with meissner.Daemon("session_silence_s = 0.5\n") as daemon:
-        environment = {**os.environ, "MEISSNER_SOCKET": daemon.socket, "MEISSNER_ANSWERS": "simulated"}
-        experiment = subprocess.Popen([sys.executable, str(EXAMPLES / "two_afc.py")], cwd=tmp_path, env=environment)
+def test_two_afc_killed_in_the_middle_loses_no_answer_and_goes_on(tmp_path: Path) -> None:
+    with meissner.Daemon() as daemon:
+        environment = {
+            "MEISSNER_SOCKET": daemon.socket,
+            "MEISSNER_ANSWERS": "simulated",
+            "XDG_RUNTIME_DIR": str(tmp_path),
+        }
+        command = [sys.executable, str(EXAMPLES / "two_afc.py")]
+        experiment = subprocess.Popen(command, cwd=tmp_path, env={**os.environ, **environment})
         with meissner.connect(daemon.socket) as watcher:
             last = None
             while last is None or last.id < 10 or not last.is_over:
@@ -120,13 +132,12 @@ def test_two_afc_killed_in_the_middle_loses_no_finished_trial(tmp_path: Path) ->
                     time.sleep(0.01)
             os.kill(experiment.pid, signal.SIGKILL)
             experiment.wait()
-            # The answer to a play is in before the next play begins.
-            found = [int(row["trial"]) for row in rows(tmp_path / "P07.csv")]
-            assert found == list(range(1, len(found) + 1))
-            assert len(found) >= last.id - 1
-            # A killed program cannot disarm: everybody may, at once.
-            state = watcher.disarm()
-            assert state.state in ("returning", "disarmed")
+        # The answer to a play is in before the next play begins.
+        found = {row["trial"] for row in answered(daemon) if row["answer"]}
+        assert found in (set(range(1, last.id)), set(range(1, last.id + 1)))
+        run("two_afc.py", tmp_path, **environment)
+        trials = [row["trial"] for row in answered(daemon) if row["answer"] and row["item"] is None]
+    assert sorted(trials) == list(range(1, 41))
 
 
 def blocks(file: Path, language: str) -> list[str]:

@@ -1,20 +1,14 @@
-"""Trial lists, procedures and the log."""
+"""Trial lists, procedures and answers."""
 
 from __future__ import annotations
 
-import asyncio
 import collections
-import csv
-import errno
-import io
 import itertools
 import json
 import math
 import os
 import random
-import signal
 import statistics
-import subprocess
 import sys
 import warnings
 from collections.abc import Callable
@@ -29,8 +23,6 @@ from meissner import errors
 from meissner._labels import exact
 from meissner.experiment import (
     Interleaved,
-    Log,
-    LogError,
     QuestPlus,
     SimulatedObserver,
     Staircase,
@@ -41,7 +33,6 @@ from meissner.experiment import (
     trials,
     two_afc,
 )
-from meissner.experiment.log import play_columns
 
 
 def test_every_block_holds_every_combination_once() -> None:
@@ -366,136 +357,6 @@ def test_a_question_is_asked_until_it_is_answered(monkeypatch: pytest.MonkeyPatc
     assert ask("Which?") == "2"
 
 
-def test_a_log_has_the_plays_times(m: meissner.Client, tmp_path: Path) -> None:
-    trial = Trial(1, {"level": 0.5})
-    play = m.sequence(["pin-60", "pin-60"], seconds=0.05, soa=0.1)
-    play.wait()
-    with Log(tmp_path / "log.csv") as log:
-        log.add(trial, play, answer='a,\n"b"')
-        log.add(Trial(2, {"level": 0.7}), play)
-    with (tmp_path / "log.csv").open(newline="", encoding="utf-8") as file:
-        first, second = csv.DictReader(file)
-    assert (first["trial"], first["level"], first["answer"]) == ("1", "0.5", 'a,\n"b"')
-    assert (second["trial"], second["answer"]) == ("2", "")
-    assert int(first["item2_onset_tick"]) - int(first["item1_onset_tick"]) == 8500
-    assert int(first["onset_monotonic_ns"]) == play.onset.monotonic_ns
-    assert float(first["onset_uncertainty_s"]) == pytest.approx(play.onset.monotonic_uncertainty, abs=1e-9)
-    assert [row["trial"] for row in log.rows] == ["1", "2"]
-    with pytest.raises(LogError, match="is closed"):
-        log.add(trial)
-
-
-def test_a_log_touches_no_file_that_is_there_unless_told_to(tmp_path: Path) -> None:
-    file = tmp_path / "log.csv"
-    file.write_text("kept")
-    with pytest.raises(LogError, match="resume=True"):
-        Log(file)
-    assert file.read_text() == "kept"
-    with pytest.raises(LogError, match="cannot be opened"):
-        Log(tmp_path / "none" / "log.csv")
-
-
-@pytest.mark.parametrize("rest", ["", "3,", '3,"unfinished\n', "3,no line end"])
-def test_a_log_goes_on_after_the_last_whole_row(tmp_path: Path, rest: str) -> None:
-    file = tmp_path / "log.csv"
-    whole = 'trial,answer\n1,"a\nb"\n2,c\n'
-    file.write_text(whole + rest)
-    with Log(file, resume=True) as log:
-        left = log.remaining(Trial(number, {}) for number in range(1, 5))
-        assert [trial.number for trial in left] == [3, 4]
-        assert log.rows[0] == {"trial": "1", "answer": "a\nb"}
-        log.add(3, answer="d")
-    assert file.read_text() == whole + "3,d\n"
-    with Log(tmp_path / "new.csv", resume=True) as log:
-        log.add(1)
-    assert (tmp_path / "new.csv").read_text() == "trial\n1\n"
-
-
-LOG = (
-    "trial,level,word,play,pattern,state,late,onset_tick,onset_monotonic_ns,onset_wall_ns,onset_uncertainty_s,correct\n"
-    '1,0.5,"a, ""b""",7,pin-60,done,False,850000,412345678901234,1772000000123456789,0.000012000,1\n'
-    '2,0.7,"c\nd",8,pin-60,done,False,935000,413345678901234,1772000001123456789,0.000012500,0\n'
-    "3,0.5,\u00fc,,,,,,,,,\n"
-)
-ROWS = list(csv.reader(LOG.splitlines(keepends=True)))
-
-
-def saved(delimiter: str = ",", end: str = "\r\n", quoting: Any = csv.QUOTE_MINIMAL) -> str:
-    """The log as a spreadsheet saves it."""
-    buffer = io.StringIO(newline="")
-    csv.writer(buffer, delimiter=delimiter, lineterminator=end, quoting=quoting).writerows(ROWS)
-    return buffer.getvalue()
-
-
-@pytest.mark.parametrize(
-    ("data", "why"),
-    [
-        (LOG.encode(), None),
-        (LOG[: LOG.index("3,0.5")].encode() + b"3,0.", None),
-        (b"", None),
-        (b"tri", None),
-        (b"\xef\xbb\xbf" + LOG.encode(), "byte order mark"),
-        (b"\xef\xbb\xbf" + saved(";").encode(), "byte order mark"),
-        (saved(";").encode(), "line ends have changed|begin with the column"),
-        (saved(";", "\n").encode(), "separators|column `trial`"),
-        (saved("\t", "\n").encode(), "separators|column `trial`"),
-        (saved().encode(), "line ends have changed"),
-        (saved(end="\r").encode(), "column `trial`|line ends"),
-        (saved(end="\n", quoting=csv.QUOTE_ALL).encode(), "quotation marks"),
-        (saved(end="\n", quoting=csv.QUOTE_NONNUMERIC).encode(), "quotation marks"),
-        (LOG.encode("utf-16"), "column `trial`|cannot be read"),
-        (LOG.encode("cp1252"), "cannot be read"),
-        (LOG.replace("1772000000123456789", "1.772E+18").encode(), "row 1 has `onset_wall_ns` '1.772E\\+18'"),
-        (LOG.replace("413345678901234", '"413345678901234,0"').encode(), "row 2 has `onset_monotonic_ns`"),
-        (LOG.replace("0.000012000", "0.000012").encode(), "row 1 has `onset_uncertainty_s` '0.000012'"),
-        (LOG.replace("0.000012000", '"0,000012000"').encode(), "row 1 has `onset_uncertainty_s`"),
-        (LOG.replace("0.000012500", "1.25E-05").encode(), "row 2 has `onset_uncertainty_s`"),
-        (LOG.replace("\n2,", "\n2.0,").encode(), "row 2 has `trial` '2.0'"),
-        (LOG.replace("850000", "850 000").encode(), "row 1 has `onset_tick`"),
-        (LOG.replace(",,,,,,,,,\n", "\n").encode(), "row 3 has 3 cells, not 12"),
-        (LOG.replace(",correct", "").encode(), "row 1 has 12 cells, not 11"),
-        (LOG.replace("trial,", "Trial,").encode(), "column `trial`"),
-        (LOG.replace("\n3,", "\n\n3,").encode(), "row 3 has 0 cells"),
-        (b"notes of a day", "column `trial`"),
-        (b"PK\x03\x04workbook\n", "column `trial`"),
-    ],
-)
-def test_a_log_that_another_program_saved_is_refused_when_it_is_opened(
-    tmp_path: Path, data: bytes, why: str | None
-) -> None:
-    file = tmp_path / "log.csv"
-    file.write_bytes(data)
-    if why is None:
-        with Log(file, resume=True) as log:
-            whole = data[: data.rfind(b"\n") + 1]
-            assert [row["trial"] for row in log.rows] == [row[0] for row in csv.reader(io.StringIO(whole.decode()))][1:]
-        assert file.read_bytes() == whole
-        return
-    with pytest.raises(LogError, match=f"not as a log writes it .*({why}).*restore the original"):
-        Log(file, resume=True)
-    assert file.read_bytes() == data
-
-
-def test_a_log_refuses_trials_that_it_cannot_take_before_they_are_played(tmp_path: Path) -> None:
-    file = tmp_path / "log.csv"
-    made = [Trial(1, {"level": 0.5}), Trial(2, {"level": 0.7})]
-    with Log(file) as log:
-        assert log.remaining(made) == made
-        with pytest.raises(LogError, match="no column `side` for trial 2: give all trials the same factors"):
-            log.remaining([made[0], Trial(2, {"level": 0.7, "side": "left"})])
-        log.add(made[0], answer="a")
-    with Log(file, resume=True) as log:
-        assert log.remaining(made) == made[1:]
-        with pytest.raises(LogError, match="no column `side` for trial 2"):
-            log.remaining([made[0], Trial(2, {"side": "left"})])
-        with pytest.raises(LogError, match="make the list as before, with its seed"):
-            log.remaining([Trial(1, {"level": 0.6})])
-    # As a spreadsheet changes numbers of one's own.
-    file.write_text('trial,level,answer\n1,"0,5",a\n')
-    with Log(file, resume=True) as log, pytest.raises(LogError, match="has `level` '0,5' in trial 1"):
-        log.remaining(made)
-
-
 def answers_of(session: meissner.Session) -> list[Any]:
     return [row["answer"] and (row["answer"]["response"], row["answer"]["factors"]) for row in session.plays]
 
@@ -509,99 +370,40 @@ ODD = ["a\tb", "a\nb", "a\r\nb", "", " ", "\0", "\x1b[2J", '"', "n/a", "x" * 201
 
 
 def test_odd_answers_are_kept_as_they_are(m: meissner.Client, tmp_path: Path) -> None:
-    file = tmp_path / "log.csv"
     expected = [text.encode("utf-8", "backslashreplace").decode() for text in ODD]
     before = kept_answers()
-    with m.session("P07") as session, Log(file, answers=True) as log:
+    with m.session("P07") as session:
         for number, text in enumerate(ODD, 1):
-            play = m.play("pin-60", 0.02, trial=number)
-            play.wait()
-            log.add(number, play, response=text, rt_ms=-3.0, level=math.nan, note=text, **{text + " of": number})
+            m.play("pin-60", 0.02, trial=number).wait()
+            session.answer(number, text, rt_ms=-3.0, level=math.nan, factors={"note": text, text + " of": number})
         assert answers_of(session) == [
             (text, {"note": text, text + " of": str(number)}) for number, text in enumerate(expected, 1)
         ]
         assert [row["answer"]["rt_ms"] for row in session.plays] == [-3.0] * len(ODD)
         assert session.answers() == []
     assert kept_answers() == before
-    with Log(file, resume=True) as log:
-        assert [row["response"] for row in log.rows] == [row["note"] for row in log.rows] == expected
-        assert [row[text + " of"] for row, text in zip(log.rows, expected, strict=True)] == list(
-            map(str, range(1, len(ODD) + 1))
-        )
     export = m.export_bids(session.id, tmp_path / "bids", displacement_hz=None)
     lines = export.events.read_text(encoding="utf-8").split("\n")
     place = lines[0].split("\t").index("response")
     assert [line.split("\t")[place] for line in lines[1:-1]] == list(map(exact, expected))
 
 
-def test_a_new_column_at_any_trial_loses_no_answer(tmp_path: Path) -> None:
-    file = tmp_path / "log.csv"
-    (tmp_path / "link.csv").symlink_to(file)
-    with Log(tmp_path / "link.csv", resume=True) as log:
-        for number in range(1, 50):
-            log.add(Trial(number, {"level": 0.5}), answer="a\nb")
-        mode = file.stat().st_mode
-        log.add(Trial(50, {"level": 0.7}), answer="c", level=1, late_note="coughed")
-        log.add(51, other=3)
-        assert [row["late_note"] for row in log.rows] == [""] * 49 + ["coughed", ""]
-        with pytest.raises(LogError, match="written by another program"):
-            Log(file, resume=True)
-    assert file.stat().st_mode == mode
-    assert sorted(each.name for each in tmp_path.iterdir()) == ["link.csv", "log.csv"]
-    with Log(file, resume=True) as log:
-        assert len(log.rows) == 51
-        assert log.rows[0] == {
-            "trial": "1", "level": "0.5", "answer": "a\nb", "level_2": "", "late_note": "", "other": ""
-        }  # fmt: skip
-        assert log.rows[49]["level"] == "0.7"
-        assert log.rows[49]["level_2"] == "1"
-        log.add(52)
-
-
-def test_a_disk_that_is_full_leaves_whole_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    file = tmp_path / "log.csv"
-    real = os.write
-
-    def full(descriptor: int, data: bytes) -> int:
-        if len(data) < 6:
-            raise OSError(errno.ENOSPC, "No space left on device")
-        return real(descriptor, data[:4])
-
-    with Log(file) as log:
-        log.add(1, answer="a")
-        whole = file.read_bytes()
-        with monkeypatch.context() as patched:
-            patched.setattr(os, "write", full)
-            with pytest.raises(LogError, match=r"No space left on device.*write this row down: 2,left"):
-                log.add(2, answer="left")
-        assert (file.read_bytes(), len(log.rows)) == (whole, 1)
-        log.add(2, answer="left")
-    assert file.read_bytes() == whole + b"2,left\n"
-
-
-def test_what_the_daemon_does_not_take_is_in_the_log_and_kept(m: meissner.Client, tmp_path: Path) -> None:
-    with m.session("P07") as session, Log(tmp_path / "log.csv", answers=True) as log:
+def test_what_the_daemon_does_not_take_is_kept(m: meissner.Client) -> None:
+    with m.session("P07") as session:
         play = m.play("pin-60", 0.05, trial=1)
         play.wait()
         refused: list[tuple[dict[str, Any], str]] = [
             ({"response": "x" * 9000}, "at most 8192 are kept"),
             ({"response": "left", "correct": "False"}, "must be True, False or None"),
             ({"response": "left", "level": math.inf}, "answer is kept in"),
-            ({"said": "left"}, "give `response` or `correct`"),
         ]
-        for number, (columns, why) in enumerate(refused, 1):
-            with pytest.raises(LogError, match=f"has the row of trial {number}, but the session record has not.*{why}"):
-                log.add(number, play, **columns)
-            told = {name: str(value) for name, value in columns.items()}
-            assert {name: log.rows[-1][name] for name in columns} == told
-        # The log has seen by itself that the verdict is a text.
-        assert [each["response"] for each in kept_answers()[-2:]] == ["x" * 9000, "left"]
+        for given, why in refused:
+            with pytest.raises((errors.MeissnerError, TypeError, ValueError), match=why):
+                play.answer(**given)
+            assert kept_answers()[-1]["response"] == given["response"]
         # NumPy's kinds of numbers.
-        log.add(np.int64(5), play, response="left", correct=np.bool_(False), level=np.float32(0.5))
-        assert [row["trial"] for row in log.rows] == ["1", "2", "3", "4", "5"]
-        silent = m.play("pin-60", 0.05, trial=2)
-        silent.wait()
-        log.add(6, silent, response=None, correct=None, level=0.25)
+        play.answer("left", correct=np.bool_(False), level=np.float32(0.5))
+        m.play("pin-60", 0.05, trial=2).wait()
         assert answers_of(session) == [("left", {}), None]
         assert session.answers() == [(0.5, False)]
         with pytest.raises(errors.MeissnerError, match=r"nothing in trial 9.*the answer is kept in .*answers\.jsonl"):
@@ -632,33 +434,6 @@ def test_answers_without_a_level_are_no_points_of_a_procedure(m: meissner.Client
         assert session.remaining([Trial(number, {}) for number in (1, 2, 3, 4)]) == [Trial(4, {})]
 
 
-def test_a_log_with_answers_refuses_an_asynchronous_play(m: meissner.Client, tmp_path: Path) -> None:
-    async def work() -> None:
-        async with await meissner.connect_async(m.core.endpoint.name) as client:
-            async with client.session("P07"):
-                play = await client.play("pin-60", 0.05, trial=1)
-                await play.wait()
-                with Log(tmp_path / "answers.csv", answers=True) as log:
-                    with pytest.raises(LogError, match=r"`await session.answer\(...\)`"):
-                        log.add(1, play, response="left")
-                    assert [row["response"] for row in log.rows] == ["left"]
-                with Log(tmp_path / "log.csv") as log:
-                    log.add(1, play, response="left")
-
-    asyncio.run(work())
-
-
-def test_one_program_at_a_time_writes_a_log(tmp_path: Path) -> None:
-    file = tmp_path / "log.csv"
-    with Log(file) as log:
-        log.add(1, text="a")
-        with pytest.raises(LogError, match="written by another program, or by another `Log`"):
-            Log(file, resume=True)
-        log.add(2, text="b")
-    with Log(file, resume=True) as log:
-        assert [row["text"] for row in log.rows] == ["a", "b"]
-
-
 def test_levels_of_numpy_are_levels(m: meissner.Client) -> None:
     with m.session("P07") as session:
         for trial in constant_stimuli(np.array([20, 50]), repeats=1, seed=1, side=np.array(["left"])):
@@ -667,63 +442,3 @@ def test_levels_of_numpy_are_levels(m: meissner.Client) -> None:
         answers = [row["answer"] for row in session.plays]
         assert sorted(answer["level"] for answer in answers) == [20.0, 50.0]
         assert all(answer["factors"] == {"side": "left"} for answer in answers)
-
-
-@pytest.mark.parametrize(
-    "name",
-    [
-        "correct",
-        "response",
-        "rt_ms",
-        "trial",
-        "play",
-        "pattern",
-        "state",
-        "late",
-        "onset_tick",
-        "offset_monotonic_ns",
-        "item2_pattern",
-        "item1_onset_wall_ns",
-    ],
-)
-def test_a_factor_with_the_name_of_a_column_of_the_log_is_refused_in_the_list(name: str) -> None:
-    factors: dict[str, Any] = {name: [1, 2]}
-    with pytest.raises(ValueError, match=f"the factor `{name}` has the name of a column that the log writes"):
-        trials(seed=1, **factors)
-
-
-def test_the_names_that_factors_may_not_have_are_those_of_the_log(m: meissner.Client) -> None:
-    play = m.sequence(["pin-60", "pin-60"], seconds=0.05, soa=0.1)
-    play.wait()
-    for name in play_columns(play):
-        with pytest.raises(ValueError, match="name of a column"):
-            Trial(1, {name: 1})
-
-
-WRITER = """
-import sys
-from meissner.experiment import Log
-with Log(sys.argv[1]) as log:
-    for number in range(1, 100_000):
-        log.add(number, text="x" * 500)
-        print(number, flush=True)
-"""
-
-
-def test_a_kill_loses_no_finished_trial(tmp_path: Path) -> None:
-    file = tmp_path / "log.csv"
-    writer = subprocess.Popen([sys.executable, "-c", WRITER, str(file)], stdout=subprocess.PIPE, text=True)
-    assert writer.stdout
-    for line in writer.stdout:
-        if int(line) == 50:
-            os.kill(writer.pid, signal.SIGKILL)
-            break
-    rest = writer.stdout.read().split()
-    writer.stdout.close()
-    writer.wait()
-    finished = 50 + len(rest)
-    with Log(file, resume=True) as log:
-        numbers = [int(row["trial"]) for row in log.rows]
-    # The trial that was under way may be there, too.
-    assert numbers in (list(range(1, finished + 1)), list(range(1, finished + 2)))
-    assert all(row["text"] == "x" * 500 for row in log.rows)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import itertools
 import json
 import os
@@ -290,15 +289,21 @@ def test_events_whose_connection_is_silent_are_asked_for_again(
         list(itertools.takewhile(lambda event: event.name != "state", events))
         events.close()
 
-    async def work() -> None:
-        async with await meissner.connect_async(daemon.socket) as m:
-            events = m.events()
-            for name in ("reconnected", "state"):
-                while (await anext(events)).name != name:
-                    pass
-            await events.aclose()
 
-    asyncio.run(work())
+def test_a_client_that_is_closed_ends_its_events(daemon: meissner.Daemon) -> None:
+    m = meissner.connect(daemon.socket)
+    events, ended = m.events(), threading.Event()
+
+    def listen() -> None:
+        with pytest.raises(errors.MeissnerError, match="the client is closed"):
+            list(events)
+        ended.set()
+
+    next(events)
+    threading.Thread(target=listen, daemon=True).start()
+    m.close()
+    # The daemon's next comment is 15 s away.
+    assert ended.wait(120)
 
 
 @pytest.mark.filterwarnings("ignore:.*fork.*:DeprecationWarning")

@@ -1,12 +1,10 @@
-"""Live plays of both clients against a real daemon, and against one that does not read or answer."""
+"""Live plays against a real daemon, and against one that does not read or answer."""
 
 from __future__ import annotations
 
-import asyncio
 import gc
 import json
 import math
-import os
 import shutil
 import socket
 import ssl
@@ -14,19 +12,19 @@ import subprocess
 import threading
 import time
 import weakref
-from collections.abc import Awaitable, Callable, Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
+from websockets.sync.server import ServerConnection, unix_serve
 
 import meissner
-from meissner import _aio_live, _live, errors, live
+from meissner import _live, errors, live
 from meissner._endpoint import Endpoint
-from meissner._live import WINDOW, KnownUpdate, Started, Updates
+from meissner._live import WINDOW, Started, Updates
 from meissner._operations import Accepted
 from meissner._transport import tls
-from meissner.aio import AsyncClient
 from meissner.program import find_program
 from network import Network
 
@@ -364,12 +362,6 @@ def test_over_tls(daemon: meissner.Daemon, tmp_path: Path, monkeypatch: pytest.M
                 assert {update.wait(PATIENT).state for update in updates} <= {"applied", "merged"}
             assert play.receipt.cause == "stop"
 
-            async def work(m: AsyncClient) -> None:
-                async with m.live(drives=DRIVES, timeout=PATIENT) as play:
-                    assert (await play.keep().wait(PATIENT)).state == "applied"
-
-            run(network.url, work)
-
 
 def is_lost(error: BaseException) -> bool:
     """Whether the connection is why: the daemon may have had time to say what became of the play, or not."""
@@ -408,44 +400,43 @@ def test_a_client_that_is_closed_first(daemon: meissner.Daemon) -> None:
         until_refused(play.keep)
 
 
+def live_at(m: meissner.Client, endpoint: Endpoint) -> live.Live:
+    """Opens the connection of a live play elsewhere."""
+    own, m.core.endpoint = m.core.endpoint, endpoint
+    try:
+        return live.Live(m, Started(Accepted(999_999, "live", None, None), "/v1/live/0123"))
+    finally:
+        m.core.endpoint = own
+
+
 class Deaf:
     """A daemon that takes a live play's connection, and then reads and answers only when it is told to."""
 
-    def __init__(self, folder: Path, head: bytes = b"HTTP/1.1 101 Switching Protocols\r\n\r\n") -> None:
-        self.path = str(folder / "deaf.sock")
-        self._server = socket.socket(socket.AF_UNIX)
-        self._server.bind(self.path)
-        self._server.listen()
-        self._head = head
-        self._thread = threading.Thread(target=self._take, daemon=True)
-        self._thread.start()
+    def __init__(self, folder: Path) -> None:
+        self._path = str(folder / "deaf.sock")
+        self._taken, self._over = threading.Event(), threading.Event()
+        self._server = unix_serve(self._take, self._path)
+        threading.Thread(target=self._server.serve_forever, daemon=True).start()
 
-    def _take(self) -> None:
-        self.connection, _ = self._server.accept()
-        self.connection.settimeout(PATIENT)
-        while not self.connection.recv(65536).endswith(b"\r\n\r\n"):
-            pass
-        self.connection.sendall(self._head)
-        self.lines = self.connection.makefile("r")
+    def _take(self, connection: ServerConnection) -> None:
+        self.connection = connection
+        self._taken.set()
+        self._over.wait()
 
     def read(self) -> Any:
-        return json.loads(self.lines.readline())
+        return json.loads(self.connection.recv(PATIENT))
 
     def say(self, **answer: Any) -> None:
-        self.connection.sendall(json.dumps(answer).encode() + b"\n")
+        self.connection.send(json.dumps(answer))
 
     def live(self, m: meissner.Client) -> live.Live:
-        own, m.core.endpoint = m.core.endpoint, Endpoint("http://meissner", self.path)
-        try:
-            return live.Live(m, Started(Accepted(999_999, "live", None, None), "/v1/live/0123"))
-        finally:
-            m.core.endpoint = own
-            self._thread.join(PATIENT)
+        play = live_at(m, Endpoint("http://meissner", self._path))
+        assert self._taken.wait(PATIENT)
+        return play
 
     def close(self) -> None:
-        self.lines.close()
-        self.connection.close()
-        self._server.close()
+        self._over.set()
+        self._server.shutdown()
 
 
 APPLIED = {"received_tick": 1, "from_tick": 2, "ticks": [None] * 24, "repeats": 0}
@@ -454,12 +445,9 @@ APPLIED = {"received_tick": 1, "from_tick": 2, "ticks": [None] * 24, "repeats": 
 def test_a_daemon_that_does_not_read_keeps_nobody_waiting(m: meissner.Client, tmp_path: Path) -> None:
     deaf = Deaf(tmp_path)
     play = deaf.live(m)
-    play._socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 4096)
     drives = [drive(79.123456789, motor) for motor in range(24)]
     for _ in range(WINDOW):
         update = play.drives(drives)
-    # More than the connection holds: the rest goes out once the daemon reads.
-    assert play._outgoing
     with pytest.raises(TimeoutError, match="wait longer"):
         update.wait(0.01)
     # Newer ones merge.
@@ -494,11 +482,11 @@ def test_a_daemon_that_does_not_end_it(m: meissner.Client, tmp_path: Path, monke
     deaf.close()
 
 
-@pytest.mark.parametrize("said", [b"nonsense\n", b'{"seq": 1, "problem": {}}\n', b"[]\n"])
-def test_answers_that_cannot_be_read_end_it(m: meissner.Client, tmp_path: Path, said: bytes) -> None:
+@pytest.mark.parametrize("said", ["nonsense", '{"seq": 1, "problem": {}}', "[]"])
+def test_answers_that_cannot_be_read_end_it(m: meissner.Client, tmp_path: Path, said: str) -> None:
     deaf = Deaf(tmp_path)
     play = deaf.live(m)
-    deaf.connection.sendall(said)
+    deaf.connection.send(said)
     with pytest.raises(errors.ConnectionLost, match="cannot be read"):
         until_refused(play.keep)
     deaf.close()
@@ -512,38 +500,47 @@ def test_answers_that_cannot_be_read_end_it(m: meissner.Client, tmp_path: Path, 
         (b"HTTP/1.1 200 OK\r\nContent-Length: 2\r\n\r\n{}", errors.UnexpectedAnswer),
         (b"SSH-2.0-OpenSSH\r\n\r\n", errors.UnexpectedAnswer),
         (b"x" * 70_000, errors.UnexpectedAnswer),
+        (b"HTTP/1.1 101 Switching Protocols\r\n\r\n", errors.UnexpectedAnswer),
+        (b"", errors.ConnectionLost),
     ],
 )
 def test_a_connection_that_is_not_upgraded(
     m: meissner.Client, tmp_path: Path, head: bytes, kind: type[Exception]
 ) -> None:
-    with pytest.raises(kind):
-        Deaf(tmp_path, head).live(m)
+    path = str(tmp_path / "other.sock")
+    with socket.socket(socket.AF_UNIX) as server:
+        server.bind(path)
+        server.listen()
+
+        def answer() -> None:
+            with server.accept()[0] as connection:
+                while not connection.recv(65536).endswith(b"\r\n\r\n"):
+                    pass
+                connection.sendall(head)
+
+        thread = threading.Thread(target=answer)
+        thread.start()
+        with pytest.raises(kind):
+            live_at(m, Endpoint("http://meissner", path))
+        thread.join()
 
 
 def test_where_no_daemon_is(m: meissner.Client, tmp_path: Path) -> None:
-    started = Started(Accepted(999_999, "live", None, None), "/v1/live/0123")
-    own = m.core.endpoint
     for endpoint in (Endpoint("http://meissner", str(tmp_path / "none.sock")), Endpoint("http://127.0.0.1:9")):
-        m.core.endpoint = endpoint
         with pytest.raises(errors.Unreachable, match="start one"):
-            live.Live(m, started)
-    m.core.endpoint = own
+            live_at(m, endpoint)
 
 
-def test_the_head_names_host_path_and_tokens() -> None:
-    core = meissner._core(Endpoint("https://user@lab-pc:8765/display"), "secret", 0.0)
-    head = _live.upgrade(core, "/v1/live/0123").decode()
-    assert head.startswith("GET /display/v1/live/0123 HTTP/1.1\r\nHost: lab-pc:8765\r\n")
-    assert "\r\nAuthorization: Bearer secret\r\n" in head
-    assert head.endswith("\r\n\r\n")
+def test_the_address_keeps_host_and_path() -> None:
+    there = Endpoint("https://user@lab-pc:8765/display")
+    assert _live.address(there, "/v1/live/0123") == "wss://lab-pc:8765/display/v1/live/0123"
 
 
 def test_a_refusal_belongs_to_its_message() -> None:
-    updates = Updates(7, lambda seq: KnownUpdate(seq, threading.Event()))
+    updates = Updates(7, None, lambda update, timeout: pytest.fail("nobody waits by a connection"))
 
-    def take(**answer: Any) -> bytes:
-        return updates.take(json.dumps(answer).encode() + b"\n")
+    def take(**answer: Any) -> list[str]:
+        return updates.take(json.dumps(answer))
 
     def refusal(detail: str) -> dict[str, Any]:
         return {"code": "bad-request", "status": 400, "detail": detail}
@@ -561,8 +558,8 @@ def test_a_refusal_belongs_to_its_message() -> None:
         updates.message(None, None, None)
     with pytest.raises(errors.BadRequest, match="5 is too much"):
         updates.answer(second)
-    late, line = updates.message(None, None, None)
-    assert line == b'{"seq": 4}\n'
+    late, messages = updates.message(None, None, None)
+    assert messages == ['{"seq": 4}']
     # What came too late for the play is no problem of its own.
     take(seq=4, problem={"code": "not-found", "status": 404, "detail": "the live play is over"})
     take(seq=None, ended="stop")
@@ -572,169 +569,5 @@ def test_a_refusal_belongs_to_its_message() -> None:
     with pytest.raises(errors.NotFound, match="is over"):
         updates.answer(late)
     # The daemon has given up on the connection.
-    with pytest.raises(errors.ApiError, match="too long"):
-        take(seq=None, problem={"code": "too-large", "status": 413, "detail": "too long"})
-
-
-def run(address: str, work: Callable[[AsyncClient], Awaitable[None]], token: str | None = None) -> None:
-    """Runs this with an armed client for asyncio."""
-
-    async def main() -> None:
-        async with await meissner.connect_async(address, token=token) as m:
-            await m.arm(assume_rest=True, checked="a test")
-            await work(m)
-
-    asyncio.run(main())
-
-
-async def until_refused_async(call: Callable[[], object]) -> None:
-    deadline = time.monotonic() + PATIENT
-    while time.monotonic() < deadline:
-        call()
-        await asyncio.sleep(0.005)
-
-
-def test_aio_updates(daemon: meissner.Daemon) -> None:
-    async def work(m: AsyncClient) -> None:
-        with pytest.raises(ValueError, match="async with"):
-            m.live(drives=DRIVES).keep()
-        async with m.live(drives=DRIVES, timeout=PATIENT) as play:
-            updates = [play.set(9, frequency_hz=60, amplitude_um=step) for step in range(30)]
-            results = [await update.wait(PATIENT) for update in updates]
-            assert {result.state for result in results} <= {"applied", "merged"}
-            assert results[-1].onset is not None
-            with pytest.raises(errors.BadRequest, match="Hz"):
-                await play.set(9, frequency_hz=100, amplitude_um=1).wait(PATIENT)
-            play.pose(1.0)
-            with pytest.raises(errors.BadRequest, match="target"):
-                await until_refused_async(play.keep)
-            with pytest.raises(TimeoutError):
-                await play.wait(0.01)
-            assert (await play.refresh()).state == "running"
-            await play.keep().wait(PATIENT)
-            assert play._updates.under_way == {}
-        assert (await play.wait()).cause == "stop"
-        assert play.receipt.raw["live"]["updates"] >= WINDOW
-        with pytest.raises(ValueError, match="start another one"):
-            async with play:
-                pass
-        play = await m.live("edge-45", timeout=PATIENT)
-        async with play:
-            assert (await play.pose(0.5, angle_deg=3).wait(PATIENT)).state == "applied"
-        await play.end()
-        with pytest.raises(errors.BadRequest):
-            async with m.live(timeout=0.01):
-                pass
-
-    run(daemon.socket, work)
-
-
-def test_aio_over_tcp_with_a_token(networked: tuple[str, str]) -> None:
-    async def work(m: AsyncClient) -> None:
-        async with m.live(drives=DRIVES, timeout=PATIENT) as play:
-            assert (await play.scale(0.5).wait(PATIENT)).state == "applied"
-
-    run(networked[0], work, networked[1])
-
-
-def test_aio_ends(daemon: meissner.Daemon) -> None:
-    async def work(m: AsyncClient) -> None:
-        with pytest.raises(ZeroDivisionError):
-            async with m.live(drives=DRIVES, timeout=PATIENT) as play:
-                play.pose(1.0)
-                _ = 1 / 0
-        assert play.receipt.cause == "stop"
-        with pytest.raises(meissner.PlayStopped, match="client-silent"):
-            async with m.live(drives=DRIVES, timeout=0.2) as play:
-                play.keep()
-                await play.wait(PATIENT)
-        with pytest.raises(meissner.PlayStopped, match="stopped: stop"):
-            async with m.live(drives=DRIVES, timeout=PATIENT) as play:
-                await m.stop()
-                await until_refused_async(play.keep)
-        began = asyncio.Event()
-        task = asyncio.create_task(endless(m, began))
-        await began.wait()
-        task.cancel()
-        with pytest.raises(asyncio.CancelledError):
-            await task
-        await m.wait_until_idle()
-        assert (await m.receipt()).cause == "stop"
-        with pytest.raises(meissner.PlayStopped, match="estop"):
-            async with m.live(drives=DRIVES, timeout=PATIENT) as play:
-                under_way = play.keep()
-                await under_way.wait(PATIENT)
-                await m.estop()
-                await until_refused_async(play.keep)
-
-    async def endless(m: AsyncClient, began: asyncio.Event) -> None:
-        async with m.live(drives=DRIVES, timeout=PATIENT) as play:
-            began.set()
-            while True:
-                play.keep()
-                await asyncio.sleep(0.01)
-
-    run(daemon.socket, work)
-
-
-def test_aio_no_cancellation_is_lost() -> None:
-    """Whether it comes before, while or after the work ends."""
-
-    async def main() -> None:
-        for rounds in range(8):
-            ended = asyncio.Event()
-            task = asyncio.create_task(_aio_live._within(ended.wait(), PATIENT))
-            for _ in range(3):
-                await asyncio.sleep(0)
-            ended.set()
-            for _ in range(rounds):
-                await asyncio.sleep(0)
-            if task.cancel():
-                with pytest.raises(asyncio.CancelledError):
-                    await task
-            else:
-                assert task.result()
-        with pytest.raises(asyncio.TimeoutError):
-            await _aio_live._within(asyncio.sleep(PATIENT), 0.01)
-
-    asyncio.run(main())
-
-
-def test_aio_connections_that_fail(network: Network, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(_aio_live, "END_TIMEOUT", 0.1)
-
-    async def work(m: AsyncClient) -> None:
-        own = m.core.endpoint
-        with pytest.raises((meissner.PlayStopped, errors.ConnectionLost)) as stopped:
-            async with m.live(drives=DRIVES, timeout=PATIENT) as play:
-                await play.keep().wait(PATIENT)
-                network.cut()
-                await until_refused_async(play.keep)
-        assert is_lost(stopped.value)
-        await m.wait_until_idle()
-        accepted = Accepted(999_999, "live", None, None)
-
-        def started() -> Any:
-            return Started(accepted, "/v1/live/0123")
-            yield
-
-        for endpoint, kind in [
-            (Endpoint("http://meissner", str(tmp_path / "none.sock")), errors.Unreachable),
-            (Endpoint("http://127.0.0.1:9"), errors.Unreachable),
-            (own, errors.NotFound),
-        ]:
-            m.core.endpoint = endpoint
-            with pytest.raises(kind):
-                await _aio_live.AsyncLive(m, started())
-        deaf = Deaf(tmp_path)
-        m.core.endpoint = Endpoint("http://meissner", deaf.path)
-        with pytest.raises(errors.ConnectionLost, match="has not ended"):
-            async with _aio_live.AsyncLive(m, started()) as play:
-                updates = [play.keep() for _ in range(WINDOW + 2)]
-                assert [update.is_answered for update in updates] == [False] * WINDOW + [True, False]
-        m.core.endpoint = own
-        await asyncio.sleep(0)
-        deaf.close()
-        os.unlink(deaf.path)
-
-    run(network.url, work)
+    with pytest.raises(errors.ApiError, match="has given up"):
+        take(seq=None, problem={"code": "bad-request", "status": 400, "detail": "has given up"})

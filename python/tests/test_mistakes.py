@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import math
 import re
 from collections.abc import Callable
@@ -13,9 +12,9 @@ import numpy as np
 import pytest
 
 import meissner
-from meissner import exchange, experiment
+from meissner import experiment
 from meissner.errors import MeissnerError
-from meissner.experiment import Interleaved, Log, Press, QuestPlus, SimulatedObserver, Staircase, Trial
+from meissner.experiment import Interleaved, Press, QuestPlus, SimulatedObserver, Staircase, Trial
 
 Call = Callable[[Any], Any]
 
@@ -133,29 +132,6 @@ def test_every_method_of_a_client_that_takes_something_has_a_mistake_here() -> N
     assert public - covered == own | alone | {"synchronise", "wait_until_idle"}
 
 
-def test_the_asynchronous_client_tells_the_same(m: meissner.Client) -> None:
-    async def work() -> None:
-        async with await meissner.connect_async(m.core.endpoint.name) as connected:
-            client: Any = connected
-            calls: list[tuple[Callable[[], Any], str]] = [
-                (
-                    lambda: client.play("pin-60", duration=0.1),
-                    r"`play\(\)` has no argument `duration`: did you mean `seconds`",
-                ),
-                (lambda: client.sequence("pin-60"), "`items` is 'pin-60': must be a list"),
-                (lambda: client.play("pin-60", math.nan), "`seconds` is nan"),
-            ]
-            for call, message in calls:
-                with pytest.raises((TypeError, ValueError), match=message):
-                    await call()
-            with pytest.raises(TypeError, match="did you mean `participant`"):
-                client.session(subject="P07")
-        with pytest.raises(MeissnerError, match="the client is closed"):
-            await client.status()
-
-    asyncio.run(work())
-
-
 def test_mistakes_at_plays_and_answers(m: meissner.Client) -> None:
     with m.session("P07") as session:
         play: Any = m.play("pin-60", 0.05, trial=1)
@@ -251,7 +227,6 @@ OF_THE_PACKAGE: list[tuple[Callable[[], Any], str]] = [
     (lambda: meissner.demo(board="x"), "`board` is 'x': must be True, False or 'lower-stop'"),  # type: ignore[arg-type]
     (lambda: meissner.displacement("pin-60", duration=1), "did you mean `seconds`?"),  # type: ignore[call-arg]
     (lambda: meissner.displacement("pin-60", "x"), "invalid value .* for '--seconds <S>': must be a number"),  # type: ignore[arg-type]
-    (lambda: meissner.import_csv("x.csv"), r"`import_csv\(\)` needs `rate`"),  # type: ignore[call-arg]
     (lambda: stairs(1, factor=2), r"`Staircase\(\)` has no argument `factor`: did you mean `ratio`?"),
     (lambda: stairs(1, ratio=2, down=1.5), "`down` is 1.5: must be a whole number"),
     (lambda: stairs(1, ratio=2, reversals=4), "`reversals` is 4: must be above `coarse`, 4"),
@@ -279,12 +254,8 @@ OF_THE_PACKAGE: list[tuple[Callable[[], Any], str]] = [
     (lambda: meissner.simulate(None), "`scene` is None: must be a name, or the path of a file"),  # type: ignore[arg-type]
     (lambda: meissner.simulate({"duration_s": math.nan}), "`scene.duration_s` is nan: must be a finite number"),
     (lambda: meissner.design(5), "`target` is 5: must be a name, or the path"),  # type: ignore[arg-type]
-    (lambda: meissner.import_wav(None, scale_um=1), "`path` is None: must be a name, or the path"),  # type: ignore[arg-type]
     (lambda: meissner.align([1, 2], [1.0], tick_hz="x"), "`tick_hz` is 'x': must be a number"),  # type: ignore[arg-type]
-    (lambda: exchange.from_ahap("x", motor=1), "has no argument `motor`: did you mean `motors`?"),  # type: ignore[call-arg]
-    (lambda: exchange.from_hjif(5), "`path` is 5: must be a name, or the path of a file"),  # type: ignore[arg-type]
     (lambda: Press("a", 1, 0.1).after(5), "`onset` is 5: must be an instant"),  # type: ignore[arg-type]
-    (lambda: Log(5.5), "`path` is 5.5: must be the path of a file"),  # type: ignore[arg-type]
     (lambda: experiment.ask(), r"`ask\(\)` needs `question`"),  # type: ignore[call-arg]
 ]
 
@@ -292,13 +263,3 @@ OF_THE_PACKAGE: list[tuple[Callable[[], Any], str]] = [
 @pytest.mark.parametrize(("call", "message"), OF_THE_PACKAGE)
 def test_a_mistake_at_the_package_is_told_in_a_line(call: Callable[[], Any], message: str) -> None:
     assert re.search(message, problem_of(call))
-
-
-def test_mistakes_at_a_log(tmp_path: Path) -> None:
-    with Log(tmp_path / "log.csv") as opened:
-        log: Any = opened
-        assert "`play` is 'x': must be what `m.play(...)` returns" in problem_of(lambda: log.add(1, "x"))
-        assert "`trial` is '1': must be a `Trial`" in problem_of(lambda: log.add("1"))
-        assert "`trials[0]` is 1: must be a `Trial`" in problem_of(lambda: log.remaining([1]))
-        assert "`add()` needs `trial`" in problem_of(lambda: log.add())
-        assert log.rows == []

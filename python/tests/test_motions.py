@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import math
 from typing import Any
 
@@ -101,11 +100,10 @@ def test_items_overlap_and_may_be_blank(m: meissner.Client) -> None:
     assert play.items[1].onset.tick - play.items[0].onset.tick == 1700
 
 
-def test_the_client_for_asyncio_takes_samples(daemon: meissner.Daemon) -> None:
-    async def plays() -> str:
-        async with await meissner.connect_async(daemon.socket) as m:
-            await m.arm(assume_rest=True, checked="a test", silence=60.0)
-            play = await m.play(samples={9: PRESS}, rate=1000)
-            return (await play.wait()).state
-
-    assert asyncio.run(plays()) == "done"
+def test_what_is_too_fast_says_how_to_resample_it() -> None:
+    with pytest.raises(
+        ValueError, match=r"must be 1 to 8000; scipy\.signal\.resample_poly\(um, 80, 441, .* to rate=8000"
+    ):
+        motions.pattern({9: [0.0, 1.0]}, 44_100)
+    with pytest.raises(ValueError, match=r"must be 1 to 8000$"):
+        motions.pattern({9: [0.0, 1.0]}, 0.5)

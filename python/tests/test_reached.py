@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import csv
 import warnings
 from pathlib import Path
@@ -11,7 +10,6 @@ from typing import Any
 import pytest
 
 import meissner
-from meissner.experiment import Log
 
 
 def drive(frequency_hz: float, amplitude_um: float) -> dict[str, Any]:
@@ -55,7 +53,7 @@ def test_wait_warns_of_what_only_another_scale_shows(m: meissner.Client) -> None
     m.remove_pattern("fast")
 
 
-def test_a_sequence_and_the_asynchronous_client_warn(m: meissner.Client) -> None:
+def test_a_sequence_warns(m: meissner.Client) -> None:
     items: list[Any] = ["pin-60", {"pattern": {"name": "quick", **FAST}, "scale": 0.5}]
     with pytest.warns(UserWarning, match=r"`quick`: drive 1 \(motor 9\) .*reaches 3\.1 of 30 um") as told:
         play = m.sequence(items, seconds=0.05, soa=0.1)
@@ -65,30 +63,20 @@ def test_a_sequence_and_the_asynchronous_client_warn(m: meissner.Client) -> None
     assert [item.reached_um for item in play.items] == pytest.approx([68.685, 3.069], abs=0.1)
     assert play.receipt.reached_um == pytest.approx(68.685, abs=0.1)
 
-    async def work() -> None:
-        async with await meissner.connect_async(m.core.endpoint.name) as client:
-            with pytest.warns(UserWarning, match=r"reaches 3\.1 of 60 um") as told:
-                await (await client.play(FAST, 0.05)).wait()
-            assert [each.filename for each in told] == [__file__]
-
-    asyncio.run(work())
-
 
 @pytest.mark.filterwarnings("ignore:.*reaches")
 def test_what_is_reached_stands_beside_the_level_in_each_table(m: meissner.Client, tmp_path: Path) -> None:
     pynwb = pytest.importorskip("pynwb")
     press: dict[str, Any] = {"samples": {9: [0.0, 10.0, 10.0, 0.0]}, "rate": 15}
-    with m.session("P07", experiment="reached") as session, Log(tmp_path / "log.csv") as log:
+    with m.session("P07", experiment="reached") as session:
         fast = m.play(FAST, 0.05, trial=1)
         two: list[Any] = [{"pattern": FAST}, {"pattern": "pin-60", "scale": 0.1}]
         for play in (fast, m.sequence(two, seconds=0.05, soa=0.1, trial=2), m.sequence([press], trial=3)):
             play.wait()
             play.answer("felt", level=60)
-        log.add(1, fast, level=60)
-    (row,) = table(tmp_path / "log.csv", ",")
-    assert float(row["reached_um"]) == pytest.approx(3.069, abs=0.01)
     export = m.export_bids(session.id, tmp_path / "bids", displacement_hz=None)
-    rows = table(export.events, "\t")
+    with export.events.open(newline="", encoding="utf-8") as opened:
+        rows = list(csv.DictReader(opened, delimiter="\t"))
     assert [row["level"] for row in rows] == ["60.0"] * 4
     reached = [None if row["reached_um"] == "n/a" else float(row["reached_um"]) for row in rows]
     assert reached[:3] == pytest.approx([3.069, 3.069, 8.0], abs=0.5)
@@ -100,8 +88,3 @@ def test_what_is_reached_stands_beside_the_level_in_each_table(m: meissner.Clien
         found = [None if um != um else um for um in trials["reached_um"][:]]
     assert found[2] is None
     assert found[:2] == pytest.approx([3.069, 8.0], abs=0.5)
-
-
-def table(file: Path, delimiter: str) -> list[dict[str, str]]:
-    with file.open(newline="", encoding="utf-8") as opened:
-        return list(csv.DictReader(opened, delimiter=delimiter))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import os
 import signal
 import subprocess
@@ -18,7 +17,6 @@ import pytest
 import meissner
 from meissner import _http, errors
 from meissner import _operations as ops
-from meissner.experiment import trials
 from network import Network
 from patience import LEAD
 
@@ -189,27 +187,6 @@ def test_a_laptop_that_slept_plays_nothing_under_the_next_participant(exclusive:
         assert plays(other, following.id) == []
 
 
-def test_the_same_for_asyncio(daemon: meissner.Daemon, other: meissner.Client) -> None:
-    async def main() -> None:
-        async with await meissner.connect_async(daemon.socket) as m:
-            await m.arm(assume_rest=True, checked="a test", silence=600)
-            async with m.session("P07") as session:
-                assert (await (await m.play("pin-60", 0.05)).wait()).raw["session"] == session.id
-                end(other, session.id)
-                following = other.session("P08")
-                with pytest.raises(errors.SessionOver):
-                    await m.play("pin-60", 0.05)
-                with pytest.raises(errors.SessionOver):
-                    await m.sequence(["pin-60"], seconds=0.05)
-                with pytest.raises(errors.SessionOver):
-                    await m.live(drives=DRIVES)
-            following.end()
-            assert plays(other, following.id) == []
-            assert (await (await m.play("pin-60", 0.05)).wait()).raw["session"] is None
-
-    asyncio.run(main())
-
-
 STUDY = """
 import sys, meissner
 from meissner.experiment import Staircase, trials
@@ -324,39 +301,6 @@ def test_live_plays_take_answers(daemon: meissner.Daemon, m: meissner.Client) ->
         live.answer("weaker")
         assert [(row["trial"], row["answer"]["response"]) for row in session.plays] == [(1, "as strong"), (2, "weaker")]
 
-    async def work() -> None:
-        async with await meissner.connect_async(daemon.socket) as client, client.session("P08") as session:
-            async with client.live(drives=DRIVES, timeout=60.0, trial=3) as live:
-                await live.keep().wait(PATIENT)
-            await session.answer(3, "as strong")
-            assert [row["answer"]["response"] for row in await session.plays()] == ["as strong"]
-
-    asyncio.run(work())
-
-
-def test_asynchronous_sessions_answer_and_resume(
-    daemon: meissner.Daemon, m: meissner.Client, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-
-    async def work() -> None:
-        async with await meissner.connect_async(daemon.socket) as client:
-            with pytest.raises(ZeroDivisionError):
-                async with client.session("P07", resume=True):
-                    play = await client.play("pin-60", 0.05, trial=1)
-                    await play.wait()
-                    _ = 1 / 0
-            async with client.session("P07", resume=True) as session:
-                assert session.resumed
-                play = await client.play("pin-60", 0.05, trial=2)
-                await play.wait()
-                await session.answer(2, "left", correct=False, level=0.5)
-                assert [row["trial"] for row in await session.plays()] == [1, 2]
-                assert await session.answers() == [(0.5, False)]
-                assert [trial.number for trial in await session.remaining(trials(repeats=3, seed=1))] == [1, 3]
-
-    asyncio.run(work())
-
 
 def test_the_end_of_one_client_does_not_disarm_another(m: meissner.Client, daemon: meissner.Daemon) -> None:
     with meissner.connect(daemon.socket) as second:
@@ -411,18 +355,6 @@ def test_an_answer_that_is_not_recorded_is_an_error_and_so_is_the_end_of_its_ses
         # An error of the block goes first.
         with pytest.warns(UserWarning, match="its record has lost"), pytest.raises(ZeroDivisionError), m.session("P08"):
             _ = 1 / 0
-
-
-def test_an_asynchronous_block_whose_record_has_lost_something_ends_with_an_error() -> None:
-    async def run(daemon: meissner.Daemon, damage: Callable[[], None]) -> None:
-        async with await meissner.connect_async(daemon.socket) as m:
-            with pytest.raises(errors.IncompleteSession, match="its record has lost"):
-                async with m.session("P07"):
-                    damage()
-            assert (await m.status()).raw["session"] is None
-
-    with unrecorded() as (daemon, damage):
-        asyncio.run(run(daemon, damage))
 
 
 def test_sessions_that_vanished_with_their_file_are_told(tmp_path: Path) -> None:

@@ -6,12 +6,10 @@ number of trials can tell: some standard errors of the estimate.
 
 from __future__ import annotations
 
-import ast
 import csv
 import itertools
 import math
 import random
-import re
 import statistics
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -20,9 +18,7 @@ from typing import Any
 import pytest
 
 import meissner
-from meissner.experiment import Log, SimulatedObserver, Staircase, constant_stimuli, two_afc
-
-PAGE = Path(__file__).parents[2] / "docs" / "how-to" / "publish.md"
+from meissner.experiment import SimulatedObserver, Staircase, constant_stimuli, two_afc
 
 # The noise is faster than a motor at its beginning.
 pytestmark = pytest.mark.filterwarnings("ignore:.*is too slow for its motion")
@@ -41,31 +37,6 @@ def events(dataset: Path) -> list[dict[str, str]]:
     (file,) = dataset.glob("sub-*/ses-*/beh/*_events.tsv")
     with file.open(newline="", encoding="utf-8") as opened:
         return list(csv.DictReader(opened, delimiter="\t", quoting=csv.QUOTE_NONE))
-
-
-def lines_of_code(study: ast.FunctionDef, text: list[str]) -> int:
-    """The lines of a study to its export: without comments, and without those of the participant."""
-    code = [each for each in study.body if not (isinstance(each, ast.Expr) and isinstance(each.value, ast.Constant))]
-    export = next(each for each in code if "export_bids" in ast.unparse(each) and not isinstance(each, ast.With))
-    lines = (line.strip() for line in text[code[0].lineno - 1 : export.end_lineno])
-    persons = ("chance", "person")
-    return sum(
-        bool(line) and not line.startswith("#") and ("answer(" in line or not any(word in line for word in persons))
-        for line in lines
-    )
-
-
-@pytest.mark.skipif(not PAGE.exists(), reason="the book is in the repository only")
-def test_the_book_has_each_study_and_its_lines() -> None:
-    text = Path(__file__).read_text(encoding="utf-8")
-    studies = [
-        each
-        for each in ast.parse(text).body
-        if isinstance(each, ast.FunctionDef) and [argument.arg for argument in each.args.args] == ["lab", "tmp_path"]
-    ]
-    told = re.findall(r"\| `(test_\w+)` \|.*\| (\d+) \|", PAGE.read_text(encoding="utf-8"))
-    assert told == [(each.name, str(lines_of_code(each, text.splitlines()))) for each in studies]
-    assert len(told) == 7
 
 
 def grid(low: float, high: float, steps: int) -> list[float]:
@@ -97,13 +68,12 @@ def likeliest(
 def test_2afc_gives_threshold_and_slope(lab: meissner.Client, tmp_path: Path) -> None:
     person = SimulatedObserver(0.3, slope=2.5, lapse=0.0, seed=11)
     levels = [0.1, 0.2, 0.3, 0.45]
-    with lab.session("P07", experiment="2afc") as session, Log(tmp_path / "P07.csv", answers=True) as log:
+    with lab.session("P07", experiment="2afc") as session:
         for trial in two_afc(levels, repeats=40, seed=5):
             edges = [{"pattern": "edge-45", "scale": scale} for scale in trial.intervals(0.5 + trial["level"], 0.5)]
-            play = lab.sequence(edges, seconds=0.03, soa=0.05, trial=trial.number)
-            play.wait()
+            lab.sequence(edges, seconds=0.03, soa=0.05, trial=trial.number).wait()
             correct = person.is_correct(trial["level"])
-            log.add(trial, play, response=trial["interval"] if correct else 3 - trial["interval"], correct=correct)
+            session.answer(trial, trial["interval"] if correct else 3 - trial["interval"], correct=correct)
     lab.export_bids(session.id, tmp_path / "data", displacement_hz=None)
     first = [row for row in events(tmp_path / "data") if row["item"] == "0"]
     second = [row for row in events(tmp_path / "data") if row["item"] == "1"]

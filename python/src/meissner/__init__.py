@@ -7,12 +7,12 @@
         play.wait()
         print(play.onset.monotonic, play.offset.monotonic)
 
-- `connect`, `connect_async`: a client of a daemon, on this machine or over the network.
+- `connect`: a client of a daemon, on this machine or over the network.
 - `demo`: a daemon with the simulated array, and a client of it. `Daemon` is the daemon alone.
 - `simulate`, `design`, `render`, `displacement`: predicted spikes, a search for patterns, a pattern that feels like an object, and
   how far pins move, by the installed program.
 - `align`: the map between the device's ticks and another recorder's clock, by pulses that both have.
-- `experiment`: trial lists, staircases, QUEST+, and a log that survives a crash.
+- `experiment`: trial lists, staircases, QUEST+, keys and button boxes.
 - `errors`: one class for each code of the API.
 """
 
@@ -20,27 +20,22 @@ from __future__ import annotations
 
 import os
 import re
-from typing import TYPE_CHECKING
 
-from . import _sample_files
 from ._arguments import hinted, text
 from ._bodies import SequenceItem
 from ._endpoint import Endpoint, endpoints
+from ._live import Update
 from ._operations import Core, begin
-from ._sample_files import Trace
 from ._sse import Event
 from .alignment import Aligned, align
 from .arrays import Array
 from .client import Client, Play, Session
 from .clocks import ClientClock, Instant
 from .errors import ApiError, MeissnerError, PlayStopped, Unreachable
-from .live import Live, Update
+from .live import Live
 from .program import Board, Daemon, Design, Rendering, Simulation, design, render, simulate
 from .results import Item, LiveResult, PlanCheck, Receipt, Status
 from .traces import Displacement, displacement
-
-if TYPE_CHECKING:
-    from .aio import AsyncClient
 
 __all__ = [
     "Aligned",
@@ -65,22 +60,17 @@ __all__ = [
     "Session",
     "Simulation",
     "Status",
-    "Trace",
     "Unreachable",
     "Update",
     "align",
     "connect",
-    "connect_async",
     "demo",
     "design",
     "displacement",
-    "import_csv",
-    "import_wav",
     "render",
     "simulate",
 ]
 __version__ = "0.1.0"
-import_csv, import_wav = hinted(_sample_files.import_csv), hinted(_sample_files.import_wav)
 
 
 def _core(endpoint: Endpoint, token: str | None, reconnect: float) -> Core:
@@ -119,30 +109,6 @@ def connect(
             errors.append(error)
         except BaseException:
             client.close()
-            raise
-        else:
-            client.core.reconnect = reconnect
-            return client
-    raise _nowhere(tried, errors)
-
-
-@hinted
-async def connect_async(
-    address: str | os.PathLike[str] | None = None, *, token: str | None = None, reconnect: float = 10.0
-) -> AsyncClient:
-    """Connect to a daemon, for asyncio. As `connect`."""
-    from .aio import AsyncClient
-
-    tried, errors = endpoints(address), list[Unreachable]()
-    for endpoint in tried:
-        client = AsyncClient(_core(endpoint, token, 0.0))
-        try:
-            await client.run(begin(client.core))
-        except Unreachable as error:
-            await client.close()
-            errors.append(error)
-        except BaseException:
-            await client.close()
             raise
         else:
             client.core.reconnect = reconnect

@@ -2,7 +2,7 @@
 
 The daemon disarms when the client that armed is silent for as long as it has stated, and gives an exclusive session free. The
 program itself may say nothing for long: in a rest break, or while it waits for an answer. So a thread asks for the status. It
-ends with the process, whatever ends that. Clients for asyncio use it too: a coroutine may block its loop.
+ends with the process, whatever ends that.
 
 Invariant: at most one thread per client, with a connection of its own.
 """

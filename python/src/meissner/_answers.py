@@ -1,4 +1,4 @@
-"""Answers to plays: what a play and a live play have in common, blocking and for asyncio."""
+"""Answers to plays: what a play and a live play have in common."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ from ._presses import Press
 from .results import Receipt
 
 if TYPE_CHECKING:
-    from .aio import AsyncClient
     from .client import Client
 
 
@@ -50,32 +49,3 @@ class Answerable(KnownPlay):
             onset = self.onset if isinstance(response, Press) else None
             order = _sessions.answer(self._client.core, self._accepted, onset, response, correct, rt_ms, level, factors)
             self._client.run(order)
-
-
-@hints
-class AsyncAnswerable(KnownPlay):
-    """The same for asyncio."""
-
-    _client: AsyncClient
-
-    async def refresh(self) -> Receipt:
-        """Ask for the receipt as it is now."""
-        self._receipt = await self._client.run(ops.receipt(self._client.core, self.id))
-        return self._receipt
-
-    async def answer(
-        self,
-        response: object,
-        *,
-        correct: Verdict = None,
-        rt_ms: float | None = None,
-        level: float | None = None,
-        factors: Labels = None,
-    ) -> None:
-        """Record what the participant answered. As `Play.answer`."""
-        with _kept.answer(play=self.id, response=response, correct=correct, rt_ms=rt_ms, level=level, factors=factors):
-            if isinstance(response, Press) and (self._receipt is None or self._receipt.onset is None):
-                await self.refresh()
-            onset = self.onset if isinstance(response, Press) else None
-            order = _sessions.answer(self._client.core, self._accepted, onset, response, correct, rt_ms, level, factors)
-            await self._client.run(order)

@@ -12,7 +12,7 @@ import math
 import numbers
 import os
 from collections.abc import Callable, Collection, Iterable, Mapping
-from typing import Any, ParamSpec, TypeVar, cast
+from typing import Any, ParamSpec, TypeVar
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -124,17 +124,6 @@ def _meant(
 
 def hinted(function: Callable[P, T]) -> Callable[P, T]:
     """The function, whose error for a wrong argument says which one was meant."""
-    if inspect.iscoroutinefunction(function):
-
-        @functools.wraps(function)
-        async def wait(*args: P.args, **kwargs: P.kwargs) -> Any:
-            try:
-                return await function(*args, **kwargs)
-            except TypeError as error:
-                told = _meant(function, error, args, kwargs)
-                raise told from (None if told is not error else error.__cause__)
-
-        return cast(Callable[P, T], wait)
 
     @functools.wraps(function)
     def call(*args: P.args, **kwargs: P.kwargs) -> T:

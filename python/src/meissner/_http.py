@@ -1,7 +1,6 @@
 """Requests and answers without input or output: what every method of the client sends, and how it reads the answer.
 
-A method is a generator that yields `Request` or `Pause` and is given `Answer`. `client.py` runs it with a blocking
-connection, `aio.py` with an asynchronous one. So each method exists once.
+A method is a generator that yields `Request` or `Pause` and is given `Answer`; `run` sends them on a connection.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Live plays without input or output: the request, the messages, and which of them have no answer yet.
 
-`live.py` sends and reads with a thread, `_aio_live.py` with a task; both use what is here. `start` is an operation as in
-`_operations.py`, and `Updates` numbers the messages of one play and gives each its answer.
+`live.py` sends, and reads with a thread. `start` is an operation as in `_operations.py`, and `Updates` numbers the messages of one
+play and gives each its answer.
 
 Bounds: `WINDOW` messages without an answer; of what is sent meanwhile, one message is kept, into which newer ones merge. An
 answered update is the caller's alone. Invariant: every method of `Updates` is called by one thread at a time.
@@ -10,18 +10,19 @@ answered update is the caller's alone. Invariant: every method of `Updates` is c
 from __future__ import annotations
 
 import json
+import threading
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any
 from urllib.parse import urlsplit
 
 from . import _http
 from . import _operations as ops
-from ._arguments import drive_list, hints, number, table, whole
+from ._arguments import drive_list, hints, number, table
 from ._bodies import Labels, Late, Trigger, milliseconds, texts, trial_number, trigger_of
-from ._http import Answer, Op
+from ._endpoint import Endpoint
+from ._http import Op
 from ._operations import Accepted, Core
-from ._plays import KnownPlay
 from .arrays import Array
 from .errors import ApiError, ConnectionLost, MeissnerError, PlayStopped, UnexpectedAnswer
 from .results import LiveResult, Receipt
@@ -30,10 +31,10 @@ Drives = Iterable[Mapping[str, Any]]
 Pose = Mapping[str, float]
 WINDOW = 24
 """Messages without an answer, at most. The daemon takes 32, refuses more, and keeps 128 answers for who does not read."""
+_LONGEST = 65_000
+"""A message's JSON, bytes: the daemon takes 65536 with its number."""
 END_TIMEOUT = 20.0
 """How long the daemon may take to end a live play, s. The stroke that runs ends first."""
-_LONGEST_HEAD = 1 << 16
-_LONGEST_LINE = 1 << 20
 
 
 @dataclass(frozen=True)
@@ -120,61 +121,33 @@ def plain_pose(pose: Pose) -> dict[str, float]:
     return {key: number(f"pose.{key}", value) for key, value in table("pose", pose, "{'x_mm': 1.5}").items()}
 
 
-def upgrade(core: Core, path: str) -> bytes:
-    """The request that opens a live play's connection."""
-    address = urlsplit(core.endpoint.url)
-    lines = [
-        f"GET {address.path}{path} HTTP/1.1",
-        f"Host: {address.netloc.rpartition('@')[2]}",
-        "Connection: Upgrade",
-        "Upgrade: meissner-live",
-        *(f"{name}: {value}" for name, value in core.headers.items()),
-    ]
-    return "".join(f"{line}\r\n" for line in [*lines, ""]).encode()
+def address(endpoint: Endpoint, path: str) -> str:
+    """Where a live play's WebSocket is opened."""
+    url = urlsplit(endpoint.url)
+    return f"{'wss' if endpoint.is_secure else 'ws'}://{url.netloc.rpartition('@')[2]}{url.path}{path}"
 
 
-def upgraded(received: bytes) -> bytes | None:
-    """What follows the head of the answer 101; None: the answer is not complete yet. Raises what the daemon refused."""
-    head, end, rest = received.partition(b"\r\n\r\n")
-    if not end:
-        if len(received) > _LONGEST_HEAD:
-            raise UnexpectedAnswer("the answer to the upgrade has no end: is this a meissner daemon?")
-        return None
-    first, *fields = head.decode("latin-1").split("\r\n")
-    words = first.split()
-    if len(words) < 2 or not words[0].startswith("HTTP/1.") or not words[1].isdigit():
-        raise UnexpectedAnswer(f"the answer to the upgrade is not HTTP: {first[:60]!r}; is this a meissner daemon?")
-    if words[1] == "101":
-        return rest
-    lengths = [
-        value for name, _, value in (field.partition(":") for field in fields) if name.lower() == "content-length"
-    ]
-    if lengths and len(rest) < min(int(lengths[0]), _LONGEST_HEAD):
-        return None
-    Answer(int(words[1]), rest).json()
-    raise UnexpectedAnswer(
-        f"HTTP status {words[1]} instead of an upgrade: does a proxy between here and the daemon allow it?"
-    )
-
-
-class Signal(Protocol):
-    """A `threading.Event` or an `asyncio.Event`."""
-
-    def set(self) -> None: ...
-
-
-class KnownUpdate:
+@hints
+class Update:
     """A message of a live play, and the daemon's answer to it once that is known."""
 
-    def __init__(self, seq: int, signal: Signal) -> None:
+    def __init__(self, seq: int, wait_for: Callable[[Update, float | None], LiveResult]) -> None:
         self.seq = seq
         """The message's number."""
-        self._signal = signal
+        self._wait_for = wait_for
+        self._answered = threading.Event()
         self._raw: dict[str, Any] | None = None
         self._error: MeissnerError | None = None
         self._over: ApiError | None = None
         """It came too late for the play. Why the play was over follows."""
         self._waiting = 0
+
+    def wait(self, timeout: float | None = None) -> LiveResult:
+        """Wait for the daemon's answer. Raises the refusal, or `TimeoutError` after `timeout` s.
+
+        Waiting is no sign of life: if it takes longer than the play's `timeout`, the daemon ends the play.
+        """
+        return self._wait_for(self, None if timeout is None else number("timeout", timeout, " of seconds"))
 
     @property
     def is_answered(self) -> bool:
@@ -183,7 +156,7 @@ class KnownUpdate:
 
     def _settle(self, raw: dict[str, Any] | None, error: MeissnerError | None) -> None:
         self._raw, self._error = raw, error
-        self._signal.set()
+        self._answered.set()
 
     def __repr__(self) -> str:
         if self._error is not None:
@@ -195,17 +168,14 @@ class KnownUpdate:
         return f"<update {self.seq}: {state}>"
 
 
-U = TypeVar("U", bound=KnownUpdate)
-
-
-class Updates(Generic[U]):
+class Updates:
     """The messages of one live play."""
 
-    def __init__(self, play_id: int, make: Callable[[int], U]) -> None:
-        self.play_id = play_id
-        self.array: Array | None = None
-        """As `Started.array`."""
-        self.under_way: dict[int, U] = {}
+    def __init__(
+        self, play_id: int, array: Array | None, wait_for: Callable[[Update, float | None], LiveResult]
+    ) -> None:
+        self.play_id, self._array, self._wait_for = play_id, array, wait_for
+        self.under_way: dict[int, Update] = {}
         """The messages that were sent and have no answer, the oldest first."""
         self.cause: str | None = None
         """Why the daemon ended the play; None: it has not said so."""
@@ -214,54 +184,51 @@ class Updates(Generic[U]):
         self.is_over = False
         self.is_ending = False
         """Whether `end` was sent."""
-        self._make = make
         self._seq = 0
-        self._held: tuple[U, dict[str, Any]] | None = None
+        self._held: tuple[Update, dict[str, Any]] | None = None
         """The message that waits for an answer to those under way."""
-        self._problem: tuple[U, MeissnerError] | None = None
+        self._problem: tuple[Update, MeissnerError] | None = None
         """The newest refusal that nobody has waited for."""
-        self._received = b""
 
     @property
     def ended_as_asked(self) -> bool:
         """Whether the play is over because its client has ended it."""
         return self.is_over and self.failure is None
 
-    def message(self, drives: Drives | None, pose: Pose | None, scale: float | None) -> tuple[U, bytes]:
+    def message(self, drives: Drives | None, pose: Pose | None, scale: float | None) -> tuple[Update, list[str]]:
         """A message, and what to send now. Raises why the play is over, or an earlier refusal, once."""
         self.check_open()
         self.raise_problem()
         body: dict[str, Any] = {}
         if drives is not None:
-            body["drives"] = plain_drives(drives, self.array)
+            body["drives"] = plain_drives(drives, self._array)
         if pose is not None:
             body["pose"] = plain_pose(pose)
         if scale is not None:
             body["scale"] = float(scale)
-        # What is no JSON is refused here.
-        json.dumps(body, allow_nan=False)
+        # What is no JSON, or more than the daemon takes, is refused here.
+        if len(json.dumps(body, allow_nan=False)) > _LONGEST:
+            raise ValueError(f"a message of a live play has more than {_LONGEST} bytes: send less")
         if self._held is not None:
             body = _merged(self._held[1], body)
         self._seq += 1
-        update = self._make(self._seq)
+        update = Update(self._seq, self._wait_for)
         if self._held is not None:
             older, _ = self._held
             older._settle({"seq": older.seq, "merged_into": self._seq}, None)
         self._held = update, body
         return update, self._next()
 
-    def _next(self) -> bytes:
-        """The line of the message that waits, if it is its turn."""
-        if len(self.under_way) >= WINDOW or self.is_ending:
-            return b""
-        return self._release()
+    def _next(self) -> list[str]:
+        """The message that waits, if it is its turn."""
+        return [] if len(self.under_way) >= WINDOW or self.is_ending else self._release()
 
-    def _release(self) -> bytes:
+    def _release(self) -> list[str]:
         if self._held is None:
-            return b""
+            return []
         (update, body), self._held = self._held, None
         self.under_way[update.seq] = update
-        return _http.encode({"seq": update.seq, **body}) + b"\n"
+        return [_http.encode({"seq": update.seq, **body}).decode()]
 
     def check_open(self) -> None:
         """Raises why the play takes no message."""
@@ -269,12 +236,12 @@ class Updates(Generic[U]):
         if self.is_ending:
             raise ValueError(f"live play {self.play_id} has ended: start another one with `live(...)`")
 
-    def end(self) -> bytes:
-        """The lines that end the play: first the message that waits."""
+    def end(self) -> list[str]:
+        """What ends the play: first the message that waits."""
         self.is_ending = True
         last = self._release()
         self._seq += 1
-        return last + _http.encode({"seq": self._seq, "end": True}) + b"\n"
+        return [*last, json.dumps({"seq": self._seq, "end": True})]
 
     def raise_failure(self) -> None:
         """Raises why the play is over, unless its client has ended it."""
@@ -287,16 +254,12 @@ class Updates(Generic[U]):
         if problem is not None:
             raise problem[1]
 
-    def take(self, data: bytes) -> bytes:
-        """Takes what the daemon has sent. Returns what to send now."""
-        *lines, self._received = (self._received + data).split(b"\n")
-        if len(self._received) > _LONGEST_LINE:
-            raise UnexpectedAnswer("an answer of the live play has no end")
-        for line in lines:
-            try:
-                self._answered(json.loads(line))
-            except (ValueError, KeyError, TypeError, AttributeError) as error:
-                raise UnexpectedAnswer(f"an answer of the live play cannot be read: {line[:60]!r}") from error
+    def take(self, text: str | bytes) -> list[str]:
+        """Takes an answer of the daemon. Returns what to send now."""
+        try:
+            self._answered(json.loads(text))
+        except (ValueError, KeyError, TypeError, AttributeError) as error:
+            raise UnexpectedAnswer(f"an answer of the live play cannot be read: {text[:60]!r}") from error
         return self._next()
 
     def _answered(self, answer: dict[str, Any]) -> None:
@@ -337,17 +300,17 @@ class Updates(Generic[U]):
         self.under_way.clear()
         self._held = None
 
-    def wait_begins(self, update: U) -> None:
+    def wait_begins(self, update: Update) -> None:
         """Somebody waits for this update from now on, so its refusal is not raised elsewhere."""
         update._waiting += 1
         if self._problem is not None and self._problem[0] is update:
             self._problem = None
 
-    def wait_ends(self, update: U) -> None:
+    def wait_ends(self, update: Update) -> None:
         """That wait is over."""
         update._waiting -= 1
 
-    def answer(self, update: U) -> dict[str, Any]:
+    def answer(self, update: Update) -> dict[str, Any]:
         """The daemon's answer to an update that was waited for. Raises the refusal."""
         if update._raw is not None:
             return update._raw
@@ -383,7 +346,7 @@ def result(core: Core, raw: dict[str, Any]) -> Op[LiveResult]:
 
 
 def outcome(
-    core: Core, updates: Updates[Any], lost: MeissnerError | None
+    core: Core, updates: Updates, lost: MeissnerError | None
 ) -> Op[tuple[Receipt | None, MeissnerError | None]]:
     """The receipt of a play that is over, and why it is over, unless its client has ended it.
 
@@ -406,47 +369,3 @@ def outcome(
     stopped = PlayStopped(receipt)
     stopped.__cause__ = lost
     return receipt, stopped
-
-
-@hints
-class LivePlay(KnownPlay, Generic[U]):
-    """What blocking and asynchronous live plays have in common: the kinds of messages."""
-
-    def send(self, *, drives: Drives | None = None, pose: Pose | None = None, scale: float | None = None) -> U:
-        """Send several changes as one message, without waiting for the answer.
-
-        An update that was refused, and that nobody waits for, raises its error at the next call, whose own message is not
-        sent then. Raises `PlayStopped` once the daemon has ended the play, and `ConnectionLost` if the connection has ended.
-
-        While the daemon has not answered 24 messages, newer ones wait and merge into the newest.
-        """
-        return self._send(drives, pose, scale)
-
-    def _send(self, drives: Drives | None, pose: Pose | None, scale: float | None) -> U:
-        raise NotImplementedError
-
-    def pose(self, x_mm: float = 0.0, y_mm: float = 0.0, angle_deg: float = 0.0, depth_um: float | None = None) -> U:
-        """Move the target or the object: it turns anticlockwise about the array's middle, then shifts. As `send`.
-
-        `depth_um`: how far the object's highest point is below the skin at rest, 0 to 2000; without it the depth of the object's press.
-        """
-        depth = {} if depth_um is None else {"depth_um": depth_um}
-        return self.send(pose={"x_mm": x_mm, "y_mm": y_mm, "angle_deg": angle_deg, **depth})
-
-    def drives(self, drives: Drives) -> U:
-        """Change these motors; the others stay as they are. As `send`."""
-        return self.send(drives=drives)
-
-    def set(self, motor: int, *, frequency_hz: float, amplitude_um: float, phase: float = 0.0) -> U:
-        """Change one motor. As `send`."""
-        numbers = {"frequency_hz": frequency_hz, "amplitude_um": amplitude_um, "phase": phase}
-        drive = {"motor": whole("motor", motor, -1), **{name: number(name, value) for name, value in numbers.items()}}
-        return self.send(drives=[drive])
-
-    def scale(self, scale: float) -> U:
-        """Multiply all amplitudes, 0 to 1. As `send`."""
-        return self.send(scale=number("scale", scale))
-
-    def keep(self) -> U:
-        """Show that the program is alive, and change nothing. As `send`."""
-        return self.send()

@@ -1,4 +1,4 @@
-"""What blocking and asynchronous plays and sessions have in common: the receipt that is known so far, what answers are, and ends that
+"""What plays and sessions have in common: the receipt that is known so far, what answers are, and ends that
 hide no error.
 """
 

@@ -1,15 +1,16 @@
-"""Connections by httpx, blocking and asynchronous: the only module that imports it, and only once a client connects.
+"""Connections by httpx: the only module that imports it, and only once a client connects.
 
-Both turn httpx's errors into `Unreachable` (the request was not sent) and `ConnectionLost` (the daemon may have acted).
+They turn httpx's errors into `Unreachable` (the request was not sent) and `ConnectionLost` (the daemon may have acted).
 """
 
 from __future__ import annotations
 
 import functools
 import os
+import socket
 import time
-from collections.abc import AsyncIterator, Callable, Iterator
-from contextlib import asynccontextmanager, contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Any
 
 from ._endpoint import Endpoint
@@ -73,6 +74,7 @@ class BlockingTransport:
     def __init__(self, endpoint: Endpoint, headers: Headers, now_ns: Now) -> None:
         self._endpoint, self._headers, self._now_ns = endpoint, headers, now_ns
         self._client, self._process = self._open(), os.getpid()
+        self._streams = set[socket.socket]()
 
     def _open(self, fresh: bool = False) -> httpx.Client:
         import httpx
@@ -107,7 +109,7 @@ class BlockingTransport:
 
     @contextmanager
     def stream(self, path: str) -> Iterator[Iterator[bytes]]:
-        """Opens a stream on a connection of its own."""
+        """Opens a stream on a connection of its own. It ends when the transport is closed, by whichever thread."""
         import httpx
 
         if self._client.is_closed:
@@ -117,7 +119,15 @@ class BlockingTransport:
                 with client.stream("GET", path, headers=self._headers(), timeout=_streaming()) as response:
                     if response.status_code >= 400:
                         Answer(response.status_code, response.read()).json()
-                    yield response.iter_raw()
+                    opened = response.extensions["network_stream"].get_extra_info("socket")
+                    self._streams.add(opened)
+                    try:
+                        # `close` may have looked before.
+                        if self._client.is_closed:
+                            raise _closed()
+                        yield response.iter_raw()
+                    finally:
+                        self._streams.discard(opened)
             except (httpx.HTTPError, OSError) as error:
                 raise _failure(error, self._endpoint) from None
 
@@ -128,68 +138,9 @@ class BlockingTransport:
     def close(self) -> None:
         """Closes all connections."""
         self._client.close()
-
-
-class AsyncTransport:
-    """The same for asyncio."""
-
-    def __init__(self, endpoint: Endpoint, headers: Headers, now_ns: Now) -> None:
-        self._endpoint, self._headers, self._now_ns = endpoint, headers, now_ns
-        self._client = self._open()
-
-    def _open(self, fresh: bool = False) -> httpx.AsyncClient:
-        import httpx
-
-        transport = httpx.AsyncHTTPTransport(**_connections(self._endpoint, fresh))
-        return httpx.AsyncClient(transport=transport, **_options(self._endpoint))
-
-    async def perform(self, request: Request) -> Answer:
-        """Sends one request."""
-        if self._client.is_closed:
-            raise _closed()
-        if request.fresh:
-            async with self._open(fresh=True) as client:
-                return await self._send(client, request)
-        return await self._send(self._client, request)
-
-    async def _send(self, client: httpx.AsyncClient, request: Request) -> Answer:
-        import httpx
-
-        headers = {**self._headers(), **request.headers}
-        sent = self._now_ns()
-        try:
-            response = await client.request(
-                request.method, request.path, content=request.content, headers=headers, timeout=request.timeout
-            )
-        except (httpx.HTTPError, httpx.InvalidURL, OSError) as error:
-            raise _failure(error, self._endpoint) from None
-        return Answer(response.status_code, response.content, sent, self._now_ns())
-
-    @asynccontextmanager
-    async def stream(self, path: str) -> AsyncIterator[AsyncIterator[bytes]]:
-        """Opens a stream on a connection of its own."""
-        import httpx
-
-        if self._client.is_closed:
-            raise _closed()
-        async with self._open(fresh=True) as client:
-            try:
-                async with client.stream("GET", path, headers=self._headers(), timeout=_streaming()) as response:
-                    if response.status_code >= 400:
-                        Answer(response.status_code, await response.aread()).json()
-                    yield response.aiter_raw()
-            except (httpx.HTTPError, OSError) as error:
-                raise _failure(error, self._endpoint) from None
-
-    async def pause(self, seconds: float) -> None:
-        """Waits."""
-        import asyncio
-
-        await asyncio.sleep(seconds)
-
-    async def close(self) -> None:
-        """Closes all connections."""
-        await self._client.aclose()
+        for opened in list(self._streams):
+            with suppress(OSError):
+                opened.shutdown(socket.SHUT_RDWR)
 
 
 @functools.cache

@@ -1,59 +1,46 @@
-"""Live plays of the blocking client: `with m.live(...) as live`.
+"""Live plays of the client: `with m.live(...) as live`, over a WebSocket of the package websockets.
 
-A thread reads the daemon's answers on the play's own connection. The caller's thread writes: it never waits for the daemon,
-and what the connection does not take at once the thread sends. `_live.py` has the messages and their answers.
+A thread reads the daemon's answers. The caller's thread writes; it does not wait for the daemon, because the connection's buffer
+holds the messages that may have no answer. `_live.py` has the messages and their answers.
 
-Invariant: the connection and `Updates` are used under one lock. So TLS is safe, too, and numbers go out in order.
+Invariant: `Updates` is used, and messages are sent, under one lock. So numbers go out in order.
 """
 
 from __future__ import annotations
 
 import contextlib
-import selectors
 import socket
 import threading
 import time
+from collections.abc import Iterable
 from types import TracebackType
-from typing import TYPE_CHECKING
-from urllib.parse import urlsplit
+from typing import TYPE_CHECKING, Any
 
 from . import _live
 from . import _operations as ops
 from ._answers import Answerable
-from ._arguments import hints, number
-from ._endpoint import Endpoint
-from ._live import END_TIMEOUT, Drives, KnownUpdate, LivePlay, Pose, Started, Updates
+from ._arguments import hints, number, whole
+from ._http import Answer
+from ._live import END_TIMEOUT, Drives, Pose, Started, Update, Updates
 from ._operations import Core
 from ._plays import quietly
 from ._transport import tls
-from .errors import ConnectionLost, MeissnerError, Unreachable
+from .errors import ConnectionLost, MeissnerError, UnexpectedAnswer, Unreachable
 from .results import LiveResult, Receipt
 
 if TYPE_CHECKING:
+    from websockets.sync.client import ClientConnection
+
     from .client import Client
 
 _CONNECT_TIMEOUT = 10.0
+_CLOSE_TIMEOUT = 1.0
+_BUFFER = 1 << 20
+"""What the connection may hold that the daemon has not read, bytes: more than a window of messages for all motors."""
 
 
 @hints
-class Update(KnownUpdate):
-    """A message of a live play."""
-
-    def __init__(self, live: Live, seq: int) -> None:
-        self._answered = threading.Event()
-        super().__init__(seq, self._answered)
-        self._live = live
-
-    def wait(self, timeout: float | None = None) -> LiveResult:
-        """Wait for the daemon's answer. Raises the refusal, or `TimeoutError` after `timeout` s.
-
-        Waiting is no sign of life: if it takes longer than the play's `timeout`, the daemon ends the play.
-        """
-        return self._live._wait_for(self, None if timeout is None else number("timeout", timeout, " of seconds"))
-
-
-@hints
-class Live(LivePlay[Update], Answerable):
+class Live(Answerable):
     """A live play. As a context manager it ends with its block; `receipt` and `wait()` then say what became of it."""
 
     def __init__(self, client: Client, started: Started) -> None:
@@ -61,74 +48,87 @@ class Live(LivePlay[Update], Answerable):
         super().__init__(started.accepted)
         self._client = client
         self._lock = threading.Lock()
-        self._updates = Updates(self.id, lambda seq: Update(self, seq))
-        self._updates.array = started.array
+        self._updates = Updates(self.id, started.array, self._wait_for)
         self._is_over = threading.Event()
-        self._socket, received = _open(client.core, started.path)
-        self._outgoing = self._updates.take(received)
+        self._connection = _open(client.core, started.path)
         threading.Thread(target=self._read, name="meissner-live", daemon=True).start()
 
-    def _send(self, drives: Drives | None, pose: Pose | None, scale: float | None) -> Update:
+    def send(self, *, drives: Drives | None = None, pose: Pose | None = None, scale: float | None = None) -> Update:
+        """Send several changes as one message, without waiting for the answer.
+
+        An update that was refused, and that nobody waits for, raises its error at the next call, whose own message is not
+        sent then. Raises `PlayStopped` once the daemon has ended the play, and `ConnectionLost` if the connection has ended.
+
+        While the daemon has not answered 24 messages, newer ones wait and merge into the newest.
+        """
         with self._lock:
-            update, line = self._updates.message(drives, pose, scale)
-            self._write(line)
+            update, messages = self._updates.message(drives, pose, scale)
+            self._write(messages)
         return update
 
-    def _write(self, line: bytes = b"") -> None:
-        """Sends what the connection takes. If it has ended, the thread finds out why."""
-        self._outgoing += line
+    def pose(
+        self, x_mm: float = 0.0, y_mm: float = 0.0, angle_deg: float = 0.0, depth_um: float | None = None
+    ) -> Update:
+        """Move the target or the object: it turns anticlockwise about the array's middle, then shifts. As `send`.
+
+        `depth_um`: how far the object's highest point is below the skin at rest, 0 to 2000; without it the depth of the object's press.
+        """
+        depth = {} if depth_um is None else {"depth_um": depth_um}
+        return self.send(pose={"x_mm": x_mm, "y_mm": y_mm, "angle_deg": angle_deg, **depth})
+
+    def drives(self, drives: Drives) -> Update:
+        """Change these motors; the others stay as they are. As `send`."""
+        return self.send(drives=drives)
+
+    def set(self, motor: int, *, frequency_hz: float, amplitude_um: float, phase: float = 0.0) -> Update:
+        """Change one motor. As `send`."""
+        numbers = {"frequency_hz": frequency_hz, "amplitude_um": amplitude_um, "phase": phase}
+        drive = {"motor": whole("motor", motor, -1), **{name: number(name, value) for name, value in numbers.items()}}
+        return self.send(drives=[drive])
+
+    def scale(self, scale: float) -> Update:
+        """Multiply all amplitudes, 0 to 1. As `send`."""
+        return self.send(scale=number("scale", scale))
+
+    def keep(self) -> Update:
+        """Show that the program is alive, and change nothing. As `send`."""
+        return self.send()
+
+    def _write(self, messages: Iterable[str]) -> None:
+        """Sends these. If the connection has ended, the thread finds out why."""
+        from websockets.exceptions import ConnectionClosed
+
+        with contextlib.suppress(ConnectionClosed):
+            for message in messages:
+                self._connection.send(message)
+
+    def _hang_up(self) -> None:
+        """Ends the connection at once: the daemon must not hear calls that nobody has answers for."""
         with contextlib.suppress(OSError):
-            while self._outgoing:
-                self._outgoing = self._outgoing[self._socket.send(self._outgoing) :]
+            self._connection.socket.shutdown(socket.SHUT_RDWR)
 
     def _read(self) -> None:
         """The thread: reads answers until the play is over."""
+        from websockets.exceptions import ConnectionClosed
+
         lost: MeissnerError | None = None
         try:
             try:
-                self._until_ended()
-            except (OSError, MeissnerError) as error:
+                while self._updates.cause is None:
+                    answer = self._connection.recv()
+                    with self._lock:
+                        self._write(self._updates.take(answer))
+            except (ConnectionClosed, MeissnerError) as error:
                 lost = self._updates.lost(error)
-                # The daemon must not hear calls that this thread has no answers for.
-                with self._lock:
-                    self._socket.close()
+                self._hang_up()
             receipt, failure = self._client.run(_live.outcome(self._client.core, self._updates, lost))
         except Exception as error:  # A client that was closed meanwhile, or a mistake in this package.
             receipt, failure = None, self._updates.lost(repr(error))
         with self._lock:
             self._receipt = receipt or self._receipt
             self._updates.over(failure)
-            self._socket.close()
+        self._connection.close()
         self._is_over.set()
-
-    def _until_ended(self) -> None:
-        with selectors.DefaultSelector() as selector:
-            selector.register(self._socket, selectors.EVENT_READ)
-            while True:
-                with self._lock:
-                    self._write()
-                    self._take()
-                    wanted = selectors.EVENT_READ | (selectors.EVENT_WRITE if self._outgoing else 0)
-                if self._updates.cause is not None:
-                    break
-                selector.modify(self._socket, wanted)
-                # Answers and the end wake it. What the caller's thread could not send meanwhile waits 1 s at most.
-                selector.select(1.0)
-
-    def _take(self) -> None:
-        """Reads what is there."""
-        while self._updates.cause is None:
-            try:
-                data = self._socket.recv(65536)
-            except (BlockingIOError, InterruptedError):
-                return
-            except OSError as error:
-                if _wants_more(error):
-                    return
-                raise
-            if not data:
-                raise ConnectionLost("closed by the other side")
-            self._write(self._updates.take(data))
 
     def _wait_for(self, update: Update, timeout: float | None) -> LiveResult:
         with self._lock:
@@ -161,8 +161,7 @@ class Live(LivePlay[Update], Answerable):
             if not self._updates.is_ending and not self._updates.is_over:
                 self._write(self._updates.end())
         if not self._is_over.wait(END_TIMEOUT):
-            with self._lock, contextlib.suppress(OSError):
-                self._socket.shutdown(socket.SHUT_RDWR)
+            self._hang_up()
             raise ConnectionLost(f"the daemon has not ended live play {self.id} within {END_TIMEOUT:.0f} s")
 
     def wait(self, timeout: float | None = None, *, check: bool = True) -> Receipt:
@@ -193,53 +192,42 @@ class Live(LivePlay[Update], Answerable):
                 self._finish()
 
 
-def _open(core: Core, path: str) -> tuple[socket.socket, bytes]:
-    """Opens the play's connection. Returns it with what has been received beyond the head."""
-    opened = _connect(core.endpoint)
-    try:
-        opened.sendall(_live.upgrade(core, path))
-        received, rest = b"", None
-        while rest is None:
-            data = opened.recv(65536)
-            if not data:
-                raise ConnectionLost(f"{core.endpoint.name} has closed the connection of the live play before it began")
-            received += data
-            rest = _live.upgraded(received)
-        opened.setblocking(False)
-        return opened, rest
-    except OSError as error:
-        opened.close()
-        raise ConnectionLost(f"the connection of the live play ended before it began ({error})") from error
-    except BaseException:
-        opened.close()
-        raise
+def _open(core: Core, path: str) -> ClientConnection:
+    """Opens the play's connection."""
+    from websockets.exceptions import InvalidStatus, WebSocketException
+    from websockets.sync.client import connect, unix_connect
 
-
-def _connect(endpoint: Endpoint) -> socket.socket:
-    address = urlsplit(endpoint.url)
+    name, uri = core.endpoint.name, _live.address(core.endpoint, path)
+    options: dict[str, Any] = {
+        "additional_headers": core.headers,
+        "compression": None,
+        "open_timeout": _CONNECT_TIMEOUT,
+        "close_timeout": _CLOSE_TIMEOUT,
+        # The daemon watches over silence itself.
+        "ping_interval": None,
+    }
+    opened: ClientConnection
     try:
-        if endpoint.socket is not None:
-            opened = socket.socket(socket.AF_UNIX)
-            try:
-                opened.settimeout(_CONNECT_TIMEOUT)
-                opened.connect(endpoint.socket)
-            except BaseException:
-                opened.close()
-                raise
-            return opened
-        place = (address.hostname or "", address.port or (443 if endpoint.is_secure else 80))
-        opened = socket.create_connection(place, _CONNECT_TIMEOUT)
-        opened.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        # It closes the socket if the handshake fails.
-        return tls().wrap_socket(opened, server_hostname=address.hostname) if endpoint.is_secure else opened
-    except OSError as error:
-        raise Unreachable(
-            f"no daemon answers at {endpoint.name} ({error}): start one with `meissner daemon`"
+        if core.endpoint.socket is not None:
+            opened = unix_connect(core.endpoint.socket, uri, **options)
+        else:
+            opened = connect(uri, ssl=tls() if core.endpoint.is_secure else None, proxy=None, **options)
+    except InvalidStatus as error:
+        Answer(error.response.status_code, bytes(error.response.body or b"")).json()
+        raise UnexpectedAnswer(
+            f"HTTP status {error.response.status_code} instead of a WebSocket: does a proxy between here and the daemon allow it?"
         ) from error
-
-
-def _wants_more(error: OSError) -> bool:
-    """Whether TLS has to wait for the connection."""
-    import ssl
-
-    return isinstance(error, (ssl.SSLWantReadError, ssl.SSLWantWriteError))
+    except TimeoutError as error:
+        raise ConnectionLost(f"{name} has not taken the live play's connection ({error})") from error
+    except OSError as error:
+        raise Unreachable(f"no daemon answers at {name} ({error}): start one with `meissner daemon`") from error
+    except WebSocketException as error:
+        if isinstance(error.__cause__, EOFError):
+            raise ConnectionLost(f"{name} has closed the connection of the live play before it began") from error
+        raise UnexpectedAnswer(
+            f"the answer to the upgrade is no WebSocket's ({error}): is this a meissner daemon?"
+        ) from error
+    opened.socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _BUFFER)
+    # The thread closes it.
+    opened.__enter__()
+    return opened

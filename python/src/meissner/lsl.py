@@ -3,7 +3,7 @@
     with meissner.connect() as m, lsl.Bridge(m):
         ...                                  # experiment as usual; every play makes markers
 
-A `Bridge` runs beside a program, in a thread of its own; the command `meissner-lsl` runs one beside any program. Markers are
+A `Bridge` runs beside a program, in threads of its own; the command `meissner-lsl` runs one beside any program. Markers are
 sent as soon as the daemon knows, some ms later, but stamped with the instant on LSL's clock at which the play began or ended: from
 the device's tick by the daemon's clock and this process's (`clocks.py`), then by LSL's, which is read between two readings of the latter.
 
@@ -12,10 +12,10 @@ Invariant: a marker's time errs by at most its `uncertainty`.
 
 from __future__ import annotations
 
-import asyncio
 import collections
 import contextlib
 import threading
+import time
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -29,7 +29,6 @@ from .errors import MeissnerError
 from .results import Receipt, Status
 
 if TYPE_CHECKING:
-    from .aio import AsyncClient
     from .client import Client
 
 _KEPT = 1000
@@ -179,57 +178,65 @@ class Bridge:
         self._markers = self._telemetry = None
 
     def _run(self) -> None:
+        from .client import Client
+
         try:
-            asyncio.run(self._work())
+            # The clock is shared; what the experiment's client has armed, the bridge does not disarm.
+            m = Client(replace(self._of, has_armed=False))
+            works: list[Callable[[Client], None]] = [self._send_markers]
+            if self._telemetry is not None:
+                works.append(self._send_telemetry)
+            if (trigger := self._trigger) is not None:
+                works.append(lambda m: self._play_on(m, trigger))
+            threads = [
+                threading.Thread(target=self._until_over, args=(work, m), name="meissner-lsl", daemon=True)
+                for work in works
+            ]
+            try:
+                # Plays that were over before have no markers.
+                with contextlib.suppress(MeissnerError):
+                    newest = m.receipt()
+                    self._newest_over = newest.id if newest.is_over else newest.id - 1
+                for thread in threads:
+                    thread.start()
+                self._over.wait()
+                if self.failure is None:
+                    self._send_last(m)
+            finally:
+                self._over.set()
+                # It ends the events, too.
+                m.close()
+                for thread in threads:
+                    thread.join()
         except BaseException as error:
-            self.failure = error
-            # Whoever waits has the error at once.
-            if self._listens.is_set() and not self._is_waited_for:
-                self._report(f"markers and telemetry have ended: {error or type(error).__name__}")
+            self.failure = self.failure or error
         finally:
+            # Whoever waits has the error at once.
+            if self.failure is not None and self._listens.is_set() and not self._is_waited_for:
+                self._report(f"markers and telemetry have ended: {str(self.failure) or type(self.failure).__name__}")
             self._listens.set()
             self._ended.set()
 
-    async def _work(self) -> None:
-        from .aio import AsyncClient
+    def _until_over(self, work: Callable[[Client], None], m: Client) -> None:
+        """A thread: what ends it before the bridge's end has ended the bridge."""
+        try:
+            work(m)
+        except BaseException as error:
+            if not self._over.is_set():
+                self.failure = error
+        finally:
+            self._over.set()
 
-        # The clock is shared; what the experiment's client has armed, the bridge does not disarm.
-        core = replace(self._of, has_armed=False)
-        async with AsyncClient(core) as m:
-            # Plays that were over before have no markers.
-            with contextlib.suppress(MeissnerError):
-                newest = await m.receipt()
-                self._newest_over = newest.id if newest.is_over else newest.id - 1
-            tasks = [
-                asyncio.create_task(self._send_markers(m)),
-                asyncio.create_task(asyncio.to_thread(self._over.wait)),
-            ]
-            if self._telemetry is not None:
-                tasks.append(asyncio.create_task(self._send_telemetry(m)))
-            if self._trigger is not None:
-                tasks.append(asyncio.create_task(self._play_on(m, self._trigger)))
-            try:
-                done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
-                for task in done:
-                    task.result()
-                await self._send_last(m)
-            finally:
-                self._over.set()
-                for task in tasks:
-                    task.cancel()
-                await asyncio.gather(*tasks, return_exceptions=True)
-
-    async def _send_last(self, m: AsyncClient) -> None:
+    def _send_last(self, m: Client) -> None:
         """Waits for the markers of plays that are over already: their events are on their way."""
-        loop = asyncio.get_running_loop()
-        deadline = loop.time() + 1.0
+        deadline = time.monotonic() + 1.0
         with contextlib.suppress(MeissnerError):
-            while loop.time() < deadline:
-                newest = await m.receipt()
+            while time.monotonic() < deadline:
+                newest = m.receipt()
                 unseen = newest.is_over and newest.id > self._newest_over
-                if not unseen and not any([(await m.receipt(play)).is_over for play in list(self._under_way)]):
+                if not unseen and not any(m.receipt(play).is_over for play in list(self._under_way)):
                     return
-                await asyncio.sleep(0.01)
+                time.sleep(0.01)
 
     def lsl_time(self, core: Core, instant_ns: int, uncertainty_s: float) -> tuple[float, float]:
         """An instant of this process's clock on LSL's clock, and its uncertainty, s."""
@@ -244,61 +251,56 @@ class Bridge:
         self._sent.append(Marker(text, time, uncertainty, receipt.id))
         self._markers.push_sample([text], time)
 
-    async def _send_markers(self, m: AsyncClient) -> None:
-        events = m.events()
-        async with contextlib.aclosing(events):
-            async for event in events:
-                # The first event says that the daemon has begun to report.
-                self._listens.set()
-                if event.name == "reconnected":
-                    self._report("the connection was lost: markers in between are missing")
-                if event.name not in ("began", "ended"):
-                    continue
-                play = event["id"] if event.name == "began" else event["receipt"]["id"]
-                try:
-                    if not m.core.clock.is_shared:
-                        await m.status()
-                    receipt = await m.receipt(play)
-                except MeissnerError as error:
-                    self._report(f"no marker of play {play}: {error}")
-                    continue
-                if event.name == "began":
-                    self._under_way.add(play)
-                    self._mark(m.core, "onset", receipt.pattern, receipt.onset, receipt)
-                else:
-                    for item in receipt.items:
-                        self._mark(m.core, "item", item.pattern, item.onset, receipt)
-                    self._mark(m.core, "offset", receipt.pattern, receipt.offset, receipt)
-                    self._under_way.discard(play)
-                    self._newest_over = play
+    def _send_markers(self, m: Client) -> None:
+        for event in m.events():
+            # The first event says that the daemon has begun to report.
+            self._listens.set()
+            if event.name == "reconnected":
+                self._report("the connection was lost: markers in between are missing")
+            if event.name not in ("began", "ended"):
+                continue
+            play = event["id"] if event.name == "began" else event["receipt"]["id"]
+            try:
+                if not m.core.clock.is_shared:
+                    m.status()
+                receipt = m.receipt(play)
+            except MeissnerError as error:
+                self._report(f"no marker of play {play}: {error}")
+                continue
+            if event.name == "began":
+                self._under_way.add(play)
+                self._mark(m.core, "onset", receipt.pattern, receipt.onset, receipt)
+            else:
+                for item in receipt.items:
+                    self._mark(m.core, "item", item.pattern, item.onset, receipt)
+                self._mark(m.core, "offset", receipt.pattern, receipt.offset, receipt)
+                self._under_way.discard(play)
+                self._newest_over = play
 
-    async def _send_telemetry(self, m: AsyncClient) -> None:
+    def _send_telemetry(self, m: Client) -> None:
         """The estimated offset of each pin from rest, as the status has it."""
-        while True:
+        while not self._over.wait(1 / self._telemetry_hz):
             with contextlib.suppress(MeissnerError):
-                status = await m.status()
+                status = m.status()
                 clock, motors = status.raw["clock"], status.raw["motors"]
                 if clock is not None and len(motors) == self._array.motors:
                     at_ns, uncertainty = m.core.clock.to_client(clock["monotonic_ns"])
                     time, _ = self.lsl_time(m.core, at_ns, uncertainty / NS)
                     self._telemetry.push_sample([motor["rest_error_um"] for motor in motors], time)
-            await asyncio.sleep(1 / self._telemetry_hz)
 
-    async def _play_on(self, m: AsyncClient, trigger: Trigger) -> None:
-        inlet = await asyncio.to_thread(self._find, trigger.stream)
-        while inlet is not None:
-            sample, time = await asyncio.to_thread(inlet.pull_sample, 0.1)
-            if self._over.is_set():
-                return
+    def _play_on(self, m: Client, trigger: Trigger) -> None:
+        inlet = self._find(trigger.stream)
+        while not self._over.is_set():
+            sample, time = inlet.pull_sample(0.1)
             pattern = trigger.plays.get(sample[0]) if sample else None
-            if pattern is None:
+            if pattern is None or self._over.is_set():
                 continue
             offset, _ = m.core.clock.other(lambda: round(self._lsl.local_clock() * NS))
             at = None if trigger.delay is None else time + trigger.delay - offset / NS
             # A session that the experiment has begun since.
             m.core.session = self._of.session
             try:
-                await m.play(pattern, trigger.seconds, at=at)
+                m.play(pattern, trigger.seconds, at=at)
             except MeissnerError as error:
                 self._report(f"no play on the marker {sample[0]}: {error}")
 

@@ -50,7 +50,7 @@ def find_program() -> str:
 def _of_wheel() -> str | None:
     """The program that was installed with this package, also where its folder is not on the PATH."""
     try:
-        files = importlib.metadata.files("meissner") or []
+        files = importlib.metadata.files("meissner-tactile") or []
     except importlib.metadata.PackageNotFoundError:
         return None
     paths = (str(file.locate()) for file in files if file.name == "meissner" and file.parent.name == "bin")

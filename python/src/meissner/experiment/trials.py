@@ -8,7 +8,6 @@ from __future__ import annotations
 import itertools
 import numbers
 import random
-import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeVar
@@ -17,26 +16,13 @@ from .._arguments import hinted, listed, whole
 
 T = TypeVar("T")
 
-# The columns that a log writes of a play (`play_columns` in log.py), and those of an answer (`Log.add`) but `level`, which a factor may be.
-_TAKEN = re.compile(
-    r"response|correct|rt_ms|trial|play|pattern|state|late|reached_um|item\d+_(pattern|scale|reached_um)|"
-    r"(item\d+_)?(onset|offset)_(tick|monotonic_ns|wall_ns|uncertainty_s)"
-)
-
 
 @dataclass(frozen=True)
 class Trial:
-    """One trial: its number, from 1, and the value of each factor. No factor has the name of a column of the log's own."""
+    """One trial: its number, from 1, and the value of each factor."""
 
     number: int
     factors: Mapping[str, Any]
-
-    def __post_init__(self) -> None:
-        taken = [name for name in self.factors if _TAKEN.fullmatch(name)]
-        if taken:
-            raise ValueError(
-                f"the factor `{taken[0]}` has the name of a column that the log writes of a play or an answer: give it another name"
-            )
 
     def __getitem__(self, factor: str) -> Any:
         if factor not in self.factors:
