@@ -22,7 +22,7 @@ README = Path(__file__).parents[1] / "README.md"
 BOOK = Path(__file__).parents[2] / "docs" / "how-to"
 NEEDS = {"lsl.md": "pylsl"}
 """What the blocks of a page need beside the package."""
-ELSEWHERE = {"psychopy.md": "psychopy/tests/test_routine.py"}
+ELSEWHERE = {"psychopy.md": "psychopy/tests/test_routine.py", "calibrate.md": "tests/test_laser.py"}
 """Pages whose blocks another test runs."""
 
 
