@@ -85,6 +85,27 @@ def test_detection_threshold(tmp_path: Path) -> None:
         assert found == pytest.approx(true, rel=0.5), line
 
 
+def test_sweep_computes_what_the_table_lacks(tmp_path: Path) -> None:
+    for package in ("pandas", "submitit"):
+        pytest.importorskip(package, reason=f"{package} is not installed")
+    command = [sys.executable, str(EXAMPLES / "sweep.py"), "results.csv"]
+    ended = run_kept(command, tmp_path, {})
+    assert ended.stdout == "8 cells computed, 0 failed, 8 of 8 in results.csv\n", ended.stderr
+    table = tmp_path / "results.csv"
+    whole = table.read_text(encoding="utf-8")
+    lines = whole.splitlines()
+    assert lines[0] == "width_mm,angle_deg,depth_um,r,error,r_in_space,SA1_hz,RA_hz,PC_hz"
+    assert len({line.split(",", 3)[3] for line in lines}) == 9
+    table.write_text("\n".join(lines[:4] + lines[6:]) + "\n", encoding="utf-8")
+    ended = run_kept([*command, "--cluster", "debug"], tmp_path, {})
+    assert ended.stdout == "2 cells computed, 0 failed, 8 of 8 in results.csv\n", ended.stderr
+    assert table.read_text(encoding="utf-8") == whole
+    table.unlink()
+    ended = run_kept(command, tmp_path, {"MEISSNER_PROGRAM": "/bin/false"})
+    assert (ended.returncode, ended.stdout) == (1, "0 cells computed, 8 failed, 0 of 8 in results.csv\n")
+    assert ended.stderr.count("`meissner render` failed") >= 8
+
+
 def rows(file: Path) -> list[dict[str, str]]:
     with file.open(newline="", encoding="utf-8") as opened:
         return list(csv.DictReader(opened))

@@ -9,8 +9,8 @@
 
 - `connect`, `connect_async`: a client of a daemon, on this machine or over the network.
 - `demo`: a daemon with the simulated array, and a client of it. `Daemon` is the daemon alone.
-- `simulate`, `design`, `render`, `displacement`: predicted spikes, a search for patterns, a pattern that feels like an object, and
-  how far pins move, by the installed program.
+- `simulate`, `design`, `render`, `judge`, `displacement`: predicted spikes, a search for patterns, a pattern that feels like an object,
+  how near it comes, and how far pins move, by the installed program.
 - `align`: the map between the device's ticks and another recorder's clock, by pulses that both have.
 - `experiment`: trial lists, staircases, QUEST+, and a log that survives a crash.
 - `errors`: one class for each code of the API.
@@ -35,7 +35,7 @@ from .client import Client, Play, Session
 from .clocks import ClientClock, Instant
 from .errors import ApiError, MeissnerError, PlayStopped, Unreachable
 from .live import Live, Update
-from .program import Board, Daemon, Design, Rendering, Simulation, design, render, simulate
+from .program import Board, Daemon, Design, Judgement, Rendering, Simulation, design, judge, render, simulate
 from .results import Item, LiveResult, PlanCheck, Receipt, Status
 from .traces import Displacement, displacement
 
@@ -53,6 +53,7 @@ __all__ = [
     "Event",
     "Instant",
     "Item",
+    "Judgement",
     "Live",
     "LiveResult",
     "MeissnerError",
@@ -76,6 +77,7 @@ __all__ = [
     "displacement",
     "import_csv",
     "import_wav",
+    "judge",
     "render",
     "simulate",
 ]

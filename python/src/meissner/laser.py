@@ -339,8 +339,9 @@ def _measured(bursts: _Bursts, seconds: Any, um: Any) -> _Measured:
     starts, rests = bursts.start_s, bursts.rests_s
     tt = ty = yy = 0.0
     free = -1
-    begins: Any = np.append(starts[0] - _END_S, rests)
-    for begin, end in zip(begins, np.append(starts, rests[-1] + _END_S), strict=True):
+    for begin, end in np.column_stack(
+        (np.append(starts[0] - _END_S, rests), np.append(starts, rests[-1] + _END_S))
+    ).tolist():
         part = _between(seconds, begin, end)
         if len(seconds[part]) >= 2:
             t, y = seconds[part] - seconds[part].mean(), um[part] - um[part].mean()
