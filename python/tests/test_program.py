@@ -124,7 +124,7 @@ def test_a_rendered_pattern_is_judged() -> None:
     pattern, method, again = (judged.lines[name] for name in ("bar-rendered", "render field", "the object again"))
     assert {**pattern, "name": ""} == {**method, "name": ""}
     assert pattern["r"] < again["r"] <= 1
-    with pytest.raises(errors.ProgramError, match="`meissner judge` failed.*press"):
+    with pytest.raises(errors.ProgramError, match=r"`meissner judge` failed.*press"):
         meissner.judge("edge-45", BAR)
 
 

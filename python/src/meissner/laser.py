@@ -22,9 +22,6 @@ from typing import Any
 
 import numpy as np
 
-from .arrays import Array
-from .program import find_array
-
 _BIN_S = 0.01
 _SIDE = 5
 """Bins on either side of a step of the search. Bursts are 125 ms apart."""
@@ -90,17 +87,15 @@ class _Clock:
         return self.middle_s + (sensor_s - self.at_s) / self.rate
 
 
-def fit(time_s: Any, displacement_um: Any, plan: Mapping[str, Any], array: Array | None = None) -> Fit:
+def fit(time_s: Any, displacement_um: Any, plan: Mapping[str, Any]) -> Fit:
     """Fit the motor of a plan that was played to a recording of its pin.
 
-    Samples without a displacement are NaN. `plan` is the document of `meissner calibrate --plan`. `array` is the one that played it,
-    `Client.array`; without it the program is asked for the array by the plan's name.
+    Samples without a displacement are NaN. `plan` is the document of `meissner calibrate --plan`.
     """
     if plan.get("format") != _PLAN_FORMAT:
         raise ValueError(f"`plan` has format {plan.get('format')!r}: must be what `meissner calibrate --plan` writes")
-    array = find_array(plan.get("array", "tula35-6x4")) if array is None else array
     seconds, um = _checked(time_s, displacement_um)
-    bursts = _Bursts(plan, array)
+    bursts = _Bursts(plan)
     clock, sign = _aligned(bursts, seconds, um)
     measured = _measured(bursts, clock.plan(seconds), sign * um)
     planned = len(bursts.um)
@@ -120,7 +115,7 @@ def fit(time_s: Any, displacement_um: Any, plan: Mapping[str, Any], array: Array
         first_burst_s=float(clock.sensor(0.0)),
         bursts=len(measured.index),
         trace=measured.trace,
-        toml=_toml(plan, array, up, down),
+        toml=_toml(plan, up, down),
     )
 
 
@@ -135,6 +130,10 @@ def _checked(time_s: Any, displacement_um: Any) -> tuple[Any, Any]:
     seconds, um = seconds[there], um[there]
     if len(um) < 100:
         raise ValueError(f"the recording has {len(um)} samples: must be at least 100")
+    if seconds[-1] - seconds[0] > 1800:
+        raise ValueError(
+            f"the recording lasts {seconds[-1] - seconds[0]:.0f} s: must be at most 1800 s; check the unit of the time, or cut it"
+        )
     step = float(np.median(np.diff(seconds)))
     if step > 0.005:
         raise ValueError(f"one sample each {step * 1e3:.1f} ms is too slow to see a burst: record 200 a second or more")
@@ -157,20 +156,18 @@ def _between(seconds: Any, from_s: float, to_s: float) -> slice:
 class _Bursts:
     """The plan's bursts, in plan time: seconds since the first."""
 
-    def __init__(self, plan: Mapping[str, Any], array: Array) -> None:
+    def __init__(self, plan: Mapping[str, Any]) -> None:
         bursts = plan["bursts"]
-        motor = array.raw["motor"]
         ticks = np.array([burst["tick"] for burst in bursts], dtype=np.int64)
         self.motor = int(plan["motor"])
         self.pulses = np.array([burst["pulses"] for burst in bursts], dtype=float)
         self.sign = np.array([1.0 if burst["direction"] == "up" else -1.0 for burst in bursts])
         self.warm_up = np.array([burst["warm_up"] for burst in bursts], dtype=bool)
-        self.um_per_pulse = float(motor["um_per_pulse"])
+        self.um_per_pulse = float(plan["um_per_pulse"])
         self.um = self.sign * self.pulses * self.um_per_pulse
         """Travel by the model, upwards positive."""
-        self.hz = array.tick_hz
-        # The program counts the window in half ticks.
-        self.window = round(motor["window_ms"] / 1e3 * 2 * self.hz) / 2
+        self.hz = plan["tick_hz"]
+        self.window = plan["window_ticks"]
         self.start_s = (ticks - ticks[0]) / self.hz
         self.rests_s = (ticks - ticks[0] + self.pulses + np.ceil(self.window)) / self.hz
         self.middle_s = self.start_s + (self.pulses + self.window) / 2 / self.hz
@@ -414,18 +411,18 @@ def _line(bursts: _Bursts, measured: _Measured, sign: int) -> Line:
     return Line(float(gain), float(slope), float(error), float(offset), scatter, len(travels), points)
 
 
-def _toml(plan: Mapping[str, Any], array: Array, up: Line, down: Line) -> str:
+def _toml(plan: Mapping[str, Any], up: Line, down: Line) -> str:
     """The calibration file of this motor."""
     provenance = {
         **{key: plan[key] for key in ("device", "firmware", "identity")},
         "telemetry": "laser",
         **{key: plan[key] for key in ("pulses", "repetitions")},
         "groups": len(plan["pulses"]) * plan["repetitions"],
-        "um_per_pulse": array.raw["motor"]["um_per_pulse"],
+        "um_per_pulse": plan["um_per_pulse"],
         "date": plan["date"],
     }
-    named = {"array": array.name, "array_hash": array.raw["hash"]} if "array" in plan else {}
-    lines = [*_keys({"format": _CALIBRATION_FORMAT, **named}), "\n[[motor]]", f"motor = {plan['motor']}"]
+    head = {"format": _CALIBRATION_FORMAT, "array": plan["array"], "array_hash": plan["array_hash"]}
+    lines = [*_keys(head), "\n[[motor]]", f"motor = {plan['motor']}"]
     for name, line in (("up", up), ("down", down)):
         lines += [f"\n[motor.{name}]", *_keys(vars(line))]
     return "\n".join([*lines, "\n[provenance]", *_keys(provenance)]) + "\n"
