@@ -22,7 +22,7 @@ README = Path(__file__).parents[1] / "README.md"
 BOOK = Path(__file__).parents[2] / "docs" / "how-to"
 NEEDS = {"lsl.md": "pylsl"}
 """What the blocks of a page need beside the package."""
-ELSEWHERE = {"psychopy.md": "psychopy/tests/test_routine.py"}
+ELSEWHERE = {"psychopy.md": "psychopy/tests/test_routine.py", "calibrate.md": "tests/test_laser.py"}
 """Pages whose blocks another test runs."""
 
 
@@ -90,6 +90,27 @@ def answered(daemon: meissner.Daemon) -> list[dict[str, Any]]:
         (session,) = watcher.sessions()
         plays: list[dict[str, Any]] = watcher.session_plays(session["id"])["plays"]
     return plays
+
+
+def test_sweep_computes_what_the_table_lacks(tmp_path: Path) -> None:
+    for package in ("pandas", "submitit"):
+        pytest.importorskip(package, reason=f"{package} is not installed")
+    command = [sys.executable, str(EXAMPLES / "sweep.py"), "results.csv"]
+    ended = run_kept(command, tmp_path, {})
+    assert ended.stdout == "8 cells computed, 0 failed, 8 of 8 in results.csv\n", ended.stderr
+    table = tmp_path / "results.csv"
+    whole = table.read_text(encoding="utf-8")
+    lines = whole.splitlines()
+    assert lines[0] == "width_mm,angle_deg,depth_um,r,error,r_in_space,SA1_hz,RA_hz,PC_hz"
+    assert len({line.split(",", 3)[3] for line in lines}) == 9
+    table.write_text("\n".join(lines[:4] + lines[6:]) + "\n", encoding="utf-8")
+    ended = run_kept([*command, "--cluster", "debug"], tmp_path, {})
+    assert ended.stdout == "2 cells computed, 0 failed, 8 of 8 in results.csv\n", ended.stderr
+    assert table.read_text(encoding="utf-8") == whole
+    table.unlink()
+    ended = run_kept(command, tmp_path, {"MEISSNER_PROGRAM": "/bin/false"})
+    assert (ended.returncode, ended.stdout) == (1, "0 cells computed, 8 failed, 0 of 8 in results.csv\n")
+    assert ended.stderr.count("`meissner render` failed") >= 8
 
 
 def test_two_afc_is_short_exact_and_complete(tmp_path: Path) -> None:

@@ -104,6 +104,7 @@ OF_A_CLIENT: list[tuple[str, Call, str]] = [
     ("store_pattern", lambda m: m.store_pattern("pin-60", "format = 1\n"), "`pin-60`"),
     ("remove_pattern", lambda m: m.remove_pattern("pin-60"), "removed.*exists: the library stays as it is"),
     ("remove_pattern", lambda m: m.remove_pattern(None), "`name` is None: must be a text"),
+    ("store_calibration", lambda m: m.store_calibration("format = 1"), "`motor` is missing"),
     ("session_plays", lambda m: m.session_plays("a/b c"), "no session a/b c is recorded"),
     ("session_plays", lambda m: m.session_plays(None), "`session_id` is None: must be a text"),
     ("simulate", lambda m: m.simulate(), r"`simulate\(\)` needs `scene`"),

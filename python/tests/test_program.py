@@ -117,6 +117,17 @@ def test_a_bad_object_is_refused_in_a_line() -> None:
         meissner.render({**BAR, "points": {1}}, touch=PRESS)
 
 
+def test_a_rendered_pattern_is_judged() -> None:
+    bar = {**BAR, "touch": PRESS}
+    rendered = meissner.render(bar, method="field")
+    judged = meissner.judge(rendered.toml, bar, fingers=1)
+    pattern, method, again = (judged.lines[name] for name in ("bar-rendered", "render field", "the object again"))
+    assert {**pattern, "name": ""} == {**method, "name": ""}
+    assert pattern["r"] < again["r"] <= 1
+    with pytest.raises(errors.ProgramError, match=r"`meissner judge` failed.*press"):
+        meissner.judge("edge-45", BAR)
+
+
 def test_the_end_of_python_ends_the_daemon_and_disarms(daemon: meissner.Daemon) -> None:
     """A script without `with`: its clients disarm, and its daemon ends."""
     script = (

@@ -9,8 +9,8 @@
 
 - `connect`: a client of a daemon, on this machine or over the network.
 - `demo`: a daemon with the simulated array, and a client of it. `Daemon` is the daemon alone.
-- `simulate`, `design`, `render`, `displacement`: predicted spikes, a search for patterns, a pattern that feels like an object, and
-  how far pins move, by the installed program.
+- `simulate`, `design`, `render`, `judge`, `displacement`: predicted spikes, a search for patterns, a pattern that feels like an object,
+  how near it comes, and how far pins move, by the installed program.
 - `align`: the map between the device's ticks and another recorder's clock, by pulses that both have.
 - `experiment`: trial lists, staircases, QUEST+, keys and button boxes.
 - `errors`: one class for each code of the API.
@@ -33,7 +33,7 @@ from .client import Client, Play, Session
 from .clocks import ClientClock, Instant
 from .errors import ApiError, MeissnerError, PlayStopped, Unreachable
 from .live import Live
-from .program import Board, Daemon, Design, Rendering, Simulation, design, render, simulate
+from .program import Board, Daemon, Design, Judgement, Rendering, Simulation, design, judge, render, simulate
 from .results import Item, LiveResult, PlanCheck, Receipt, Status
 from .traces import Displacement, displacement
 
@@ -48,6 +48,7 @@ __all__ = [
     "Event",
     "Instant",
     "Item",
+    "Judgement",
     "Live",
     "LiveResult",
     "MeissnerError",
@@ -67,6 +68,7 @@ __all__ = [
     "demo",
     "design",
     "displacement",
+    "judge",
     "render",
     "simulate",
 ]

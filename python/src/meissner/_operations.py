@@ -633,6 +633,15 @@ def remove_pattern(core: Core, name: str) -> Op[None]:
         )
 
 
+def store_calibration(core: Core, toml: str) -> Op[dict[str, Any]]:
+    """Store gains of motors: the text of a calibration file, such as `meissner.laser.fit` makes. Other motors keep theirs."""
+    request = Request(
+        "PUT", "/v1/calibration", text("toml", toml).encode(), {"Content-Type": "application/toml"}, timeout=_STORING
+    )
+    raw: dict[str, Any] = yield from document(core, request)
+    return raw
+
+
 @contextlib.contextmanager
 def _library(advice: str) -> Generator[None]:
     """Advice where the name is one of the library's, which nothing replaces."""

@@ -258,6 +258,7 @@ class Client:
     pattern = _blocking(ops.pattern)
     store_pattern = _blocking(ops.store_pattern)
     remove_pattern = _blocking(ops.remove_pattern)
+    store_calibration = _blocking(ops.store_calibration)
     sessions = _blocking(_sessions.sessions)
     session_plays = _blocking(_sessions.session_plays)
     export_bids = _blocking(_exports.export_bids)

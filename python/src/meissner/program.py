@@ -235,13 +235,13 @@ def render(
     """
     with tempfile.TemporaryDirectory(prefix="meissner-") as folder:
         if isinstance(object, Mapping):
-            keys = {"kind": "object", "name": "object", **object, **({} if touch is None else {"touch": touch})}
-            stem, source = str(keys["name"]), str(Path(folder) / "object.toml")
-            Path(source).write_text(_toml(_with_paths(keys)), encoding="utf-8")
+            object = {**object, **({} if touch is None else {"touch": touch})}
+            stem = str(object.get("name", "object"))
         elif touch is not None:
             raise ValueError("`touch` goes with an object that is a dict: a file has its own")
         else:
-            stem, source = Path(object).stem, os.fspath(object)
+            stem = Path(object).stem
+        source = _object_file(object, folder)
         name = name or f"{stem}-rendered"
         arguments = ["render", source, *([] if array is None else ["--array", os.fspath(array)])]
         if method is not None:
@@ -249,6 +249,55 @@ def render(
         file = Path(folder) / f"{name}.toml"
         summary = _run([*arguments, "-o", str(file)])
         return Rendering(name, file.read_text(encoding="utf-8"), summary)
+
+
+def _object_file(object: Object, folder: str) -> str:
+    """An object as the program names it; a dict is written into the folder."""
+    if not isinstance(object, Mapping):
+        return os.fspath(object)
+    file = Path(folder) / "object.toml"
+    file.write_text(_toml(_with_paths({"kind": "object", "name": "object", **object})), encoding="utf-8")
+    return str(file)
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """How near fingers' responses to patterns come to those to the real object."""
+
+    lines: dict[str, dict[str, Any]]
+    """By name: the judged pattern, the object felt again, methods of rendering, plain rules. `r`, `error`, and both by class."""
+    felt: dict[str, Any]
+    """Of the first finger: `afferents`, and their spikes, s: `object_s`, `pattern_s`."""
+    raw: dict[str, Any] = field(repr=False)
+    """The program's whole answer."""
+
+
+@hinted
+def judge(
+    pattern: str | os.PathLike[str],
+    object: Object,
+    *,
+    fingers: int = 5,
+    seed: int = 0,
+    array: str | os.PathLike[str] | None = None,
+) -> Judgement:
+    """Compare what fingers feel of a pattern with what they feel of the real object.
+
+    `pattern` is a name of the library, the path of a pattern file, or its text. `object` as for `render`; a dict needs its `touch`.
+    """
+    with tempfile.TemporaryDirectory(prefix="meissner-") as folder:
+        if isinstance(pattern, str) and "\n" in pattern:
+            file = Path(folder) / "pattern.toml"
+            file.write_text(pattern, encoding="utf-8")
+            pattern = file
+        arguments = ["judge", os.fspath(pattern), f"--object={_object_file(object, folder)}"]
+        arguments += [
+            f"--fingers={fingers}",
+            f"--seed={seed}",
+            *([] if array is None else ["--array", os.fspath(array)]),
+        ]
+        raw = _run(arguments)
+    return Judgement({line["name"]: line for line in raw["lines"]}, raw.get("felt") or {}, raw)
 
 
 def render_for(array: Array, object: Object, options: Mapping[str, Any]) -> Rendering:
