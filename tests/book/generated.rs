@@ -68,8 +68,8 @@ fn commands() -> String {
     let mut page = "# Commands\n\n<!-- A test makes this page from the program: see tests/book/generated.rs. -->\n\n\
         Names and flags are stable. With `--json` a command prints one JSON document on stdout and nothing else; logs go \
         to stderr.\nA command that fails prints one line (what, where, what to do) on stderr and exits with 1; a command \
-        line that cannot be\nunderstood exits with 2; Ctrl-C ends a command that\nwaits for a play, `live`, `session \
-        replay` and `optimise` with 130; but for `optimise`, SIGTERM ends them with 143 and SIGHUP with 129.\n"
+        line that cannot be\nunderstood exits with 2; Ctrl-C ends a command that\nwaits for a play, and `optimise`, \
+        with 130; but for `optimise`, SIGTERM ends them with 143 and SIGHUP with 129.\n"
         .to_owned();
     sections(&mut command, 2, &mut page);
     page
