@@ -56,7 +56,7 @@ const OTHERS: &[(&str, &str, &str)] = &[
     ("src/daemon/page/assets/index.html", "24", "the length of the finger's pad, mm"),
     ("src/daemon/page/assets/finger.js", "24", "the edge of the drawing"),
     ("python/src/meissner/_live.py", "24", "messages without an answer"),
-    ("crates/samples/src/wav.rs", "24", "as above"),
+    ("crates/array/src/samples/wav.rs", "24", "as above"),
     ("python/src/meissner/arrays.py", "85000", "records and daemons from before arrays had names"),
     ("python/src/meissner/arrays.py", "2.9", "as above"),
     ("python/src/meissner/arrays.py", "11.5", "as above"),

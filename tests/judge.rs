@@ -31,7 +31,7 @@ fn traced_letters_are_named_and_heights_are_not_traced() {
     write(dir.path(), "l", &at("[[[0, 6], [0, -6]]]"), PRESS);
     write(dir.path(), "t", &at("[[[0, 6], [0, -6]], [[-4, 2], [4, 2]]]"), PRESS);
     write(dir.path(), "p", "shape = \"texture\"\nfile = \"p.csv\"\nmm_per_pixel = 0.5", PRESS);
-    fs::write(dir.path().join("p.csv"), "um\n0\n0\n0\n0\n").unwrap();
+    fs::write(dir.path().join("p.csv"), "height_um\n0\n0\n0\n0\n").unwrap();
     let set = |objects: [&str; 2]| {
         let mut judge = meissner();
         judge.current_dir(dir.path()).args(["judge", "--fingers", "1", "--json", "--set"]).args(objects);

@@ -37,6 +37,9 @@ fn npy(values: &[f32]) -> Vec<u8> {
     npy
 }
 
+/// The table of a wave.
+const A: &str = "time_s,pin_um\n0,0\n0.01,20\n0.02,40\n0.03,20\n0.04,0\n";
+
 fn write(dir: &Path, name: &str, bytes: impl AsRef<[u8]>) {
     fs::write(dir.join(name), bytes).unwrap();
 }
@@ -44,14 +47,14 @@ fn write(dir: &Path, name: &str, bytes: impl AsRef<[u8]>) {
 #[test]
 fn a_pattern_is_packed_with_its_files_and_then_needs_them_no_longer() {
     let dir = tempdir().unwrap();
-    write(dir.path(), "a.csv", "0\n10\n20\n10\n0\n");
+    write(dir.path(), "a.csv", A);
     let sound: Vec<i16> = (0..4410_i32).map(|k| (8000.0 * (f64::from(k) * 0.01).sin()) as i16).collect();
     write(dir.path(), "b.wav", wav(44_100, &sound));
     fs::create_dir(dir.path().join("in")).unwrap();
     write(dir.path(), "in/c.npy", npy(&[0.0, 5.0, 5.0, 0.0]));
     let text = pattern(
         &[
-            wave(1, "a.csv", "rate_hz = 100\nscale_um = 2.0"),
+            wave(1, "a.csv", ""),
             wave(2, "b.wav", "scale_um = 40.0\noffset_um = 20.0"),
             wave(3, "in/c.npy", "rate_hz = 50"),
         ]
@@ -61,7 +64,7 @@ fn a_pattern_is_packed_with_its_files_and_then_needs_them_no_longer() {
     let (from, to) = (dir.path().join("touch.toml"), dir.path().join("packed.toml"));
     let said = printed(meissner().args(["pattern", "pack"]).arg(&from).arg("-o").arg(&to));
     for part in [
-        "motor 1: 5 samples at 100 Hz: a.csv: CSV column 0 of 1, 100 Hz, times 2 um",
+        "motor 1: 5 samples at 100 Hz: a.csv: CSV column pin_um, 100 Hz",
         "motor 2: 800 samples at 8000 Hz: b.wav: ",
         "full scale 40 um, plus 20 um, resampled to 8000 Hz",
         "motor 3: 4 samples at 50 Hz: in/c.npy: NPY <f4",
@@ -95,19 +98,21 @@ fn a_pattern_is_packed_with_its_files_and_then_needs_them_no_longer() {
 #[test]
 fn a_mistake_in_a_sample_file_is_one_line_with_motor_sample_and_time() {
     let dir = tempdir().unwrap();
-    let text = pattern(&wave(7, "a.csv", "rate_hz = 200"));
+    let text = pattern(&wave(7, "a.csv", ""));
     write(dir.path(), "touch.toml", &text);
     for (samples, says) in [
         (
-            "0\n1\nnan\n",
+            "0,0\n0.005,1\n0.01,nan\n",
             "touch.toml:5: wave 1: `file`: motor 7: `a.csv`: sample 2 at 0.01 s is NaN: must be a number",
         ),
-        ("0\n1\nx\n", "motor 7: `a.csv`: line 3: "),
-        ("1\n", "motor 7: `a.csv`: 1 samples: must be 2 to 4194302"),
-        ("1,2\n3,4\n", "motor 7: `a.csv`: 2 columns: add column = 0 to 1"),
-        ("0\n1\n401\n0\n", "wave 1: motor 7 goes to 401.000 um at 0.01 s, sample 2: must be 0 to 400 um"),
+        ("0,0\n0.005,1\n0.01,x\n", "motor 7: `a.csv`: line 4: `x` is no number; a CSV file begins with "),
+        ("0,1\n", "motor 7: `a.csv`: 1 samples: must be 2 to 4194302"),
+        (
+            "0,0\n0.005,1\n0.01,401\n0.015,0\n",
+            "wave 1: motor 7 goes to 401.000 um at 0.01 s, sample 2: must be 0 to 400 um",
+        ),
     ] {
-        write(dir.path(), "a.csv", samples);
+        write(dir.path(), "a.csv", format!("time_s,pin_um\n{samples}"));
         let line = complaint(meissner().args(["pattern", "pack"]).arg(dir.path().join("touch.toml")));
         assert!(line.contains(says), "{line}\n  does not say {says}");
         assert_eq!(line.trim_end().lines().count(), 1, "{line}");
@@ -238,9 +243,9 @@ fn what_changes_drives_only_refuses_motions() {
 fn a_daemon_stores_a_pattern_with_its_samples_and_shows_what_it_reaches() {
     let daemon = Daemon::start();
     let dir = tempdir().unwrap();
-    write(dir.path(), "a.csv", "0\n10\n20\n10\n0\n");
+    write(dir.path(), "a.csv", A);
     let drive = "[[drive]]\nmotor = 3\nfrequency_hz = 60.0\namplitude_um = 80.0\nstop_s = 1.0\n";
-    write(dir.path(), "touch.toml", pattern(&format!("{drive}{}", wave(1, "a.csv", "rate_hz = 100"))));
+    write(dir.path(), "touch.toml", pattern(&format!("{drive}{}", wave(1, "a.csv", ""))));
     let said = printed(daemon.meissner().arg("import").arg(dir.path().join("touch.toml")));
     assert!(said.contains("imported touch, packed with its sample files (sha256 "), "{said}");
     let list = printed(daemon.meissner().arg("list"));

@@ -47,8 +47,6 @@ mod harness;
 mod judge;
 /// Live plays: updates over both sockets, vanishing clients, mistakes.
 mod live;
-/// The command `live`: lines of files and pipes, signals, and plays that the daemon ends.
-mod live_command;
 /// Arrays with a lower stop: arming moves the pins down to it, and plays stay within the limit on pushing.
 mod lower_stop;
 /// The man pages and completions are made from the program.
@@ -83,8 +81,6 @@ mod rails;
 mod record;
 /// Objects that are rendered over the API, and previews of patterns.
 mod renderings;
-/// `session replay`: the same orders at the same gaps, the recorded texts, what differs, what is refused.
-mod replay;
 /// `simulate` and `tradeoff`: documents, mistakes, the comparison of methods and its plot; the shipped scenes.
 mod report;
 /// The command `report`: its files, the same bytes again, places that cannot be written to.

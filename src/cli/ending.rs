@@ -27,15 +27,6 @@ pub(super) struct Ending {
 impl Ending {
     /// Stops the display at a signal from now on, and ends this process with 128 and the signal's number.
     pub(super) fn listen(options: &ClientOptions) -> Result<Self> {
-        Self::listen_as(options, "stopped: see `meissner receipt`", "not stopped")
-    }
-
-    /// As [`Self::listen`], with the texts for a display that was stopped, and for one that was not.
-    pub(super) fn listen_as(
-        options: &ClientOptions,
-        stopped: &'static str,
-        failed: &'static str,
-    ) -> Result<Self> {
         let ending = Self::default();
         let (gate, over) = (Arc::clone(&ending.gate), Arc::clone(&ending.over));
         let mut client = options.client()?;
@@ -44,8 +35,8 @@ impl Ending {
                 "the play is over: see `meissner receipt`".to_owned()
             } else {
                 match gate.stop(|| stop(&mut client)) {
-                    Ok(_) => stopped.to_owned(),
-                    Err(error) => format!("{failed}: {error}"),
+                    Ok(_) => "stopped: see `meissner receipt`".to_owned(),
+                    Err(error) => format!("not stopped: {error}"),
                 }
             };
             tell(&said);
@@ -59,19 +50,9 @@ impl Ending {
         self.gate.order(send).unwrap_or_else(|| Gate::wait_for_end())
     }
 
-    /// Stops the display after an error of this command.
-    pub(super) fn stop(&self, client: &mut Client) -> Result<Value, ClientError> {
-        self.gate.stop(|| stop(client))
-    }
-
-    /// While a signal stops the display, blocks the caller until the process ends.
-    pub(super) fn wait_if_stopping(&self) {
-        self.gate.wait_if_stopping();
-    }
-
     /// Notes that the play is over: a signal no longer stops the display, and a play that a signal has cut is not reported.
     pub(super) fn set_over(&self) {
-        self.wait_if_stopping();
+        self.gate.wait_if_stopping();
         self.over.store(true, Ordering::Relaxed);
     }
 }

@@ -24,7 +24,6 @@ mod gate;
 mod judge;
 mod laser;
 mod library;
-mod live;
 mod manual;
 mod object;
 mod optimise;
@@ -34,7 +33,6 @@ mod pattern_file;
 mod plan;
 mod progress;
 mod render;
-mod replay;
 mod report;
 mod sequence;
 mod session;
@@ -130,8 +128,6 @@ enum Command {
     Play(control::Play),
     /// Play a sequence of patterns with exact times, as one play
     Sequence(sequence::Sequence),
-    /// Play a stimulus that follows a mouse, a knob, a touchpad or the lines of stdin, until its source ends or Ctrl-C
-    Live(live::Live),
     /// End the running play and clear the queue; the motors stay armed
     Stop {
         /// Only take the waiting play ID out of the queue
@@ -230,7 +226,7 @@ enum Command {
     },
     /// Record a participant's answer to a play of the running session
     Answer(answer::Answer),
-    /// Start, end, show, export and replay sessions: plays of one participant that are recorded together
+    /// Start, end, show and export sessions: plays of one participant that are recorded together
     #[command(subcommand)]
     Session(session::Session),
     /// Create, list and revoke access tokens of clients that come over the network
@@ -347,7 +343,6 @@ fn run(command: Command) -> Result<ExitCode> {
         }
         Command::Play(play) => control::play(&play),
         Command::Sequence(asked) => sequence::run(&asked),
-        Command::Live(asked) => live::run(&asked),
         Command::Stop { play: Some(id), options } => control::withdraw(&options, id),
         Command::Stop { play: None, options } => control::command(&options, "stop"),
         Command::Estop(options) => control::estop(&options),

@@ -1,11 +1,11 @@
-//! `session`: starts, ends and shows sessions; [`plan`] checks one before it begins, [`export`] writes its plays, [`replay`] plays them again.
+//! `session`: starts, ends and shows sessions; [`plan`] checks one before it begins, [`export`] writes its plays.
 //!
 //! `start` keeps the owner's token for the commands of this terminal ([`session_token`]); `end` forgets it. If the token cannot be kept, `start`
 //! ends the session again.
 
 use super::arguments::{ClientOptions, label};
 use super::output::{give, say, tell};
-use super::{export, plan, replay, session_token, text};
+use super::{export, plan, session_token, text};
 use anyhow::{Result, bail};
 use clap::Subcommand;
 use meissner_api::{self as api, Code, SessionList, SessionRequest, SessionStarted};
@@ -63,8 +63,6 @@ pub(super) enum Session {
     },
     /// Tell before the first trial whether the plays of a study would stop at the drift limit on a board; exit 1 if so
     Check(plan::Check),
-    /// Play a recorded session again with the same gaps, and compare the receipts; exit 1 if something differs
-    Replay(replay::Replay),
     /// Show a session
     Show {
         /// Show the session with this id [default: the running one]
@@ -93,7 +91,6 @@ pub(super) fn run(asked: &Session) -> Result<ExitCode> {
             export::run(options, id, output.as_deref(), *incomplete)
         }
         Session::Check(asked) => plan::run(asked),
-        Session::Replay(asked) => replay::run(asked),
         Session::Show { id, options } => {
             let session: api::Session = options.client()?.get_within(DISK_TIMEOUT, &path(id.as_deref()))?;
             give(options.output.json, &session, || text::session(&session))

@@ -189,57 +189,6 @@ over() {
     ok "end: $(said ending)"
 }
 
-# A live play on the simulated array follows a mouse of the kernel
-mouse() {
-    local line code moved pid live
-    modprobe -a uinput evdev || fail "mouse: no modules"
-    meissner live edge-45 --follow mouse >out.log 2>&1
-    line=$(<out.log)
-    [[ $line == *'no mouse in /dev/input'* ]] || fail "mouse: without one: $line"
-    mkfifo moves
-    virtual-mouse <moves >mouse.log 2>&1 &
-    pid=$!
-    # Whoever inherits it keeps the mouse plugged in.
-    exec 3>moves
-    within 5 grep -q 'plugged in' mouse.log || fail "mouse: $(<mouse.log)"
-    udevadm settle --timeout 10
-    setpriv --reuid nobody --regid nogroup --clear-groups meissner live edge-45 --follow mouse >out.log 2>&1
-    line=$(<out.log)
-    [[ $line == *'no mouse that you may read'*input* ]] || fail "mouse: as a user who may not: $line"
-    meissner daemon --config meissner.toml --device mock 2>daemon.log 3>&- &
-    daemon=$!
-    within 20 state_is disarmed || fail "mouse: no daemon"
-    arm mouse
-    # With this lead an update is large: fewer fit.
-    meissner live edge-45 --follow mouse --updates-hz 10 --timeout-ms 5000 --json >live.json 2>live.log 3>&- &
-    live=$!
-    within 20 json status .play || fail "mouse: $(<live.log)"
-    for ((moved = 0; moved < 20; moved++)); do
-        echo '10 -20 0' >&3
-        sleep 0.1
-    done
-    echo '0 0 1' >&3
-    sleep 1
-    kill -TERM $live
-    wait $live
-    code=$?
-    [ $code = 143 ] || fail "mouse: exit $code: $(<live.log)"
-    line=$(jq -er '.live | select(.applied > 1 and .applied + .merged == .updates) | "\(.updates) updates, \(.applied) applied"' live.json) ||
-        fail "mouse: $(jq -c .live live.json)"
-    ok "mouse: $line"
-    meissner live edge-45 --follow mouse --updates-hz 10 --timeout-ms 5000 >out.log 2>live.log 3>&- &
-    live=$!
-    within 20 json status .play || fail "mouse: again: $(<live.log)"
-    exec 3>&-
-    wait $pid || fail "mouse: $(<mouse.log)"
-    wait $live
-    code=$?
-    [ $code = 1 ] && grep -q 'the device is gone' live.log || fail "mouse: unplugged: exit $code: $(<live.log)"
-    state_is armed || state_is returning || fail "mouse: unplugged: $(json status .state)"
-    ok "unmouse: exit 1: $(tail -n 1 live.log)"
-    kill $daemon
-    wait $daemon || fail "mouse: the daemon ended with $?"
-}
 
 echo
 ok "guest: Debian $(cat /etc/debian_version), Linux $(uname -r), $(nproc) processors"
@@ -267,7 +216,6 @@ over id serial:1209:0001
 over usb usb
 
 way=all
-mouse
 detach
 within 5 grep -q unplugged board.log
 kill $board

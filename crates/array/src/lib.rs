@@ -8,7 +8,7 @@
 //! 4. [`strokes`]: compiles a pattern to strokes and moves at exact ticks. The streamer, the simulated motors and the skin model all use it.
 //! 5. [`motor`]: the model of an ideal motor: a square wave becomes bursts of pulses, bursts become displacement.
 //! 6. [`displacement`]: samples of the pins' displacement in a play, by ideal motors.
-//! 7. [`motion`]: any waveform of displacement, compiled to moves, and what a motor reaches of it.
+//! 7. [`samples`]: displacement from NPY, WAV and CSV files; [`motion`]: any waveform of displacement, compiled to moves, and what a motor reaches of it.
 //! 8. [`simulated`]: the simulated motors of an array, with scatter, asymmetry, end stops and telemetry.
 //! 9. [`power`]: how many motors have pulses at once, and the current of a rail.
 //!
@@ -54,6 +54,7 @@ pub mod per_motor;
 pub mod power;
 pub mod random;
 pub mod reflected_walk;
+pub mod samples;
 pub mod simulated;
 pub mod spec;
 pub mod strokes;

@@ -292,7 +292,7 @@ fn a_pattern_that_names_files_becomes_complete() {
                 "touch.npy",
                 "rate_hz = 500\ncolumn = 1\nscale_um = 10.0\noffset_um = 1.5\nsource = \"by hand\"",
             ),
-            wave(3, "../t/a.csv", "rate_hz = 100\ncolumn = \"pin\""),
+            wave(3, "../t/a.csv", "column = \"pin_um\""),
         ]
         .concat(),
     );
@@ -301,7 +301,7 @@ fn a_pattern_that_names_files_becomes_complete() {
         asked.push(name.to_owned());
         match name {
             "touch.npy" => Ok(npy(&[0.0, 1.0, 2.0, 3.0])),
-            _ => Ok(b"time,pin\n0,5\n0.01,6\n0.02,7".to_vec()),
+            _ => Ok(b"time_s,pin_um\n0,5\n0.01,6\n0.02,7".to_vec()),
         }
     };
     let pattern = Pattern::parse_with_files(&text, "p.toml", &mut files).unwrap();
@@ -313,7 +313,7 @@ fn a_pattern_that_names_files_becomes_complete() {
     let waves: Vec<_> = waves.collect();
     assert_eq!(waves[0], (500.0, vec![0.0, 2.0], "touch.npy: NPY <f4, column 0 of 2, 500 Hz"));
     assert_eq!(waves[1], (500.0, vec![11.5, 31.5], "by hand"));
-    assert_eq!(waves[2], (100.0, vec![5.0, 6.0, 7.0], "../t/a.csv: CSV column 1 (pin) of 2, 100 Hz"));
+    assert_eq!(waves[2], (100.0, vec![5.0, 6.0, 7.0], "../t/a.csv: CSV column pin_um, 100 Hz"));
     // Now without files.
     assert_eq!(parse(&pattern.to_toml()), pattern);
 

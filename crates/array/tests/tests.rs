@@ -4,6 +4,7 @@
 mod models;
 mod motions;
 mod patterns;
+mod samples;
 mod simulated;
 mod steps;
 mod strokes;

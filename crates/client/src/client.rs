@@ -4,10 +4,9 @@ use crate::connection::{ANSWER_TIMEOUT, Connection, Tokens, connect, hung_up, re
 use crate::endpoint::{Endpoint, Place};
 use crate::error::ClientError;
 use crate::events::Events;
-use crate::live::LivePlay;
 use hyper::Method;
 use hyper::body::Bytes;
-use meissner_api::{LiveRequest, PlanCheck, PlayAccepted, PlayRequest, Problem, SequenceRequest};
+use meissner_api::{PlanCheck, PlayAccepted, PlayRequest, Problem, SequenceRequest};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use std::env;
@@ -17,8 +16,6 @@ use tokio::runtime::{Builder, Runtime};
 
 /// How long to wait for `POST /v1/home`. The daemon answers earlier: as soon as its array must have come home.
 pub const HOME_TIMEOUT: Duration = Duration::from_secs(600);
-/// How long to wait for `POST /v1/live`: the daemon finds the drives of a target's first pose.
-const LIVE_TIMEOUT: Duration = Duration::from_secs(30);
 /// Timeout of [`Client::play`] and [`Client::sequence`]: the daemon compiles the whole play before it answers.
 const COMPILE_TIMEOUT: Duration = Duration::from_secs(60);
 /// Timeout of [`Client::put`], [`Client::delete`], and what else waits for the daemon's disk, which may be slow: the session record, and
@@ -220,15 +217,6 @@ impl Client {
     /// See [`ClientError`].
     pub fn check_sequence(&mut self, request: &SequenceRequest) -> Result<PlanCheck, ClientError> {
         self.post_within(COMPILE_TIMEOUT, "/v1/sequence/check", request)
-    }
-
-    /// Starts a live play and opens its connection. The play waits 2 s for its first message.
-    ///
-    /// # Errors
-    /// See [`ClientError`].
-    pub fn live(&mut self, request: &LiveRequest) -> Result<LivePlay, ClientError> {
-        let accepted = self.post_within(LIVE_TIMEOUT, "/v1/live", request)?;
-        LivePlay::open(&self.endpoint, &accepted, &self.tokens)
     }
 
     /// Listens to events on a separate connection. It gets all events that happen after this call returns.

@@ -121,7 +121,7 @@ where
     let (sender, connection) =
         handshake(TokioIo::new(stream)).await.map_err(|source| hung_up(place, Some(source)))?;
     // Its errors show up in the requests.
-    tokio::spawn(connection.with_upgrades());
+    tokio::spawn(connection);
     Ok(Connection { sender, stream: descriptor })
 }
 

@@ -6,7 +6,6 @@
 //! - [`Endpoint`]: where to connect to.
 //! - [`Client`]: calls that wait for their answer, by default for [`ANSWER_TIMEOUT`]. Each client has its own small async runtime.
 //! - [`Events`]: the daemon's events, on a separate connection.
-//! - [`LivePlay`]: the connection of a live play, made by [`Client::live`]: messages that change it, and the daemon's answers.
 //! - [`estop_at`]: an emergency stop, on a socket of its own if there is one.
 //! - [`ClientError`]: the errors, each one line that says what to do; [`access`] explains why a socket is denied.
 //!
@@ -39,7 +38,6 @@ mod endpoint;
 mod error;
 mod estop;
 mod events;
-mod live;
 
 pub use client::{Client, DISK_TIMEOUT, HOME_TIMEOUT};
 pub use connection::{ANSWER_TIMEOUT, escape};
@@ -50,7 +48,6 @@ pub use endpoint::{
 pub use error::ClientError;
 pub use estop::{STOPPED, estop, estop_at};
 pub use events::Events;
-pub use live::LivePlay;
 
 #[cfg(test)]
 mod tests;

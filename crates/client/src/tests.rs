@@ -4,7 +4,7 @@
 
 use super::*;
 use crate::connection::connect;
-use meissner_api::{Code, LiveAnswer, LiveMessage, LiveRequest, Problem};
+use meissner_api::{Code, Problem};
 use std::time::Duration;
 use tokio::runtime::Builder;
 
@@ -152,91 +152,6 @@ fn a_post_that_may_have_been_carried_out_is_not_repeated() {
 fn a_name_cannot_lead_to_another_address() {
     assert_eq!(escape("edge-45"), "edge-45");
     assert_eq!(escape("../x y/é"), "%2E%2E%2Fx%20y%2F%C3%A9");
-}
-
-/// A daemon that accepts a live play and answers the request for its connection with these bytes; returns the bytes that it
-/// receives after that.
-fn live_daemon(listener: std::os::unix::net::UnixListener, answer: &[u8]) -> String {
-    use std::io::{Read, Write};
-    let (mut stream, _) = listener.accept().unwrap();
-    assert!(stream.read(&mut [0; 1024]).unwrap() > 0);
-    let body = r#"{"id":3,"path":"/v1/live/ab"}"#;
-    let head = format!("HTTP/1.1 202 Accepted\r\ncontent-length: {}\r\n\r\n", body.len());
-    stream.write_all(format!("{head}{body}").as_bytes()).unwrap();
-    let (mut stream, _) = listener.accept().unwrap();
-    let mut head = [0; 1024];
-    let len = stream.read(&mut head).unwrap();
-    let head = String::from_utf8_lossy(&head[..len]).to_lowercase();
-    assert!(head.starts_with("get /v1/live/ab ") && head.contains("upgrade: meissner-live\r\n"), "{head}");
-    stream.write_all(answer).unwrap();
-    stream.shutdown(std::net::Shutdown::Write).unwrap();
-    let mut sent = String::new();
-    stream.read_to_string(&mut sent).unwrap();
-    sent
-}
-
-#[test]
-fn a_live_play_numbers_its_messages_and_reads_answers_until_the_end() {
-    let dir = tempfile::tempdir().unwrap();
-    let socket = dir.path().join("live.sock");
-    let listener = std::os::unix::net::UnixListener::bind(&socket).unwrap();
-    // The first answer comes with the head, in one piece.
-    let answer = concat!(
-        "HTTP/1.1 101 Switching Protocols\r\nconnection: upgrade\r\nupgrade: meissner-live\r\n\r\n",
-        "{\"seq\":1,\"merged_into\":2}\n{\"seq\":null,\"ended\":\"stop\"}\n"
-    );
-    let daemon = std::thread::spawn(|| live_daemon(listener, answer.as_bytes()));
-    let mut play = Client::new(&socket).unwrap().live(&LiveRequest::default()).unwrap();
-    assert_eq!(play.id(), 3);
-    assert_eq!(play.send(LiveMessage { seq: 9, scale: Some(0.5), ..LiveMessage::default() }).unwrap(), 1);
-    assert_eq!(play.send(LiveMessage { end: true, ..LiveMessage::default() }).unwrap(), 2);
-    let timeout = Duration::from_secs(10);
-    let merged = LiveAnswer { seq: Some(1), merged_into: Some(2), ..LiveAnswer::default() };
-    assert_eq!(play.next(timeout).unwrap(), Some(merged));
-    assert_eq!(play.next(timeout).unwrap().unwrap().ended, Some(meissner_api::EndCause::Stop));
-    assert_eq!(play.next(timeout).unwrap(), None);
-    drop(play);
-    assert_eq!(daemon.join().unwrap(), "{\"seq\":1,\"scale\":0.5}\n{\"seq\":2,\"end\":true}\n");
-}
-
-#[test]
-fn a_live_play_whose_connection_is_refused_or_broken_is_an_error() {
-    let body = serde_json::to_string(&Problem::new(Code::NotFound, "no live play has this key")).unwrap();
-    let refused = format!("HTTP/1.1 404 Not Found\r\ncontent-length: {}\r\n\r\n{body}", body.len());
-    let switched =
-        "HTTP/1.1 101 Switching Protocols\r\nconnection: upgrade\r\nupgrade: meissner-live\r\n\r\n";
-    let dir = tempfile::tempdir().unwrap();
-    let socket = dir.path().join("live.sock");
-    let play = |answer: String| {
-        let _ = std::fs::remove_file(&socket);
-        let listener = std::os::unix::net::UnixListener::bind(&socket).unwrap();
-        let daemon = std::thread::spawn(move || live_daemon(listener, answer.as_bytes()));
-        (Client::new(&socket).unwrap().live(&LiveRequest::default()), daemon)
-    };
-    let (error, daemon) = play(refused);
-    let error = error.unwrap_err();
-    assert!(matches!(&error, ClientError::Problem(problem) if problem.status == 404), "{error:?}");
-    daemon.join().unwrap();
-    let (play, daemon) = play(format!("{switched}no answer\n"));
-    let mut play = play.unwrap();
-    let error = play.next(Duration::from_secs(10)).unwrap_err();
-    assert!(matches!(error, ClientError::BadAnswer { .. }), "{error:?}");
-    drop(play);
-    daemon.join().unwrap();
-}
-
-#[test]
-fn a_live_play_waits_no_longer_than_it_is_told() {
-    let dir = tempfile::tempdir().unwrap();
-    let socket = dir.path().join("live.sock");
-    let (stream, daemon) = std::os::unix::net::UnixStream::pair().unwrap();
-    let mut play = LivePlay::of(3, &socket, stream);
-    for timeout in [Duration::ZERO, Duration::from_millis(50)] {
-        assert!(matches!(play.next(timeout), Err(ClientError::Timeout { .. })));
-    }
-    drop(daemon);
-    assert_eq!(play.next(Duration::from_secs(10)).unwrap(), None);
-    assert!(matches!(play.send(LiveMessage::default()), Err(ClientError::HungUp { .. })));
 }
 
 #[test]

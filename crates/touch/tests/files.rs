@@ -55,7 +55,7 @@ fn every_shape_makes_grains_of_its_size() {
     let grey = png(png::ColorType::Grayscale, png::BitDepth::Eight, [40, 20], &[255; 800]);
     let deep = png(png::ColorType::Grayscale, png::BitDepth::Sixteen, [40, 20], &[255; 1600]);
     let array = npy("<f4", "(20, 40)", &floats(&[0.0; 800]));
-    let profile = b"um\n0\n0\n0\n0\n".to_vec();
+    let profile = b"height_um\n0\n0\n0\n0\n".to_vec();
     let files = [("m.png", grey), ("d.png", deep), ("m.npy", array), ("p.csv", profile)];
     let pad = std::f64::consts::PI * 10.0 * 13.0;
     for (shape, area) in [
@@ -89,7 +89,7 @@ fn every_shape_makes_grains_of_its_size() {
 #[test]
 fn an_object_has_lines_and_a_gap() {
     let at = "center_mm = [1, 0]\nangle_deg = 90";
-    let read = |shape: &str| read_with(&object(shape), &[("p.csv", b"um\n0\n1\n".to_vec())]).unwrap();
+    let read = |shape: &str| read_with(&object(shape), &[("p.csv", b"height_um\n0\n1\n".to_vec())]).unwrap();
     let lines = |shape: &str| -> Vec<Vec<[f64; 2]>> {
         let rounded = |at: [f64; 2]| at.map(|place| (place * 1e6).round() / 1e6 + 0.0);
         let lines = read(&format!("{shape}\n{at}")).lines_mm().unwrap().into_iter();
@@ -370,15 +370,15 @@ fn bad_images_and_profiles_are_refused_in_one_line() {
         error(map("m.png").replace("0.1", "10").replace("um_per_level = 2", "")),
         "o.toml: `um_per_level` is missing: add um_per_level, the height of a step of grey, um"
     );
-    let profile = |keys: &str| {
+    let profile = |name: &str, keys: &str| {
         let text = object(&format!("shape = \"texture\"\nfile = \"p.csv\"\nmm_per_pixel = 0.5{keys}"));
-        read_with(&text, &[("p.csv", b"height [mm]\n0\n0.1\n".to_vec())]).map_err(|error| error.to_string())
+        read_with(&text, &[("p.csv", format!("{name}\n0\n0.1\n").into())]).map_err(|error| error.to_string())
     };
-    assert_eq!(
-        profile("").unwrap_err(),
-        "o.toml:4: `file`: the header says that column `height [mm]` is in mm, not um: add um_per_level = 1000, or 1 if the values are um"
-    );
-    assert!(profile("\num_per_level = 1000").is_ok());
+    assert!(profile("height_mm", "").is_ok());
+    let line = profile("height", "").unwrap_err();
+    assert!(line.starts_with("o.toml:4: `file`: line 1: `height` must end with its unit, _um,"), "{line}");
+    let line = profile("height_mm", "\num_per_level = 1000").unwrap_err();
+    assert_eq!(line, "o.toml:4: `file`: the name of a CSV file's column says its unit: leave the scale out");
     let wide = png(ColorType::Grayscale, BitDepth::Eight, [1001, 9], &[7; 9009]);
     let found = read_with(&map("w.png"), &[("w.png", wide)]).unwrap_err().to_string();
     assert_eq!(

@@ -28,7 +28,7 @@ pub(crate) const MODELS: &[Model] = &[
     Model::new("guard-first", "who sees the e-stop finds whose it was", None, guard_first),
     Model::new("poses", "the newest pose is rendered, and no scale is forgotten", None, poses),
     Model::new("poses-end", "the renderer ends when the play is over", None, poses_end),
-    Model::new("replay-stop", "every order has a stop after it, and none follows", None, replay_stop),
+    Model::new("last-stop", "every order has a stop after it, and none follows", None, last_stop),
 ];
 
 /// A client of which the kernel tells nothing: another one than all others.
@@ -91,14 +91,14 @@ fn poses_end() {
     renderer.join().expect("it ends");
 }
 
-fn replay_stop() {
+fn last_stop() {
     #[derive(Clone, Copy, Debug, PartialEq, Eq)]
     enum Sent {
         Order,
         Stop,
     }
     let (gate, sent) = (Arc::new(Gate::default()), Arc::new(Mutex::new(Vec::new())));
-    let replay = {
+    let orders = {
         let (gate, sent) = (Arc::clone(&gate), Arc::clone(&sent));
         spawn(move || {
             for _ in 0..2 {
@@ -113,6 +113,6 @@ fn replay_stop() {
     gate.stop(|| sent.lock().expect("no panic").push(Sent::Stop));
     let stopped = sent.lock().expect("no panic").clone();
     assert_eq!(stopped.last(), Some(&Sent::Stop), "{stopped:?}");
-    replay.join().expect("it ends");
+    orders.join().expect("it ends");
     assert_eq!(*sent.lock().expect("no panic"), stopped, "an order followed");
 }

@@ -24,7 +24,7 @@ pub const MAX_FILE_BYTES: usize = 1 << 20;
 /// The most bytes of a pattern file with packed samples: four bytes of text for three of samples.
 pub const MAX_PACKED_BYTES: usize = MAX_FILE_BYTES + MAX_PATTERN_SAMPLES / 3 * 16 + 4 * MAX_MOTIONS;
 /// The most bytes of a file that a wave names.
-pub const MAX_SAMPLE_FILE_BYTES: usize = meissner_samples::MAX_FILE_BYTES;
+pub const MAX_SAMPLE_FILE_BYTES: usize = crate::samples::MAX_FILE_BYTES;
 /// Most keys and list items of a provenance; `meissner optimise` writes at most 12 000.
 pub const MAX_PROVENANCE_VALUES: usize = 1 << 14;
 /// Most tables of a provenance.

@@ -9,19 +9,19 @@ use super::error::{KeyError, Problem};
 use super::limits::MAX_PATTERN_SAMPLES;
 use super::motion::{Form, Motion, Wave};
 use crate::motion::{Envelope, MAX_SAMPLES, Noise, RampHold, Shape, Strength, Tone};
+use crate::samples::{self, Choice, Column, Samples};
 use crate::spec::Array;
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
 use meissner_input::document::{CommonProblem, Table, in_range};
 use meissner_input::message::{cut, quote};
-use meissner_samples::{Choice, Column, Samples};
 use serde::de::{Error, Visitor};
 use serde::ser::SerializeStruct;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use std::fmt;
 use std::sync::Arc;
 
-/// Gives the bytes of a file by the name that a pattern has for it, at most [`meissner_samples::MAX_FILE_BYTES`] and one more, or says
+/// Gives the bytes of a file by the name that a pattern has for it, at most [`samples::MAX_FILE_BYTES`] and one more, or says
 /// why not, in one line.
 pub type Files<'a> = dyn FnMut(&str) -> Result<Vec<u8>, String> + 'a;
 
@@ -65,8 +65,7 @@ impl<'a, 'f> Reader<'a, 'f> {
             self.last = Some((name.to_owned(), files(name).map_err(failed)?));
         }
         let bytes = self.last.as_ref().map_or(&[][..], |(_, bytes)| bytes);
-        let samples =
-            meissner_samples::read(name, bytes, choice).map_err(|error| failed(error.to_string()))?;
+        let samples = samples::read(name, bytes, choice).map_err(|error| failed(error.to_string()))?;
         self.samples += samples.um.len();
         if self.samples > MAX_PATTERN_SAMPLES {
             return Err(KeyError::key("file", Problem::TooManySamples));
@@ -86,17 +85,10 @@ pub(super) struct RawWave {
     samples: Option<Packed>,
     source: Option<String>,
     file: Option<String>,
-    column: Option<RawColumn>,
+    column: Option<Column>,
     channel: Option<i64>,
     scale_um: Option<f64>,
     offset_um: Option<f64>,
-}
-
-#[derive(Deserialize)]
-#[serde(untagged, expecting = "must be a column's number, from 0, or its name")]
-enum RawColumn {
-    Number(u32),
-    Name(String),
 }
 
 impl RawWave {
@@ -143,13 +135,9 @@ impl RawWave {
     }
 
     fn choice(&self) -> Result<Choice, KeyError> {
-        let column = self.column.as_ref().map(|column| match column {
-            RawColumn::Number(number) => Column::Number(*number as usize),
-            RawColumn::Name(name) => Column::Name(name.clone()),
-        });
         let channel = self.channel.map(|channel| natural("channel", channel)).transpose()?;
         let channel = channel.map(|channel| usize::try_from(channel).unwrap_or(usize::MAX));
-        let (rate_hz, scale_um) = (self.rate_hz, self.scale_um);
+        let (column, rate_hz, scale_um) = (self.column.clone(), self.rate_hz, self.scale_um);
         Ok(Choice { column, channel, rate_hz, scale_um, offset_um: self.offset_um.unwrap_or(0.0) })
     }
 }

@@ -3,8 +3,8 @@
 //! Invariant: the text of an [`ObjectError`] has no line break.
 
 use crate::touch::TouchError;
+use meissner_array::samples::SamplesError;
 use meissner_input::document;
-use meissner_samples::SamplesError;
 
 /// The largest object file, bytes.
 pub const MAX_FILE_BYTES: usize = 256 << 10;

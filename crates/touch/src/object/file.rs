@@ -8,10 +8,10 @@ use super::error::{KeyError, MAX_FILE_BYTES, MAX_POINTS, MAX_SIDE_MM, ObjectErro
 use super::surface::{HeightMap, Surface};
 use super::{Object, image};
 use crate::touch::{MAX_DEPTH_MM, MAX_PLACE_MM, Pose, Press, Scan, Touch};
+use meissner_array::samples::{Column, read_columns, read_profile};
 use meissner_design::{Shape, braille_dots};
 use meissner_input::document::{CommonProblem, Table, from_json, from_toml, given, in_range};
 use meissner_input::message::{cut, quote};
-use meissner_samples::{Choice, Column};
 use serde::Deserialize;
 use std::io;
 
@@ -151,7 +151,7 @@ struct RawObject {
     #[serde(default, deserialize_with = "given")]
     cell_pitch_mm: Option<f64>,
     file: Option<String>,
-    column: Option<usize>,
+    column: Option<Column>,
     #[serde(default, deserialize_with = "given")]
     um_per_level: Option<f64>,
     #[serde(default, deserialize_with = "given")]
@@ -321,16 +321,9 @@ impl RawObject {
                 let name = self.file.as_deref().ok_or_else(|| missing("file"))?;
                 let pixel_mm = length("mm_per_pixel", self.mm_per_pixel, None, 0.001, 10.0)?;
                 self.check_scale()?;
-                // A profile has no rate: with 1 Hz its values are taken as they are.
-                let choice = Choice {
-                    column: self.column.map(Column::Number),
-                    rate_hz: Some(1.0),
-                    scale_um: self.um_per_level,
-                    ..Choice::default()
-                };
-                let samples = meissner_samples::read(name, &bytes_of(name, open)?, &choice)
-                    .map_err(|error| KeyError::key("file", error.scaled_by("um_per_level").into()))?;
-                let heights_mm: Vec<f32> = samples.um.iter().map(|um| um / 1000.0).collect();
+                let um = read_profile(name, &bytes_of(name, open)?, self.column.as_ref(), self.um_per_level)
+                    .map_err(|error| KeyError::key("file", error.into()))?;
+                let heights_mm: Vec<f32> = um.into_iter().map(|um| um / 1000.0).collect();
                 let map = HeightMap::new([heights_mm.len(), 1], [pixel_mm, FAR_MM], heights_mm);
                 let map = map.expect("samples are finite");
                 within_side([map.sides_mm()[0], 0.0])?;
@@ -499,7 +492,7 @@ impl RawPath {
             (None, Some(poses)) => poses,
             (Some(name), None) => {
                 let names = ["t_s", "x_mm", "y_mm", "angle_deg", "depth_um"];
-                let columns = meissner_samples::read_columns(&bytes_of(&name, open)?, names)
+                let columns = read_columns(&bytes_of(&name, open)?, names)
                     .map_err(|error| KeyError::key("file", error.into()))?;
                 (0..columns[0].len()).map(|row| columns.each_ref().map(|column| column[row])).collect()
             }

@@ -70,7 +70,7 @@ fn broken(error: DecodingError) -> Problem {
 }
 
 fn npy(bytes: &[u8]) -> Result<Levels, Problem> {
-    let ([rows, columns], values) = meissner_samples::read_table(bytes)?;
+    let ([rows, columns], values) = meissner_array::samples::read_table(bytes)?;
     if columns == 1 && rows > 1 {
         return Err(Problem::Profile);
     }

@@ -89,14 +89,20 @@ impl PlayedBurst {
     }
 }
 
-/// A plan that was played for a laser.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+/// A plan that was played for a laser, with what a fit needs to know of the array.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PlayedPlan {
     format: u8,
-    /// Without it: the paper's.
-    #[serde(default, skip_serializing_if = "is_default")]
     array: Array,
+    /// The hash of the array's description, 16 hexadecimal digits.
+    array_hash: String,
+    /// Ticks per second.
+    tick_hz: u32,
+    /// The motors' travel per pulse at a gain of 1, µm.
+    um_per_pulse: f64,
+    /// The window of the shafts' moving average, ticks.
+    window_ticks: f64,
     motor: u8,
     pulses: Vec<u16>,
     repetitions: u16,
@@ -111,11 +117,6 @@ pub struct PlayedPlan {
     /// When the plan began, UTC.
     date: String,
     bursts: Vec<PlayedBurst>,
-}
-
-/// Whether it is the array of plans that name none.
-fn is_default(array: &Array) -> bool {
-    *array == Array::default()
 }
 
 /// The device that played a plan.
@@ -143,6 +144,10 @@ impl PlayedPlan {
         Self {
             format: FORMAT,
             array: plan.array(),
+            array_hash: format!("{:016x}", plan.array().hash()),
+            tick_hz: plan.array().rate().hz(),
+            um_per_pulse: plan.array().motor().um_per_pulse,
+            window_ticks: plan.array().motor().window_ticks(),
             motor,
             pulses: plan.pulses().to_vec(),
             repetitions: plan.repetitions(),

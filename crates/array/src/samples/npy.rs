@@ -6,17 +6,17 @@
 //!
 //! Invariant: nothing is allocated before the file is known to be as long as its header says.
 
-use crate::error::SamplesError;
-use crate::{Column, Found, only};
+use super::error::SamplesError;
+use super::{Column, Found, only};
 use meissner_input::message::quote;
 
 /// The most bytes of a header. NumPy writes 118.
 const MAX_HEADER: usize = 4096;
 
-pub(crate) fn read(bytes: &[u8], column: Option<&Column>) -> Result<Found, SamplesError> {
+pub(super) fn read(bytes: &[u8], column: Option<&Column>) -> Result<Found, SamplesError> {
     let column = match column {
         Some(Column::Name(_)) => return Err(SamplesError::Unnamed),
-        Some(Column::Number(number)) => Some(*number),
+        Some(Column::Number(number)) => Some(*number as usize),
         None => None,
     };
     let array = Array::parse(bytes)?;
@@ -25,17 +25,11 @@ pub(crate) fn read(bytes: &[u8], column: Option<&Column>) -> Result<Found, Sampl
     let (first, step) = if array.is_fortran { (column * rows, 1) } else { (column, columns) };
     let values = array.items().skip(first).step_by(step).take(rows).collect();
     let place = if columns == 1 { String::new() } else { format!(", column {column} of {columns}") };
-    Ok(Found {
-        values,
-        rate_hz: None,
-        times: None,
-        header: None,
-        note: format!("NPY {}{place}", array.descr),
-    })
+    Ok(Found { values, rate_hz: None, note: format!("NPY {}{place}", array.descr) })
 }
 
 /// All values, row by row, with the numbers of rows and columns.
-pub(crate) fn read_table(bytes: &[u8]) -> Result<([usize; 2], Vec<f64>), SamplesError> {
+pub(super) fn read_table(bytes: &[u8]) -> Result<([usize; 2], Vec<f64>), SamplesError> {
     let array = Array::parse(bytes)?;
     let [rows, columns] = array.size;
     let values: Vec<f64> = array.items().collect();

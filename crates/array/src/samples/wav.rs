@@ -1,16 +1,14 @@
 //! Reads a channel of a WAV file: PCM of 8 to 32 bits, or floating point of 32 or 64 bits, by a plain or an extensible header. Full
-//! scale is 1.
-//!
-//! Python's `import_wav` takes the same files.
+//! scale is 1. (`hound` reads no 64-bit floating point, which SciPy writes, and no PCM of 12 or 20 bits.)
 
-use crate::error::SamplesError;
-use crate::{Found, only};
+use super::error::SamplesError;
+use super::{Found, only};
 
 const PCM: u16 = 1;
 const FLOAT: u16 = 3;
 const EXTENSIBLE: u16 = 0xFFFE;
 
-pub(crate) fn read(bytes: &[u8], channel: Option<usize>) -> Result<Found, SamplesError> {
+pub(super) fn read(bytes: &[u8], channel: Option<usize>) -> Result<Found, SamplesError> {
     let (format, data, length) = chunks(bytes).ok_or_else(|| other("it has no samples"))?;
     let word = |at: usize| format.get(at..at + 2).map(|two| u16::from_le_bytes([two[0], two[1]]));
     let header = || {
@@ -54,7 +52,7 @@ pub(crate) fn read(bytes: &[u8], channel: Option<usize>) -> Result<Found, Sample
     let kind = if kind == PCM { "bit" } else { "bit float" };
     let place = if channels == 1 { String::new() } else { format!(", channel {channel} of {channels}") };
     let note = format!("WAV {bits} {kind}{place}");
-    Ok(Found { values, rate_hz: Some(rate_hz), times: None, header: None, note })
+    Ok(Found { values, rate_hz: Some(rate_hz.into()), note })
 }
 
 /// The format chunk, what there is of the samples, and how many bytes of them the header promises.

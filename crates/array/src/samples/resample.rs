@@ -5,7 +5,7 @@
 //! or ends above rest does not ring. (`rubato` is built for streams: it is off by up to a sample in time, and pads with 0.) All
 //! functions are those of `libm`, so equal files give equal samples on every machine.
 
-use crate::MOST_HZ;
+use super::MOST_HZ;
 use std::f64::consts::PI;
 
 /// The filter's edge, where it halves the amplitude, Hz.
@@ -20,7 +20,7 @@ const HALF_S: f64 = 0.002;
     clippy::cast_sign_loss,
     reason = "the number of samples of a file"
 )]
-pub(crate) fn resampled_len(samples: usize, rate_hz: f64) -> usize {
+pub(super) fn resampled_len(samples: usize, rate_hz: f64) -> usize {
     let Some(last) = samples.checked_sub(1).filter(|_| rate_hz > MOST_HZ) else { return samples };
     (last as f64 * MOST_HZ / rate_hz) as usize + 1
 }
@@ -33,7 +33,7 @@ pub(crate) fn resampled_len(samples: usize, rate_hz: f64) -> usize {
     clippy::cast_sign_loss,
     reason = "whole numbers of at most MOST_FILE_HZ, places of samples"
 )]
-pub(crate) fn resampled(um: &[f32], rate_hz: f64) -> Vec<f32> {
+pub(super) fn resampled(um: &[f32], rate_hz: f64) -> Vec<f32> {
     // New instants are `step` / `phases` samples apart.
     let divisor = gcd(rate_hz as usize, MOST_HZ as usize);
     let (step, phases) = (rate_hz as usize / divisor, MOST_HZ as usize / divisor);

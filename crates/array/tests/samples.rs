@@ -1,8 +1,9 @@
-//! The readers: what NumPy, a spreadsheet and a recorder write, every mistake in one line, and any bytes without a panic.
-#![expect(clippy::unwrap_used, reason = "a test that panics has failed")]
+//! The readers of samples: what NumPy, pandas and a recorder write, every mistake in one line, and any bytes without a panic.
 
 use hound::{SampleFormat, WavSpec, WavWriter};
-use meissner_samples::{Choice, Column, MAX_FILE_BYTES, MAX_SAMPLES, Samples, read};
+use meissner_array::samples::{
+    Choice, Column, MAX_FILE_BYTES, MAX_SAMPLES, Samples, read, read_columns, read_profile,
+};
 use proptest::prelude::*;
 use std::io::Cursor;
 
@@ -40,12 +41,12 @@ fn at(rate_hz: f64) -> Choice {
     Choice { rate_hz: Some(rate_hz), ..Choice::default() }
 }
 
-fn column(number: usize) -> Choice {
+fn column(number: u32) -> Choice {
     Choice { column: Some(Column::Number(number)), ..at(1000.0) }
 }
 
 fn named(name: &str) -> Choice {
-    Choice { column: Some(Column::Name(name.to_owned())), ..at(1000.0) }
+    Choice { column: Some(Column::Name(name.to_owned())), ..Choice::default() }
 }
 
 fn channel(channel: usize) -> Choice {
@@ -95,103 +96,31 @@ fn npy_of_each_type_and_order_is_read() {
 }
 
 #[test]
-fn csv_is_read_with_and_without_names() {
-    let commas = b"\xef\xbb\xbftime_s,pin 9\n\n0.0, 1.5\n0.001 ,2e0\n# a comment\n0.002,-3\n";
-    let found = good("a.csv", commas, &named("pin 9"));
-    assert_eq!((found.um, &*found.note), (vec![1.5, 2.0, -3.0], "CSV column 1 (pin 9) of 2, 1000 Hz"));
-    assert_eq!(good("a.csv", commas, &column(1)).um.len(), 3);
-    for text in ["1\n2\n3", "# a line of NumPy\r\n1\r\n2\r\n3\r\n", "\"height\"\n1\n2\n3\n"] {
-        assert_eq!(good("a.csv", text.as_bytes(), &at(1.0)).um, [1.0, 2.0, 3.0], "{text}");
+fn csv_says_its_times_and_units() {
+    let csv = |text: &str, choice: &Choice| good("a.csv", text.as_bytes(), choice);
+    // As pandas, spreadsheets and this program write it.
+    let found = csv("time_s,pin_um\n0.0,1.5\n0.001,2e0\n0.002,-3\n", &Choice::default());
+    assert_eq!((found.rate_hz, found.um), (1000.0, vec![1.5, 2.0, -3.0]));
+    assert_eq!(found.note, "CSV column pin_um, 1000 Hz");
+    let found = csv("\u{feff}\"height_mm\", time_s\r\n0.5, 10\r\n1, 10.5\r\n", &Choice::default());
+    assert_eq!((found.rate_hz, found.um), (2.0, vec![500.0, 1000.0]));
+    let two = "time_s,a_nm,b_m\n0,500,1e-6\n0.5,1000,2e-6\n1.0,0,3e-6";
+    assert_eq!(csv(two, &named("a_nm")).um, [0.5, 1.0, 0.0]);
+    let shifted = csv(two, &Choice { offset_um: 4.0, rate_hz: Some(2.0), ..named("b_m") });
+    assert_eq!((&*shifted.um, &*shifted.note), (&[5.0, 6.0, 7.0][..], "CSV column b_m, 2 Hz, plus 4 um"));
+    // Rounded times.
+    let rows = |hz: f64| {
+        let row = |k: u32| format!("{:.6},{k}\n", f64::from(k) / hz);
+        "time_s,x_um\n".to_owned() + &(0..2000).map(row).collect::<String>()
+    };
+    for hz in [60.0, 1000.0, 7000.0] {
+        assert_eq!(csv(&rows(hz), &Choice::default()).rate_hz, hz);
     }
-    assert_eq!(good("a.csv", b"time,9\n0,1\n1,2\n", &named("9")).um, [1.0, 2.0]);
-    for text in ["1;2\n3;4\n", "1\t2\n3\t4\n", "Weg\n\nt;um\n0,5;2,0\n1,5;4,0\n"] {
-        assert_eq!(good("a.csv", text.as_bytes(), &column(1)).um, [2.0, 4.0], "{text}");
-    }
-}
-
-/// A row is a sample: files that spreadsheets and pandas write, with rows that have no value.
-#[test]
-fn rows_without_a_value_are_refused() {
-    let says = |text: &str, choice: &Choice| refused("a.csv", text.as_bytes(), choice);
-    for (text, number, line) in [
-        ("1\n\n3\n4\n", 0, 2),
-        ("1\r\n\r\n3\r\n4\r\n", 0, 2),
-        ("1\r\r3\r4\r", 0, 2),
-        ("um\n1\n  \n\n3\n", 0, 3),
-        ("um\n1\n# a comment\n\n3\n", 0, 4),
-        ("um\n1\n\"\"\n3\n", 0, 3),
-        ("um\n\"\"\n1\n3\n", 0, 2),
-        ("um\nNaN\nNaN\n1\n3\n", 0, 2),
-        ("um\n#N/A\n1\n3\n", 0, 2),
-        ("NaN\n1\n3\n", 0, 1),
-        ("t,um\n,\n0,1\n1,3\n", 1, 2),
-        ("t,um\n0,1\n,\n2,3\n", 1, 3),
-        ("t,um\n0,1\n\n2,3\n", 1, 3),
-        ("t;um\n0,1;1,5\n;;\n0,2;3,5\n", 1, 3),
-        ("t\tum\n0\t1\n\t\n2\t3\n", 1, 3),
-        ("t\tum\n\t\n0\t1\n2\t3\n", 1, 2),
-        ("t um\n0 1\n\n2 3\n", 1, 3),
-    ] {
-        let wanted = format!(
-            "line {line} has no value, and each row is a sample: delete it, or write the missing value"
-        );
-        assert_eq!(says(text, &column(number)), wanted, "{text:?}");
-    }
-    assert_eq!(says("um\n1\n#DIV/0!\n3\n", &at(1.0)), "line 3: `#DIV/0!` is not a number");
-    assert_eq!(says("t,um\n0,1\n1,\n2,3\n", &column(1)), "line 3: `` is not a number");
-    // Empty lines above the numbers, at the end, and after line ends that were changed twice.
-    for text in
-        ["um\n\n\n1\n3\n\n\n", "1\n3\n,,\n ,\n", "um\r\r\n1\r\r\n3\r\r\n", "\n \n1\n3", "#\n\n1\r\n3\r\n\r\n"]
-    {
-        assert_eq!(good("a.csv", text.as_bytes(), &at(1.0)).um, [1.0, 3.0], "{text:?}");
-    }
-}
-
-#[test]
-fn a_unit_of_a_header_is_um_or_needs_a_scale() {
-    for (header, number, note) in [
-        ("um", 0, "CSV column 0 (um) of 1 in um, 1000 Hz"),
-        ("height [\u{3bc}m]", 0, "CSV column 0 (height [\u{3bc}m]) of 1 in um, 1000 Hz"),
-        ("t [s],height_um", 1, "CSV column 1 (height_um) of 2 in um, 1000 Hz"),
-        ("t,height\ns,microns", 1, "CSV column 1 (height) of 2 in um, 1000 Hz"),
-        ("Unit: um\nheight", 0, "CSV column 0 (height) of 1 in um, 1000 Hz"),
-        ("pin 9", 0, "CSV column 0 (pin 9) of 1, 1000 Hz"),
-        ("t,pin", 1, "CSV column 1 (pin) of 2, 1000 Hz"),
-        ("height (filtered) [um]", 0, "CSV column 0 (height (filtered) [um]) of 1 in um, 1000 Hz"),
-    ] {
-        let text = format!("{header}\n{}", if number == 0 { "1\n2\n" } else { "0,1\n0.001,2\n" });
-        let found = good("a.csv", text.as_bytes(), &column(number));
-        assert_eq!((found.um, &*found.note), (vec![1.0, 2.0], note));
-    }
-    for (header, says) in [
-        (
-            "height [mm]",
-            "the header says that column `height [mm]` is in mm, not um: add scale_um = 1000, or 1 if the values are um",
-        ),
-        ("height_nm", "column `height_nm` is in nm, not um: add scale_um = 0.001"),
-        ("Weg / m", "column `Weg / m` is in m, not um: add scale_um = 1000000"),
-        ("mm", "column `mm` is in mm"),
-        ("height\n[mm]", "column `height` is in mm"),
-        ("# height [mm]", "column `height [mm]` is in mm"),
-        ("Unit: mm\nheight", "column `height` is in mm"),
-        (
-            "height [cm]",
-            "the header says `cm` of column `height [cm]`, which is no unit of length: add scale_um, the um of",
-        ),
-        ("height_cm", "says `cm` of column"),
-        ("height\nkPa", "says `kpa` of column `height`"),
-        ("CH1 [V]", "says `v` of column"),
-        ("velocity [um/s]", "says `um/s` of column"),
-        ("Vertical Units:V\nheight", "says `V` of column `height`"),
-        ("height [furlong]", "says `furlong` of column"),
-        ("height [um]\nmm", "says `mm and height [um]` of column"),
-    ] {
-        let text = format!("{header}\n1\n2\n");
-        let line = refused("a.csv", text.as_bytes(), &at(10.0));
-        assert!(line.contains(says), "{line}\n  does not say {says}");
-        let scaled = Choice { scale_um: Some(1000.0), ..at(10.0) };
-        assert_eq!(good("a.csv", text.as_bytes(), &scaled).um, [1000.0, 2000.0], "{header}");
-    }
+    assert_eq!(csv(&rows(44_100.0), &Choice::default()).rate_hz, 8000.0);
+    let profile = |text: &str| read_profile("p.csv", text.as_bytes(), None, None).unwrap();
+    assert_eq!(profile("height_mm\n0\n0.25\n"), [0.0, 250.0]);
+    let columns = read_columns(b"a,t_s,b\n1,0,x\n2,nan,y\n", ["t_s", "a"]).unwrap();
+    assert!(columns[0][1].is_nan() && columns[1] == [1.0, 2.0]);
 }
 
 #[test]
@@ -233,7 +162,7 @@ fn raw_wav(kind: u16, bits: u16, container: u16, is_extensible: bool, samples: &
     [b"RIFF\0\0\0\0WAVE".to_vec(), chunks.concat()].concat()
 }
 
-/// What recorders, Audacity, SciPy and `soundfile` write. Python's reader has the same test.
+/// What recorders, Audacity, SciPy and `soundfile` write.
 #[test]
 fn wav_of_each_form_is_read() {
     let read = |kind, bits, container, samples: &[u8]| {
@@ -265,46 +194,6 @@ fn wav_of_each_form_is_read() {
     assert!(refused("a.wav", &nan, &channel(0)).contains("sample 1 at 0.001 s is NaN: must be a number"));
 }
 
-/// Python's reader has the same test.
-#[test]
-fn times_that_contradict_the_rate_are_refused() {
-    for (text, rate_hz, own) in [
-        ("t,um\n0,1\n0.001,2\n0.002,3\n0.003,4\n", 1000.0, None),
-        ("t,um\n0,1\n0.001,2\n0.002,3\n0.003,4\n", 1009.0, None),
-        ("t,um\n0,1\n0.001,2\n0.002,3\n0.003,4\n", 500.0, Some("1000 Hz")),
-        ("um,time\n1,0\n2,0.001\n3,0.002\n4,0.003\n", 8000.0, Some("1000 Hz")),
-        ("um;Zeit [ms]\n1;5\n2;5,5\n3;6\n4;6,5\n", 2000.0, None),
-        ("um;Zeit [ms]\n1;5\n2;5,5\n3;6\n4;6,5\n", 1000.0, Some("2000 Hz")),
-        ("s,um\n0,1\n1,2\n2,3\n", 1.0, None),
-        ("s,um\n0,1\n1,2\n2,3\n", 10.0, Some("1 Hz")),
-        ("Time,height\nms,um\n0,1\n1,2\n2,3\n", 1000.0, None),
-        ("Time,height\nms,um\n0,1\n1,2\n2,3\n", 44_100.0, Some("1000 Hz")),
-        // Without a unit they may be in any, or numbers of rows.
-        ("t,um\n0,1\n0.5,2\n1,3\n1.5,4\n", 2000.0, None),
-        ("t,um\n0,1\n1,2\n2,3\n", 10.0, None),
-        ("time [frames],um\n0,1\n2,2\n4,3\n", 10.0, None),
-        // Rounded times, and those that are no measure.
-        ("t,um\n0.000,1\n0.000,2\n0.000,3\n0.000,4\n0.001,5\n0.001,6\n", 8000.0, None),
-        ("t,um\n0.000,1\n0.000,2\n0.001,3\n0.001,4\n0.002,5\n0.002,6\n0.003,7\n", 500.0, Some("2000 Hz")),
-        ("t,um\n5,1\n5,2\n5,3\n", 10.0, None),
-        ("t,um\n0,1\nnan,2\n0.2,3\n", 70.0, None),
-        ("force,um\n0,1\n0.001,2\n0.002,3\n", 10.0, None),
-    ] {
-        let choice =
-            Choice { column: Some(Column::Number(usize::from(!text.starts_with("um")))), ..at(rate_hz) };
-        let found = read("a.csv", text.as_bytes(), &choice)
-            .map(|found| found.um.len())
-            .map_err(|error| error.to_string());
-        match own {
-            None => assert!(found.is_ok(), "{text:?} at {rate_hz}: {found:?}"),
-            Some(own) => {
-                let line = found.unwrap_err();
-                assert!(line.contains(&format!("say {own}")) && !line.contains('\n'), "{line}");
-            }
-        }
-    }
-}
-
 #[test]
 fn a_recording_is_resampled_and_says_so() {
     let spec = WavSpec { channels: 1, sample_rate: 44_100, ..STEREO };
@@ -328,7 +217,7 @@ fn every_mistake_is_one_line() {
     let array = |descr: &str, shape: &str, values: usize| npy(descr, "False", shape, &f4(&vec![1.0; values]));
     let two = array("'<f4'", "(2, 2)", 4);
     let text = |text: &str, choice: &Choice| refused("a.csv", text.as_bytes(), choice);
-    let stereo = wav(STEREO, &[1; 20]);
+    let (stereo, none) = (wav(STEREO, &[1; 20]), Choice::default());
     for (line, says) in [
         (refused("a.npy", &two, &at(1.0)), "2 columns: add column = 0 to 1"),
         (refused("a.npy", &two, &column(2)), "no column 2: 2 column(s), counted from 0"),
@@ -388,42 +277,43 @@ fn every_mistake_is_one_line() {
             ),
             "scale_um is inf: must be a number",
         ),
-        (text("", &at(1.0)), "0 samples: must be 2"),
-        (text("time\n", &at(1.0)), "0 samples"),
-        (text("a,b\n1,2\n", &at(1.0)), "2 columns: add column"),
-        (text("a,b\n1,2\n", &named("c")), "no column named `c`: the names above the numbers are `a`, `b`"),
-        (text("1,2\n3,4\n", &named("c")), "no column named `c`: the names above the numbers are none"),
-        (text("a,a\n1,2\n", &named("a")), "several columns are named `a`: give the number, from 0"),
-        // Decimal commas between commas; R's `write.table`, which gives the numbers of its rows no name.
+        (text("", &none), "line 1: no column is named `time_s`: the names are "),
+        (text("time_s,a_um\n", &none), "0 samples: must be 2"),
+        (text("time_s,a_um\n0,1\n", &none), "1 samples: must be 2"),
+        (text("time_s\n0\n", &none), "add column = and the name of one, in quotes: there are `time_s`"),
+        (text("time_s,a_um,b_um\n", &none), "there are `time_s`, `a_um`, `b_um`"),
+        (text("time_s,a_um\n", &column(1)), "add column = and the name of one"),
+        (text("time_s,a_um\n", &named("c_um")), "no column is named `c_um`: the names are `time_s`, `a_um`"),
+        (text("time_s,a_um,a_um\n", &named("a_um")), "line 1: several columns are named `a_um`"),
         (
-            text("t,um\n0,1,1,5\n0,2,2,5\n", &column(1)),
-            "2 names stand above 4 columns of numbers: correct the names; if",
+            text("time_s,a\n0,1\n1,2\n", &none),
+            "line 1: `a` must end with its unit, _um, _mm, _nm or _m; a CSV",
         ),
-        (text("x um\n1 0.5 2\n2 0.6 3\n", &column(1)), "2 names stand above 3 columns of numbers"),
-        // The rows above those with the usual number of cells are no header.
+        (text("time_s,ch1_V\n0,1\n1,2\n", &none), "line 1: `ch1_V` must end with its unit"),
+        (text("1\n2\n3\n", &none), "line 1: no column is named `time_s`: the names are `1`"),
         (
-            text("t,um\n0,1,5\n1,2\n2,3\n", &column(1)),
-            "line 2 has 3 cells, other rows have 2: complete the row",
+            text("t;um\n0,5;2,0\n", &none),
+            "the names are `t;um`; a CSV file begins with names such as time_s,",
         ),
+        (text("time_s,a_um\n0,1\n1,2,5\n", &none), "line 3: 3 cells, but 2 names; "),
+        (text("time_s,a_um\n0,1\n1\n", &none), "line 3: 1 cells, but 2 names; "),
+        (text("time_s,a_um\n0,1\n0.1,\n", &none), "line 3: `` is no number; "),
+        (text("time_s,a_um\n0,1\n0.1,\"2,5\"\n", &none), "line 3: `2,5` is no number; "),
         (
-            text("t,um\nx,1\n1,2\n2,3\n3,4\n", &column(1)),
-            "line 2: `1` stands in a row above the numbers that is not like",
+            text("time_s,a_um\n0,1\n1,2\n3,4\n4,5\n", &none),
+            "row 2 of numbers is at 1 s, the one before at 0 s",
         ),
-        (text("t,um\n0\n1,2\n2,3\n", &column(1)), "line 2 has 1 cells, other rows have 2"),
-        (text("1000\n0,1\n1,2\n", &column(1)), "line 1 has 1 cells, other rows have 2"),
-        (text("t,um\n0,1\n1, \"2\"\n2,3\n", &column(1)), "line 3: a space stands before a quotation mark"),
+        (text("time_s,a_um\n0,1\n0,2\n", &none), "row 2 of numbers is at 0 s"),
+        (text("time_s,a_um\n1,1\n0,2\n", &none), "row 2 of numbers is at 0 s, the one before at 1 s"),
+        (text("time_s,a_um\n0,1\nnan,2\n1,2\n", &none), "row 2 of numbers is at NaN s"),
+        (text("time_s,a_um\n0,1\n0.1,nan\n", &none), "sample 1 at 0.1 s is NaN: must be a number"),
+        (text("time_s,a_um\n0,1\n0.1,2\n", &at(20.0)), "rate_hz is 20, but the file says 10 Hz"),
         (
-            text("t,um\n0,1\n1,2,5\n2,3\n", &column(1)),
-            "line 3 has 3 cells, other rows have 2: complete the row, or delete",
+            text("time_s,a_um\n0,1\n0.1,2\n", &Choice { scale_um: Some(2.0), ..Choice::default() }),
+            "the name of a CSV file's column says its unit: leave the scale out",
         ),
-        (text("1\n2\nthree\n", &at(1.0)), "line 3: `three` is not a number"),
-        (text("1,2\n3\n", &column(1)), "line 2 has 1 cells, other rows have 2"),
-        (
-            text("0,5;1\n0.5;2\n", &column(0)),
-            "line 2: `0.5` has another decimal mark than the numbers above it",
-        ),
-        (text("1\ninf\n", &at(1.0)), "sample 1 at 1 s is inf"),
-        (refused("a.csv", b"1\n\xff\n", &at(1.0)), "line 2: `\u{ff}` is not a number"),
+        (refused("a.csv", b"time_s,a_um\n0,1\n1,\xff\n", &none), "line 3: not UTF-8 text; a CSV file begins"),
+        (refused("a.csv", b"\xff\xfet\0i\0", &none), "line 1: not UTF-8 text"),
         (
             refused("a.wav", &stereo, &Choice { channel: None, ..channel(0) }),
             "2 channels: add channel = 0 to 1",
@@ -467,13 +357,13 @@ proptest! {
         bytes in prop::collection::vec(any::<u8>(), 0..300),
         changes in prop::collection::vec((0..200_usize, any::<u8>()), 0..6),
         cut in 0..400_usize,
-        number in 0..3_usize,
+        number in 0..3_u8,
     ) {
         let names = ["a.npy", "a.csv", "a.wav"];
         let mut file = match kind {
             _ if !whole => bytes,
             0 => npy("'<f4'", "False", "(6, 2)", &f4(&[1.0; 12])),
-            1 => b"x,y\n1,2\n3,4\n5,6\n".to_vec(),
+            1 => b"time_s,y_um\n1,2\n3,4\n5,6\n".to_vec(),
             _ => wav(STEREO, &[7; 40]),
         };
         for (place, byte) in changes {
@@ -482,7 +372,7 @@ proptest! {
             }
         }
         file.truncate(cut.max(4));
-        let choices = [column(number), named("y"), channel(number), at(44_100.0), Choice::default()];
+        let choices = [column(number.into()), named("y_um"), channel(number.into()), at(44_100.0), Choice::default()];
         for choice in choices {
             match read(names[kind], &file, &choice) {
                 Ok(samples) => prop_assert!(samples.um.iter().all(|um| um.is_finite()) && samples.um.len() >= 2),

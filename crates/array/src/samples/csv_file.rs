@@ -1,0 +1,140 @@
+//! Reads the one form of CSV: UTF-8, a first line of names, numbers with decimal points between commas.
+//!
+//! A column's unit is the end of its name, as `height_um`. The times of samples are in the column `time_s`, evenly spaced.
+//!
+//! Invariant: no value is taken whose unit or time the file does not say.
+
+use super::error::SamplesError;
+use super::{Column, Found};
+use csv::{Error, ReaderBuilder, StringRecord, Trim};
+use meissner_input::message::{cut, quote};
+
+/// The column of the times.
+const TIME: &str = "time_s";
+/// What names of columns end with, and the µm of a value of 1.
+const UNITS: [(&str, f64); 4] = [("_um", 1.0), ("_mm", 1e3), ("_nm", 1e-3), ("_m", 1e6)];
+/// How far a rate may be from a whole number that is meant, as a share of it: programs round times.
+const ROUNDED: f64 = 1e-6;
+/// How far a step of the times may be from the mean one, as a share of it.
+const UNEVEN: f64 = 0.25;
+
+/// The samples of a column, in µm, and their rate.
+pub(super) fn read(bytes: &[u8], column: Option<&Column>) -> Result<Found, SamplesError> {
+    let table = Table::new(bytes)?;
+    let time = table.named(TIME)?;
+    let (place, scale_um) = table.chosen(column)?;
+    let note = format!("CSV column {}", cut(&table.names[place], 64));
+    let [times, values] = table.columns([(time, 1.0), (place, scale_um)])?;
+    Ok(Found { rate_hz: Some(rate_hz(&times)?), values, note })
+}
+
+/// The heights of a column, in µm.
+pub(super) fn read_profile(bytes: &[u8], column: Option<&Column>) -> Result<Found, SamplesError> {
+    let table = Table::new(bytes)?;
+    let chosen = table.chosen(column)?;
+    let [values] = table.columns([chosen])?;
+    Ok(Found { values, rate_hz: None, note: String::new() })
+}
+
+/// The columns of these names.
+pub(super) fn read_columns<const N: usize>(
+    bytes: &[u8],
+    names: [&str; N],
+) -> Result<[Vec<f64>; N], SamplesError> {
+    let table = Table::new(bytes)?;
+    let mut places = [(0, 1.0); N];
+    for (place, name) in places.iter_mut().zip(names) {
+        place.0 = table.named(name)?;
+    }
+    table.columns(places)
+}
+
+fn other(line: u64, found: String) -> SamplesError {
+    SamplesError::Csv { line, found }
+}
+
+fn broken(error: &Error) -> SamplesError {
+    // Of bytes in memory nothing else can be wrong.
+    other(error.position().map_or(1, csv::Position::line), "not UTF-8 text".to_owned())
+}
+
+/// A file and its names.
+struct Table<'b> {
+    reader: csv::Reader<&'b [u8]>,
+    names: Vec<String>,
+}
+
+impl<'b> Table<'b> {
+    fn new(bytes: &'b [u8]) -> Result<Self, SamplesError> {
+        let mut reader = ReaderBuilder::new().flexible(true).trim(Trim::All).from_reader(bytes);
+        let names = reader.headers().map_err(|error| broken(&error))?.iter().map(str::to_owned).collect();
+        Ok(Self { reader, names })
+    }
+
+    fn shown(&self) -> String {
+        let shown: Vec<_> = self.names.iter().take(8).map(|name| quote(name)).collect();
+        shown.join(", ") + if self.names.len() > shown.len() { ", ..." } else { "" }
+    }
+
+    fn named(&self, name: &str) -> Result<usize, SamplesError> {
+        let mut places = (0..self.names.len()).filter(|&place| self.names[place] == name);
+        match (places.next(), places.next()) {
+            (Some(place), None) => Ok(place),
+            (Some(_), Some(_)) => Err(other(1, format!("several columns are named {}", quote(name)))),
+            (None, _) => {
+                Err(other(1, format!("no column is named {}: the names are {}", quote(name), self.shown())))
+            }
+        }
+    }
+
+    /// The column that is asked for, or the only one beside the times, and the µm of its values.
+    fn chosen(&self, column: Option<&Column>) -> Result<(usize, f64), SamplesError> {
+        let mut others = (0..self.names.len()).filter(|&place| self.names[place] != TIME);
+        let place = match (column, others.next(), others.next()) {
+            (Some(Column::Name(name)), ..) => self.named(name)?,
+            (None, Some(only), None) => only,
+            _ => return Err(SamplesError::NoName { names: self.shown() }),
+        };
+        let name = &self.names[place];
+        let unit = UNITS.iter().find(|(end, _)| name.ends_with(end));
+        let unknown = || format!("{} must end with its unit, _um, _mm, _nm or _m", quote(name));
+        unit.map(|(_, um)| (place, *um)).ok_or_else(|| other(1, unknown()))
+    }
+
+    /// The values of columns, each times a factor.
+    fn columns<const N: usize>(mut self, places: [(usize, f64); N]) -> Result<[Vec<f64>; N], SamplesError> {
+        let mut columns = places.map(|_| Vec::new());
+        let mut row = StringRecord::new();
+        while self.reader.read_record(&mut row).map_err(|error| broken(&error))? {
+            let line = row.position().map_or(1, csv::Position::line);
+            if row.len() != self.names.len() {
+                let found = format!("{} cells, but {} names", row.len(), self.names.len());
+                return Err(other(line, found));
+            }
+            for (values, (place, factor)) in columns.iter_mut().zip(places) {
+                let number = row[place].parse::<f64>();
+                values.push(
+                    factor
+                        * number.map_err(|_| other(line, format!("{} is no number", quote(&row[place]))))?,
+                );
+            }
+        }
+        Ok(columns)
+    }
+}
+
+/// The rate of evenly spaced times.
+#[expect(clippy::cast_precision_loss, reason = "the number of samples of a file")]
+fn rate_hz(times: &[f64]) -> Result<f64, SamplesError> {
+    let [first, .., last] = times else {
+        return Err(SamplesError::Count { samples: times.len() });
+    };
+    let step_s = (last - first) / (times.len() - 1) as f64;
+    let is_even = |two: &[f64]| step_s > 0.0 && ((two[1] - two[0]) - step_s).abs() <= UNEVEN * step_s;
+    if let Some(place) = times.windows(2).position(|two| !is_even(two)) {
+        let (before, found) = (times[place], times[place + 1]);
+        return Err(SamplesError::Uneven { row: place + 2, before, found });
+    }
+    let (rate_hz, whole) = (1.0 / step_s, (1.0 / step_s).round());
+    Ok(if (rate_hz - whole).abs() <= ROUNDED * whole { whole } else { rate_hz })
+}
