@@ -129,15 +129,6 @@ fn an_array_of_ones_own_takes_a_file_and_no_code() {
     let line = complaint(&mut in_dir(&["tradeoff", "--array", "lab-3x2.toml"]));
     assert!(line.contains("sixty-hertz.toml: is for the array tula35-6x4"), "{line}");
 
-    // The directory of a sweep holds the description: to go on needs no file.
-    let plan = "command = \"simulate\"\n[grid]\npattern = \"./lab-edge.toml\"\ngain = [0.9, 1.0]\n";
-    fs::write(dir.path().join("plan.toml"), plan).unwrap();
-    printed(&mut in_dir(&["sweep", "plan.toml", "--array", "lab-3x2.toml", "--out", "d"]));
-    let merged = printed(&mut in_dir(&["sweep", "--merge", "d"]));
-    assert!(merged.contains('2'), "{merged}");
-    let text = fs::read_to_string(dir.path().join("d/results.csv")).unwrap();
-    assert_eq!(text.lines().count(), 3, "{text}");
-
     let daemon = with_array(&file);
     let mut client = daemon.armed();
     let mut events = client.events().unwrap();

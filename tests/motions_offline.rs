@@ -228,10 +228,6 @@ fn what_changes_drives_only_refuses_motions() {
     let out = dir.path().join("new.toml");
     let resumed = complaint(meissner().args(["optimise", "dot", "--resume"]).arg(&file).arg("-o").arg(&out));
     assert!(resumed.contains("`press-hold` has motions, and a search changes drives only"), "{resumed}");
-    let plan = "command = \"discriminate\"\n[grid]\npattern = [\"press-hold\"]\nother = [\"pin-60\"]\n";
-    write(dir.path(), "plan.toml", plan);
-    let swept = complaint(meissner().current_dir(dir.path()).args(["sweep", "plan.toml", "--dry-run"]));
-    assert!(swept.contains("has motions, and a sweep scales drives only"), "{swept}");
     // Two patterns are told apart by their motions.
     let asked = ["discriminate", "press-hold", "rough-noise", "--trials", "8", "--seconds", "0.2", "--json"];
     let found = document(meissner().args(asked));

@@ -97,5 +97,3 @@ mod service;
 mod sessions;
 /// Stimuli as ordered: empty, weak, whole strokes, replaced, removed; receipts of cut plays.
 mod stimuli;
-/// `sweep`: plans, runs that are cut, parts, merges, and what is refused.
-mod sweep;

@@ -17,7 +17,6 @@ use meissner_research::Trace;
 use meissner_skin::AnyScene;
 use meissner_stream::calibrate::{Calibration, Layout, PlayedPlan, Recording};
 use meissner_stream::device::Spec;
-use meissner_sweep::{Document, Plan, Sources};
 use serde::Serialize;
 use std::fmt::Debug;
 use std::path::{Path, PathBuf};
@@ -27,14 +26,13 @@ use std::sync::LazyLock;
 pub type Read = fn(&[u8]);
 
 /// The kinds of documents; the number is the first byte of an input.
-pub const KINDS: [(&str, Read); 20] = [
+pub const KINDS: [(&str, Read); 19] = [
     ("pattern", pattern),
     ("target", target),
     ("scene", scene),
     ("configuration", configuration),
     ("calibration", calibration),
     ("trace", trace),
-    ("sweep", sweep),
     ("played plan", played_plan),
     ("recording", recording),
     ("session record", session_record),
@@ -113,38 +111,6 @@ fn trace(bytes: &[u8]) {
         if let Err(error) = Trace::read(text, "file") {
             told(error);
         }
-    });
-}
-
-/// No other file is read: the texts of a plan are its own or shipped.
-struct Nothing;
-
-impl Sources for Nothing {
-    fn names(&self, kind: Document) -> Vec<String> {
-        match kind {
-            Document::Target => vec!["edge-45".to_owned(), "dot".to_owned()],
-            Document::Pattern => Vec::new(),
-        }
-    }
-
-    fn text(&self, kind: Document, name: &str) -> Result<String, String> {
-        match (kind, name) {
-            (Document::Target, "edge-45") => Ok(include_str!("../../targets/edge-45.toml").to_owned()),
-            (Document::Target, "dot") => Ok(include_str!("../../targets/dot.toml").to_owned()),
-            _ => Err("there is no such file".to_owned()),
-        }
-    }
-}
-
-fn sweep(bytes: &[u8]) {
-    text(bytes, |text| match Plan::read(text, "file", &Nothing) {
-        Ok(plan) => {
-            let written = plan.to_toml();
-            let again = Plan::read(&written, "file", &Nothing).expect("a written plan");
-            assert_eq!(again.to_toml(), written);
-            assert_eq!(again.varied(), plan.varied());
-        }
-        Err(error) => told(error),
     });
 }
 

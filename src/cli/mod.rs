@@ -38,7 +38,6 @@ mod sequence;
 mod session;
 mod session_token;
 mod simulate;
-mod sweep;
 mod text;
 mod token;
 mod tradeoff;
@@ -266,8 +265,6 @@ enum Command {
     MethodTradeoff(tradeoff::MethodTradeoff),
     /// Predict whether a finger can tell patterns apart: d', per cent correct, confusion matrix
     Discriminate(discriminate::Discriminate),
-    /// Run a plan of thousands of searches, simulations or comparisons, here or on a cluster
-    Sweep(sweep::Sweep),
     /// Compare both models of skin and afferents with published figures
     Validate(validate::Validate),
     /// Write the man pages, the completions of three shells and the OpenAPI document to a folder
@@ -376,7 +373,6 @@ fn run(command: Command) -> Result<ExitCode> {
         Command::Render(asked) => render::run(&asked),
         Command::Judge(asked) => judge::run(&asked),
         Command::Discriminate(asked) => discriminate::run(&asked),
-        Command::Sweep(asked) => sweep::run(&asked),
         Command::Validate(asked) => validate::run(&asked),
         Command::Manual { folder } => manual::manual(&folder).map(|()| ExitCode::SUCCESS),
         Command::Report(asked) => report::run(&asked),

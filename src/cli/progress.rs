@@ -8,7 +8,6 @@ use anyhow::Result;
 use indicatif::{ProgressBar, ProgressStyle};
 use meissner_api::Event;
 use std::io::{self, IsTerminal, Write};
-use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 /// Work that takes less needs no bar.
@@ -138,43 +137,6 @@ impl Updates {
         match &self.meter.0 {
             Some(bar) => bar.suspend(say),
             None => say(),
-        }
-    }
-}
-
-/// The cells of a sweep, on stderr: a bar with the time left on a terminal, else a line every ten seconds.
-#[derive(Debug)]
-pub(super) struct Cells {
-    meter: Meter,
-    lines: bool,
-    shown: Mutex<Instant>,
-}
-
-/// How often a sweep prints a line.
-const LINE: Duration = Duration::from_secs(10);
-
-impl Cells {
-    /// For a sweep that begins with `done` finished cells.
-    pub(super) fn new(done: u64, cells: u64, json: bool) -> Self {
-        let style = ProgressStyle::with_template("{wide_bar} {pos} of {len} cells, {eta} left");
-        let meter = Meter::new(|| {
-            let bar = ProgressBar::new(cells).with_position(done);
-            bar.reset_eta();
-            bar.with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()))
-        });
-        Self { lines: !json && meter.0.is_none(), meter, shown: Mutex::new(Instant::now()) }
-    }
-
-    pub(super) fn show(&self, done: u64, cells: u64) {
-        if let Some(bar) = &self.meter.0 {
-            bar.set_position(done);
-        } else if self.lines {
-            let mut shown = self.shown.lock().unwrap_or_else(PoisonError::into_inner);
-            if shown.elapsed() >= LINE {
-                *shown = Instant::now();
-                // A closed stderr does not stop the sweep.
-                let _ = writeln!(io::stderr(), "{done} of {cells} cells");
-            }
         }
     }
 }

@@ -13,7 +13,6 @@ use meissner_design::Target;
 use meissner_skin::{AnyScene, Scene};
 use meissner_stream::calibrate::Calibration;
 use meissner_stream::device::Spec;
-use meissner_sweep::{Document, Plan, Sources};
 use meissner_touch::Object;
 use pages::{Page, book, documents, read, root};
 use serde_json::Value;
@@ -52,24 +51,6 @@ fn the_example_configuration_is_the_default() {
     assert_eq!(config, default);
 }
 
-/// The documents that plans of the book name.
-struct Shipped;
-
-impl Sources for Shipped {
-    fn names(&self, _: Document) -> Vec<String> {
-        Vec::new()
-    }
-
-    fn text(&self, kind: Document, name: &str) -> Result<String, String> {
-        let dir = match kind {
-            Document::Target => "targets",
-            Document::Pattern => "patterns",
-        };
-        let file = root().join(dir).join(format!("{name}.toml"));
-        fs::read_to_string(file).map_err(|error| error.to_string())
-    }
-}
-
 /// Reads a TOML block as the kind of file that its keys imply.
 fn read_toml(text: &str, place: &str) -> Result<&'static str, String> {
     let has = |key: &str| text.lines().any(|line| line.starts_with(key));
@@ -87,8 +68,6 @@ fn read_toml(text: &str, place: &str) -> Result<&'static str, String> {
         Target::read(text, place).map(|_| "target").map_err(|error| word(&error))
     } else if has("[[motor]]") {
         Calibration::parse(text, place).map(|_| "calibration").map_err(|error| word(&error))
-    } else if has("command =") {
-        Plan::read(text, place, &Shipped).map(|_| "plan").map_err(|error| word(&error))
     } else if has("[[drives]]") || has("model =") {
         AnyScene::read(text, place, None).map(|_| "scene").map_err(|error| word(&error))
     } else {

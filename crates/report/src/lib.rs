@@ -8,7 +8,6 @@
 //! - `motions`: [`Motions`] says what motors do with the motions of a pattern before it is played; [`motion_tradeoff`] compares grids of
 //!   moves, error against moves per second.
 //! - `laser`: [`plot_laser`] draws a recording of a pin beside the motor's fit.
-//! - `sweep`: [`sweep_page`] shows the marginals and the Pareto front of a sweep.
 //! - `validate`: [`validate()`] compares both models of the skin with published figures.
 //! - `svg` writes drawings, [`chart`] draws lines and points on axes, `sixty_hertz` is the standard scene, `progress` and `statistics` are small
 //!   helpers of all parts.
@@ -24,7 +23,6 @@ mod progress;
 mod sixty_hertz;
 mod statistics;
 mod svg;
-mod sweep;
 mod validate;
 
 pub use laser::plot_laser;
@@ -37,5 +35,4 @@ pub use motions::{
     motion_tradeoff, steps_of,
 };
 pub use sixty_hertz::SIXTY_HERTZ;
-pub use sweep::{Choice, Front, Marginal, Ordinate, Spread, SweepPage, sweep_page};
 pub use validate::{Case, Curve, Finding, Published, Validation, ValidationVerdict, validate};
