@@ -9,10 +9,9 @@ Invariants: a command is sent once, and only an emergency stop is repeated; `Cor
 from __future__ import annotations
 
 import contextlib
-import functools
 import hashlib
 import os
-from collections.abc import Callable, Generator, Iterable, Mapping
+from collections.abc import Generator, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, ParamSpec, TypeVar
 from urllib.parse import quote
@@ -156,11 +155,6 @@ class Accepted:
     daemon: tuple[int, str] | None
     motions: tuple[dict[str, Any], ...] = ()
     """How each motor follows its motions, with the keys of the API reference."""
-
-
-def named_after(operation: Callable[..., Any], method: Callable[P, T]) -> Callable[P, T]:
-    """Gives a client's method the name, signature and documentation of its operation."""
-    return functools.update_wrapper(method, operation)
 
 
 def send(core: Core, request: Request) -> Op[Answer]:
