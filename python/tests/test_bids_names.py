@@ -438,44 +438,35 @@ def test_a_stimulus_that_was_changed_is_not_replaced_unasked(tmp_path: Path) -> 
     assert 'name = "pin"' in stimulus_file.read_text()
 
 
-@pytest.mark.parametrize(
-    "name", ["participants.tsv", "dataset_description.json", "participants.json", EVENTS + ".tsv", EVENTS + ".json"]
-)
-def test_a_folder_in_the_way_is_told_before_anything_is_written(tmp_path: Path, name: str) -> None:
-    (tmp_path / name).mkdir(parents=True)
+TOP = ["participants.tsv", "dataset_description.json", "participants.json"]
+IN_THE_WAY: list[tuple[str, bytes | None, int, str]] = [
+    *((name, None, 0o755, "") for name in [*TOP, EVENTS + ".tsv", EVENTS + ".json"]),
+    *((name, b"", 0o644, "") for name in ("sub-P07", "sub-P07/ses-1/beh")),
+    ("participants.tsv", b"participant_id\n", 0o444, "is read-only"),
+    ("dataset_description.json", b"{}", 0o444, "is read-only"),
+    *(
+        (name, bad, 0o644, ".*correct it")
+        for name in TOP[1:]
+        for bad in (b"{", b"[]", '{"Name": "é"}'.encode("latin-1"))
+    ),
+]
+"""Names, the content of a file (None: a folder), its mode, and what is said."""
+
+
+@pytest.mark.parametrize(("name", "content", "mode", "said"), IN_THE_WAY)
+def test_what_is_in_the_way_is_told_before_anything_is_written(
+    tmp_path: Path, name: str, content: bytes | None, mode: int, said: str
+) -> None:
+    place = tmp_path / name
+    place.parent.mkdir(parents=True, exist_ok=True)
+    if content is None:
+        place.mkdir()
+    else:
+        place.write_bytes(content)
+    place.chmod(mode)
     before = state(tmp_path)
-    with pytest.raises(errors.MeissnerError, match=name.split("/")[-1]):
-        export(tmp_path, recorded())
-    assert state(tmp_path) == before
-
-
-@pytest.mark.parametrize("name", ["participants.tsv", "dataset_description.json"])
-def test_a_file_that_is_read_only_is_not_replaced(tmp_path: Path, name: str) -> None:
-    (tmp_path / name).write_text("{}" if name.endswith("json") else "participant_id\n")
-    (tmp_path / name).chmod(0o444)
-    before = state(tmp_path)
-    with pytest.raises(errors.BidsConflict, match=f"{name} is read-only"):
-        export(tmp_path, recorded(), overwrite=True)
-    assert state(tmp_path) == before
-
-
-@pytest.mark.parametrize("name", ["sub-P07", "sub-P07/ses-1/beh"])
-def test_a_file_in_the_way_of_a_folder_is_told_before_anything_is_written(tmp_path: Path, name: str) -> None:
-    (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
-    (tmp_path / name).write_text("")
-    before = state(tmp_path)
-    with pytest.raises(errors.MeissnerError):
-        export(tmp_path, recorded())
-    assert state(tmp_path) == before
-
-
-@pytest.mark.parametrize("bad", [b"{", b"[]", '{"Name": "é"}'.encode("latin-1")])
-@pytest.mark.parametrize("name", ["dataset_description.json", "participants.json"])
-def test_what_cannot_be_merged_is_told_before_anything_is_written(tmp_path: Path, name: str, bad: bytes) -> None:
-    (tmp_path / name).write_bytes(bad)
-    before = state(tmp_path)
-    with pytest.raises(errors.BidsConflict, match=f"{name} .*correct it"):
-        export(tmp_path, recorded())
+    with pytest.raises(errors.MeissnerError, match=f"{name.split('/')[-1]} ?{said}"):
+        export(tmp_path, recorded(), overwrite=mode == 0o444)
     assert state(tmp_path) == before
 
 

@@ -57,7 +57,7 @@ class Live(KnownPlay):
         An update that was refused, and that nobody waits for, raises its error at the next call, whose own message is not
         sent then. Raises `PlayStopped` once the daemon has ended the play, and `ConnectionLost` if the connection has ended.
 
-        While the daemon has not answered 24 messages, newer ones wait and merge into the newest.
+        While two dozen messages have no answer, newer ones wait and merge into the newest.
         """
         with self._lock:
             update, messages = self._updates.message(drives, pose, scale)
