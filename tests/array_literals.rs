@@ -56,7 +56,6 @@ const OTHERS: &[(&str, &str, &str)] = &[
     ("python/src/meissner/arrays.py", "2.9", "as above"),
     ("python/src/meissner/arrays.py", "11.5", "as above"),
     ("python/src/meissner/arrays.py", "4.3", "as above"),
-    ("python/matlab/Meissner.m", "85000", "receipts from before arrays had names"),
 ];
 
 #[test]

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 import meissner
-from meissner import Array, arrays, bids, errors, program, traces
+from meissner import bids, errors, program, traces
 from patience import kept
 from test_bids import TEXTS, read, row
 
@@ -144,20 +144,6 @@ def test_another_daemon_at_the_same_place_is_asked_again(daemon: meissner.Daemon
         m.core.daemon = (1, "another")
         m.status()
         assert m.array is not array
-
-
-def test_what_does_not_name_its_array_is_about_the_papers(daemon: meissner.Daemon, tmp_path: Path) -> None:
-    with meissner.connect(daemon.socket) as m:
-        shipped, paper = m.array, Array.paper()
-    assert (shipped.name, shipped.grid, shipped.tick_hz) == (paper.name, paper.grid, paper.tick_hz)
-    for one, other in zip(shipped.positions_mm, paper.positions_mm, strict=True):
-        assert one == pytest.approx(other)
-    old = row(1, 1.0)
-    assert not {"array", "tick_hz", "mapped_from"} & set(old)
-    (known,) = bids.stimulus_rows([old])
-    assert known == arrays.of_record(old)
-    grid = traces.Grid([known], TEXTS, zero_ns=0, rate_hz=1000.0)
-    assert grid.pins == 24
 
 
 def test_an_export_refuses_the_description_of_another_array(m: meissner.Client, tmp_path: Path) -> None:

@@ -182,6 +182,10 @@ def row(play: int, onset_s: float, **keys: Any) -> dict[str, Any]:
         "offset_tick": round(onset_s * 85_000) + 8_500,
         "onset_monotonic_ns": round(onset_s * 1e9),
         "offset_monotonic_ns": round((onset_s + 0.1) * 1e9),
+        "array": "tula35-6x4",
+        "tick_hz": 85_000,
+        "mapped_from": None,
+        "live": None,
     }
     return {**made, **keys}
 
@@ -248,10 +252,19 @@ def test_without_the_program_there_is_no_displacement(
 
 
 def test_losses_are_told(tmp_path: Path) -> None:
-    session: dict[str, Any] = {"participant": "P", "id": "1", "experiment": None}
-    recorded = {"session": session, "plays": [], "problems": ["a line"], "lost": 3, "unreadable": 1}
+    session: dict[str, Any] = {"participant": "P", "id": "1", "experiment": None, "labels": {}}
+    losses = {
+        "complete": False,
+        "missing": ["3 entries"],
+        "plays_missing": 1,
+        "lost": 3,
+        "left_out": 2,
+        "unreadable": 1,
+    }
+    recorded = {"session": session, "plays": [], "problems": ["a line"], **losses}
     export = bids.write(tmp_path, recorded, {}, task=None, zero_host_ns=None, software=None)
-    assert export.left_out == ("a line", "the session record lost 3 entries during the session")
+    bounded = "2 entries of the record about commands and the device, because of its bound"
+    assert export.left_out == ("a line", "3 entries", bounded)
     assert bids._cell("a\tb\n") == "a b "
     with pytest.raises(meissner.MeissnerError, match="BIDS needs one"):
         bids.label("--")

@@ -34,6 +34,9 @@ def stimulus(play: int = 1, labels: dict[str, str] | None = None) -> dict[str, A
         "onset_tick": 85_000 * play,
         "onset_monotonic_ns": 10**9 * play,
         "onset_uncertainty_ns": 10_000,
+        **dict.fromkeys(("mapped_from", "first_pulse_tick", "start_edge", "stop_edge", "live", "answer")),
+        "array": "tula35-6x4",
+        "tick_hz": 85_000,
     }
 
 
@@ -47,7 +50,8 @@ def recorded(
         "reason": "request",
         "labels": {},
     }
-    return {"session": about, "plays": [stimulus()], "problems": [], "lost": 0, "unreadable": 0, **keys}
+    whole = {"complete": True, "missing": [], "plays_missing": 0, "left_out": 0, "lost": 0}
+    return {"session": about, "plays": [stimulus()], "problems": [], "unreadable": 0, **whole, **keys}
 
 
 def export(root: Path, what: dict[str, Any], task: str | None = None, **names: Any) -> bids.Export:
@@ -247,35 +251,23 @@ def test_different_texts_have_different_cells() -> None:
     texts = ["", "n/a", '""', '"n/a"', "a b", "a\tb", "a\nb", "a\u2028b", " a", "a", "a ", '"a"', "ä", "\\t", "\x1b"]
     assert len({exact(text) for text in texts}) == len(texts)
     assert not [text for text in texts if set("\t\n\x1b\u2028") & set(exact(text))]
-    assert Labels({}, []).columns == []
+    assert Labels({"labels": {}}, []).columns == []
 
 
 MISSING = ["29 of 40 plays are not recorded", "the record lost 31 entries of the session"]
 
 
-@pytest.mark.parametrize(
-    ("keys", "said"),
-    [
-        ({"complete": False, "missing": MISSING, "plays_missing": 29, "lost": 31}, "; ".join(MISSING)),
-        ({"lost": 3}, "lost 3 entries"),
-        ({"reason": None}, "its end is not recorded"),
-        ({"reason": "unknown"}, "its end is not recorded"),
-    ],
-)
-def test_an_incomplete_session_is_exported_on_request_alone(keys: dict[str, Any], said: str, tmp_path: Path) -> None:
-    session = recorded()
-    session["session"]["reason"] = keys.pop("reason", "request")
-    session.update(keys)
-    with pytest.raises(errors.IncompleteSession, match=f"session 1 is incomplete: .*{said}.*incomplete=True"):
+def test_an_incomplete_session_is_exported_on_request_alone(tmp_path: Path) -> None:
+    session = recorded(complete=False, missing=MISSING, plays_missing=29, lost=31)
+    said = f"session 1 is incomplete: {'; '.join(MISSING)}.*incomplete=True"
+    with pytest.raises(errors.IncompleteSession, match=said):
         _exports._complete(session)
     _exports._complete(recorded())
-    _exports._complete(recorded(complete=True, lost=3, missing=[]))
     made = export(tmp_path, session)
-    assert made.plays_missing == keys.get("plays_missing", 0)
-    assert [line for line in keys.get("missing", ()) if line not in made.left_out] == []
+    assert made.plays_missing == 29
+    assert [line for line in MISSING if line not in made.left_out] == []
     sidecar = json.loads(made.events.with_suffix(".json").read_text())
-    if "complete" in keys:
-        assert sidecar["Incomplete"] == {"Missing": MISSING, "PlaysMissing": 29, "EntriesLost": 31}
+    assert sidecar["Incomplete"] == {"Missing": MISSING, "PlaysMissing": 29, "EntriesLost": 31}
 
 
 def test_entries_beyond_the_records_bound_are_told(tmp_path: Path) -> None:
@@ -446,44 +438,35 @@ def test_a_stimulus_that_was_changed_is_not_replaced_unasked(tmp_path: Path) -> 
     assert 'name = "pin"' in stimulus_file.read_text()
 
 
-@pytest.mark.parametrize(
-    "name", ["participants.tsv", "dataset_description.json", "participants.json", EVENTS + ".tsv", EVENTS + ".json"]
-)
-def test_a_folder_in_the_way_is_told_before_anything_is_written(tmp_path: Path, name: str) -> None:
-    (tmp_path / name).mkdir(parents=True)
+TOP = ["participants.tsv", "dataset_description.json", "participants.json"]
+IN_THE_WAY: list[tuple[str, bytes | None, int, str]] = [
+    *((name, None, 0o755, "") for name in [*TOP, EVENTS + ".tsv", EVENTS + ".json"]),
+    *((name, b"", 0o644, "") for name in ("sub-P07", "sub-P07/ses-1/beh")),
+    ("participants.tsv", b"participant_id\n", 0o444, "is read-only"),
+    ("dataset_description.json", b"{}", 0o444, "is read-only"),
+    *(
+        (name, bad, 0o644, ".*correct it")
+        for name in TOP[1:]
+        for bad in (b"{", b"[]", '{"Name": "é"}'.encode("latin-1"))
+    ),
+]
+"""Names, the content of a file (None: a folder), its mode, and what is said."""
+
+
+@pytest.mark.parametrize(("name", "content", "mode", "said"), IN_THE_WAY)
+def test_what_is_in_the_way_is_told_before_anything_is_written(
+    tmp_path: Path, name: str, content: bytes | None, mode: int, said: str
+) -> None:
+    place = tmp_path / name
+    place.parent.mkdir(parents=True, exist_ok=True)
+    if content is None:
+        place.mkdir()
+    else:
+        place.write_bytes(content)
+    place.chmod(mode)
     before = state(tmp_path)
-    with pytest.raises(errors.MeissnerError, match=name.split("/")[-1]):
-        export(tmp_path, recorded())
-    assert state(tmp_path) == before
-
-
-@pytest.mark.parametrize("name", ["participants.tsv", "dataset_description.json"])
-def test_a_file_that_is_read_only_is_not_replaced(tmp_path: Path, name: str) -> None:
-    (tmp_path / name).write_text("{}" if name.endswith("json") else "participant_id\n")
-    (tmp_path / name).chmod(0o444)
-    before = state(tmp_path)
-    with pytest.raises(errors.BidsConflict, match=f"{name} is read-only"):
-        export(tmp_path, recorded(), overwrite=True)
-    assert state(tmp_path) == before
-
-
-@pytest.mark.parametrize("name", ["sub-P07", "sub-P07/ses-1/beh"])
-def test_a_file_in_the_way_of_a_folder_is_told_before_anything_is_written(tmp_path: Path, name: str) -> None:
-    (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
-    (tmp_path / name).write_text("")
-    before = state(tmp_path)
-    with pytest.raises(errors.MeissnerError):
-        export(tmp_path, recorded())
-    assert state(tmp_path) == before
-
-
-@pytest.mark.parametrize("bad", [b"{", b"[]", '{"Name": "é"}'.encode("latin-1")])
-@pytest.mark.parametrize("name", ["dataset_description.json", "participants.json"])
-def test_what_cannot_be_merged_is_told_before_anything_is_written(tmp_path: Path, name: str, bad: bytes) -> None:
-    (tmp_path / name).write_bytes(bad)
-    before = state(tmp_path)
-    with pytest.raises(errors.BidsConflict, match=f"{name} .*correct it"):
-        export(tmp_path, recorded())
+    with pytest.raises(errors.MeissnerError, match=f"{name.split('/')[-1]} ?{said}"):
+        export(tmp_path, recorded(), overwrite=mode == 0o444)
     assert state(tmp_path) == before
 
 

@@ -82,6 +82,13 @@ class World:
             "state": "done",
             "cause": None,
             "items": None,
+            "items_planned": None,
+            "warnings": [],
+            "array": "tula35-6x4",
+            "tick_hz": HZ,
+            "mapped_from": None,
+            "start_edge": None,
+            "stop_edge": None,
             "boot": 7,
             "lateness": lateness,
         }

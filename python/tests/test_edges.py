@@ -70,4 +70,4 @@ def test_exports_name_the_edges() -> None:
     edge = {"number": 3, "tick": 99, "monotonic_ns": 1, "uncertainty_ns": 1}
     none = {"start_edge": None, "start_edge_tick": None, "stop_edge": None, "stop_edge_tick": None}
     assert bids.edge_cells({"start_edge": edge, "stop_edge": None}) == {**none, "start_edge": 3, "start_edge_tick": 99}
-    assert bids.edge_cells({}) == none
+    assert bids.edge_cells({"start_edge": None, "stop_edge": None}) == none

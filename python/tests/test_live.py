@@ -20,6 +20,8 @@ import pytest
 import meissner
 from meissner import _transport, errors
 from meissner._endpoint import endpoints
+from meissner._live import Started
+from meissner.live import Live
 from meissner.program import find_program
 from network import Network
 from patience import kept
@@ -549,6 +551,12 @@ def test_over_tcp_with_tokens() -> None:
                 m.arm(assume_rest=True)
                 with m.session("P07", exclusive=True):
                     assert m.play("pin-60", 0.05).wait().state == "done"
+                    with m.live(drives=[], timeout=20.0) as live:
+                        assert live.keep().wait(20.0).state == "applied"
+                        m.core.token, own = None, m.core.token
+                        with pytest.raises(errors.Unauthorized):
+                            Live(m, Started(live._accepted, "/v1/live/0123"))
+                        m.core.token = own
                     with meissner.connect(daemon.socket) as other, pytest.raises(errors.SessionExclusive):
                         other.play("pin-60", 0.05)
                     assert m.estop().state == "faulted"

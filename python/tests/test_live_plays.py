@@ -25,7 +25,6 @@ from meissner._endpoint import Endpoint
 from meissner._live import WINDOW, Started, Updates
 from meissner._operations import Accepted
 from meissner._transport import tls
-from meissner.program import find_program
 from network import Network
 
 HZ = 85_000
@@ -286,44 +285,6 @@ def test_in_a_session(m: meissner.Client) -> None:
         with m.live(drives=DRIVES, timeout=PATIENT) as play:
             assert play.keep().wait(PATIENT).state == "applied"
     assert play.receipt.raw["session"] == session.id
-
-
-def token_of(daemon: meissner.Daemon) -> str:
-    command = [
-        find_program(),
-        "token",
-        "create",
-        "--role",
-        "operate",
-        "--name",
-        "live",
-        "--json",
-        "--socket",
-        daemon.socket,
-    ]
-    return str(json.loads(subprocess.run(command, capture_output=True, check=True).stdout)["token"])
-
-
-@pytest.fixture(scope="module")
-def networked() -> Iterator[tuple[str, str]]:
-    """The URL of a daemon that wants a token, and the token."""
-    with meissner.Daemon('listen = "127.0.0.1:0"\nlisten_token = "always"\n') as daemon:
-        with meissner.connect(daemon.socket) as watcher:
-            address = watcher.status().raw["network"]["address"]
-        yield f"http://{address}", token_of(daemon)
-
-
-def test_over_tcp_with_a_token(networked: tuple[str, str]) -> None:
-    url, token = networked
-    with meissner.connect(url, token=token) as m:
-        m.arm(assume_rest=True, checked="a test")
-        with m.live("edge-45", timeout=PATIENT) as play:
-            assert play.pose(1.0).wait(PATIENT).state == "applied"
-        assert play.receipt.cause == "stop"
-        m.core.token = None
-        with pytest.raises(errors.Unauthorized):
-            live.Live(m, Started(play._accepted, "/v1/live/0123"))
-        m.core.token = token
 
 
 def certificate(folder: Path) -> tuple[ssl.SSLContext, Path]:

@@ -22,7 +22,7 @@ from .errors import BidsConflict, MeissnerError
 SOURCE = "meissner_participant"
 """The column of `participants.tsv`."""
 SESSION_SOURCE = "MeissnerSession"
-"""The key of a sidecar of events. Exports of earlier versions lack it."""
+"""The key of a sidecar of events. Those of other programs lack it."""
 
 
 def label(text: str) -> str:

@@ -19,13 +19,10 @@ from .traces import ArrayName
 
 def _complete(recorded: Mapping[str, Any]) -> None:
     """Raises `IncompleteSession` if the record lacks something of the session."""
-    session = recorded["session"]
-    # An older daemon has no `complete`.
-    is_whole = not recorded["lost"] and session["reason"] not in (None, "unknown")
-    if not recorded.get("complete", is_whole):
-        missing = recorded.get("missing") or bids.losses(recorded) or ["its end is not recorded"]
+    if not recorded["complete"]:
+        missing = recorded["missing"] or bids.losses(recorded)
         raise IncompleteSession(
-            f"the record of session {session['id']} is incomplete: {'; '.join(missing)}: nothing was written; pass "
+            f"the record of session {recorded['session']['id']} is incomplete: {'; '.join(missing)}: nothing was written; pass "
             "incomplete=True to export what there is"
         )
 
@@ -48,9 +45,7 @@ def _stimuli(core: Core, session_id: str, incomplete: bool) -> Op[tuple[dict[str
             stored = yield from pattern(core, name, sha256=sha256)
         except (NotFound, BadPattern):
             continue
-        # An older daemon knows today's text only.
-        if stored["sha256"] == sha256:
-            found[sha256] = stored["pattern"]
+        found[sha256] = stored["pattern"]
     return recorded, found
 
 

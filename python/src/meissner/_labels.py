@@ -40,7 +40,7 @@ class Labels:
     """The columns of a session's labels and factors."""
 
     def __init__(self, session: Mapping[str, Any], rows: list[dict[str, Any]]) -> None:
-        self._session: Mapping[str, str] = session.get("labels") or {}
+        self._session: Mapping[str, str] = session["labels"]
         taken: set[str] = set()
         self.columns: list[Column] = []
 
@@ -62,8 +62,7 @@ class Labels:
 
 
 def _factors(row: Mapping[str, Any]) -> Mapping[str, str]:
-    # An older daemon has no answers.
-    factors: Mapping[str, str] = (row.get("answer") or {}).get("factors") or {}
+    factors: Mapping[str, str] = (row["answer"] or {}).get("factors", {})
     return factors
 
 

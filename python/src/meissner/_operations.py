@@ -9,10 +9,9 @@ Invariants: a command is sent once, and only an emergency stop is repeated; `Cor
 from __future__ import annotations
 
 import contextlib
-import functools
 import hashlib
 import os
-from collections.abc import Callable, Generator, Iterable, Mapping
+from collections.abc import Generator, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, ParamSpec, TypeVar
 from urllib.parse import quote
@@ -37,11 +36,10 @@ from ._endpoint import Endpoint
 from ._http import Answer, Op, Pause, Request
 from ._text_file import text_of
 from ._unreached import warn_of
-from .arrays import Array, of_record
+from .arrays import Array
 from .clocks import MAX_SKEW, NS, ClientClock, Instant
 from .errors import (
     ApiError,
-    BadRequest,
     ConnectionLost,
     DaemonRestarted,
     DeviceTimeout,
@@ -143,7 +141,7 @@ class Core:
 
     def receipt(self, raw: dict[str, Any]) -> Receipt:
         """A receipt with instants on this client's clocks."""
-        return Receipt.of(of_record(raw), self.clock)
+        return Receipt.of(raw, self.clock)
 
 
 @dataclass(frozen=True)
@@ -157,11 +155,6 @@ class Accepted:
     daemon: tuple[int, str] | None
     motions: tuple[dict[str, Any], ...] = ()
     """How each motor follows its motions, with the keys of the API reference."""
-
-
-def named_after(operation: Callable[..., Any], method: Callable[P, T]) -> Callable[P, T]:
-    """Gives a client's method the name, signature and documentation of its operation."""
-    return functools.update_wrapper(method, operation)
 
 
 def send(core: Core, request: Request) -> Op[Answer]:
@@ -218,10 +211,7 @@ def begin(core: Core) -> Op[Status]:
 def array(core: Core) -> Op[Array]:
     """The array that the daemon drives."""
     if core.array is None:
-        try:
-            core.array = Array.of((yield from document(core, _http.get("/v1/array"))))
-        except NotFound:
-            core.array = Array.paper()
+        core.array = Array.of((yield from document(core, _http.get("/v1/array"))))
     return core.array
 
 
@@ -262,13 +252,7 @@ def arm(
     # Set first: if the answer is lost, the motors may be on.
     core.has_armed, core.silence = True, None if stay_armed else silence
     try:
-        try:
-            return (yield from _command(core, "/v1/arm", {**body, **statement}))
-        except BadRequest as error:
-            # An older daemon knows no silence.
-            if not any(f"unknown key `{key}`" in error.detail for key in statement):
-                raise
-            return (yield from _command(core, "/v1/arm", body))
+        return (yield from _command(core, "/v1/arm", {**body, **statement}))
     except ApiError as error:
         # What the daemon refused has changed nothing; after a timeout the motors may be on.
         if not isinstance(error, DeviceTimeout):
@@ -456,8 +440,8 @@ def _inline(core: Core, given: Mapping[str, Any]) -> Op[dict[str, Any]]:
 
 
 def _limits(driven: Array) -> dict[str, Any]:
-    """What the samples of an inline pattern are checked against. An older daemon does not tell the travel."""
-    return {"motors": driven.motors, "most_um": float(driven.raw.get("motor", {}).get("travel_um", "inf"))}
+    """What the samples of an inline pattern are checked against."""
+    return {"motors": driven.motors, "most_um": driven.motor["travel_um"]}
 
 
 def sequence(
@@ -663,13 +647,7 @@ def leave(core: Core) -> Op[None]:
 def switch_off(core: Core) -> Op[None]:
     """Take back what this client has armed: motors that another one has armed stay armed for that one. A device that is off is fine."""
     with contextlib.suppress(Faulted, NoDevice):
-        try:
-            yield from _command(core, "/v1/disarm", {"own": True})
-        except BadRequest as error:
-            # An older daemon disarms for everybody.
-            if "unknown key `own`" not in error.detail:
-                raise
-            yield from _command(core, "/v1/disarm")
+        yield from _command(core, "/v1/disarm", {"own": True})
 
 
 def heartbeat(core: Core) -> Op[float]:

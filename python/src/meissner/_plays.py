@@ -10,9 +10,12 @@ import warnings
 from collections.abc import Generator
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from ._arguments import listed, table
-from ._bodies import Labels
+from . import _kept, _sessions
+from . import _operations as ops
+from ._arguments import hints, listed, table
+from ._bodies import Labels, Verdict
 from ._operations import Accepted
+from ._presses import Press
 from .clocks import Instant
 from .errors import MeissnerError, NotKnownYet
 from .results import Item, Receipt
@@ -20,16 +23,18 @@ from .results import Item, Receipt
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
+    from .client import Client
     from .experiment.trials import Trial
 
 P = TypeVar("P")
 
 
+@hints
 class KnownPlay:
-    """A play that the daemon has taken, and what is known of it."""
+    """A play or live play that the daemon has taken, and what is known of it. It takes an answer."""
 
-    def __init__(self, accepted: Accepted) -> None:
-        self._accepted = accepted
+    def __init__(self, client: Client, accepted: Accepted) -> None:
+        self._client, self._accepted = client, accepted
         self._receipt: Receipt | None = None
 
     @property
@@ -77,6 +82,34 @@ class KnownPlay:
     def items(self) -> tuple[Item, ...]:
         """The items of a sequence."""
         return self.receipt.items
+
+    def refresh(self) -> Receipt:
+        """Ask for the receipt as it is now."""
+        self._receipt = self._client.run(ops.receipt(self._client.core, self.id))
+        return self._receipt
+
+    def answer(
+        self,
+        response: object,
+        *,
+        correct: Verdict = None,
+        rt_ms: float | None = None,
+        level: float | None = None,
+        factors: Labels = None,
+    ) -> None:
+        """Record what the participant answered: the text of `response`, whether it is right, the response time in ms.
+
+        The play belongs to the running session and has begun; it takes one answer. `level` is that of the stimulus, such as a
+        staircase's; `factors` are texts by name. Every export has them in the row of the play. A `Press` has its response time, from
+        the onset of the play, and becomes the factors `response_tick` and `response_uncertainty_s`, too. What the daemon does not take
+        is kept in a file of the user, which the error names.
+        """
+        with _kept.answer(play=self.id, response=response, correct=correct, rt_ms=rt_ms, level=level, factors=factors):
+            if isinstance(response, Press) and (self._receipt is None or self._receipt.onset is None):
+                self.refresh()
+            onset = self.onset if isinstance(response, Press) else None
+            order = _sessions.answer(self._client.core, self._accepted, onset, response, correct, rt_ms, level, factors)
+            self._client.run(order)
 
     def __repr__(self) -> str:
         state = self._receipt.state if self._receipt else "accepted"

@@ -17,9 +17,9 @@ _ENOUGH = 0.8
 
 def warn_of(receipt: Receipt, told: set[str]) -> None:
     """Warns where the caller of this package stands. `told` is what nobody is told again."""
-    lines = [line for line in receipt.raw.get("warnings") or () if not _is_meant(receipt, line)]
+    lines = [line for line in receipt.raw["warnings"] if not _is_meant(receipt, line)]
     # Of a sequence the daemon says the pattern's name before each line.
-    name = "" if receipt.raw.get("items_planned") is not None else f"`{receipt.pattern}`: "
+    name = "" if receipt.raw["items_planned"] is not None else f"`{receipt.pattern}`: "
     new = [line for line in lines if _key(name + line) not in told]
     if not new:
         return

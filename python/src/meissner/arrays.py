@@ -1,7 +1,6 @@
 """The array that a daemon drives: its pins, its carrier and its motors.
 
-`Client.array` reads it once. A record, a receipt or a daemon that does not name its array is from before arrays had names: it is
-about the paper's array (`of_record`, `Array.paper`).
+`Client.array` reads it once.
 """
 
 from __future__ import annotations
@@ -12,7 +11,6 @@ from typing import Any
 
 from ._arguments import hints, number
 
-_PAPER = {"array": "tula35-6x4", "tick_hz": 85_000, "mapped_from": None}
 _PAPER_GRID = (6, 4, 2.9)
 _PAPER_MOTOR = {"speed_mm_s": 11.5, "window_ms": 4.3, "travel_um": 400.0}
 
@@ -49,14 +47,14 @@ class Array:
 
     @staticmethod
     def paper() -> Array:
-        """The paper's array, which an older daemon drives. `raw` is empty."""
+        """The paper's array. `raw` is empty."""
         rows, columns, pitch = _PAPER_GRID
         places = tuple(
             ((column - (columns - 1) / 2) * pitch, ((rows - 1) / 2 - row) * pitch)
             for row in range(rows)
             for column in range(columns)
         )
-        return Array(str(_PAPER["array"]), places, (rows, columns), pitch, of_record({})["tick_hz"], {})
+        return Array("tula35-6x4", places, (rows, columns), pitch, 85_000, {})
 
     @property
     def motors(self) -> int:
@@ -82,8 +80,3 @@ class Array:
             motor = drive.get("motor")
             if isinstance(motor, int) and not 0 <= motor < self.motors:
                 raise ValueError(f"`motor` is {motor}: the array {self.name} has motors 0 to {self.motors - 1}")
-
-
-def of_record(record: Mapping[str, Any]) -> dict[str, Any]:
-    """A receipt, or a row of a session, with `array`, `tick_hz` and `mapped_from`, whatever daemon wrote it."""
-    return {**_PAPER, **record}

@@ -26,7 +26,6 @@ from ._bids_names import SESSION_SOURCE, SOURCE, Names, with_participant
 from ._bids_names import label as label
 from ._labels import Labels, exact
 from ._text_file import replacing, sync
-from .arrays import of_record
 from .errors import BidsConflict, MeissnerError, ProgramError
 from .motions import pattern_toml
 from .results import reached_um
@@ -114,13 +113,13 @@ class Export:
 
 def stimulus_rows(plays: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """The rows that are stimuli: of a sequence its items, without those that never began; sorted by onset, each with its array."""
-    rows = [of_record(play) for play in plays if play["onset_tick"] is not None and play["items_planned"] is None]
+    rows = [play for play in plays if play["onset_tick"] is not None and play["items_planned"] is None]
     return sorted(rows, key=lambda row: int(row["onset_monotonic_ns"]))
 
 
 def trial_rows(plays: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """The rows that are plays or whole sequences, and began; sorted by onset, each with its array. Sequences have the `reached_um` of their items."""
-    rows = [of_record(play) for play in plays if play["onset_tick"] is not None and play["item"] is None]
+    rows = [play for play in plays if play["onset_tick"] is not None and play["item"] is None]
     for row in rows:
         same = [um for play in plays if play["play"] == row["play"] and (um := reached_um(play)) is not None]
         row["reached_um"] = max(same, default=None)
@@ -155,7 +154,7 @@ def write(
     zero = zero_host_ns if zero_host_ns is not None else (rows[0]["onset_monotonic_ns"] if rows else 0)
     left_out = losses(recorded)
     for row in rows:
-        is_live = row.get("live") is not None
+        is_live = row["live"] is not None
         line = f"the text of {row['pattern']} as played is not kept: its stim_file is n/a"
         line = f"{unknown(row, texts)}: its stim_file is n/a" if is_live else line
         if row["pattern_sha256"] not in stimuli and line not in left_out and not is_blank(row):
@@ -196,7 +195,7 @@ def write(
         writers[samples] = lambda beside: _displacement(beside, grid)
     _write_all(root, writers)
     left_out += grid.problems if grid else []
-    return Export(events, stimuli, samples if grid else None, tuple(left_out), recorded.get("plays_missing", 0))
+    return Export(events, stimuli, samples if grid else None, tuple(left_out), recorded["plays_missing"])
 
 
 def _holds(file: Path, data: bytes) -> bool:
@@ -272,22 +271,19 @@ def _write_all(root: Path, writers: Mapping[Path, Callable[[Path], object]]) -> 
 
 def losses(recorded: Mapping[str, Any]) -> list[str]:
     """What the session record itself lacks, one line each."""
-    lost, bounded = recorded["lost"], recorded.get("left_out", 0)
-    # An older daemon tells the number alone.
-    told = [f"the session record lost {lost} entries during the session"] if lost else []
-    missing = recorded.get("missing", told)
+    bounded = recorded["left_out"]
     left_out = (
         [f"{bounded} entries of the record about commands and the device, because of its bound"] if bounded else []
     )
-    return [*recorded["problems"], *missing, *left_out]
+    return [*recorded["problems"], *recorded["missing"], *left_out]
 
 
 def _incomplete(recorded: Mapping[str, Any]) -> dict[str, Any]:
     """What the sidecar says of a session that is not recorded completely."""
-    if recorded.get("complete", not recorded["lost"]):
+    if recorded["complete"]:
         return {}
-    plays = recorded.get("plays_missing", "n/a")
-    return {"Incomplete": {"Missing": losses(recorded), "PlaysMissing": plays, "EntriesLost": recorded["lost"]}}
+    told = {"PlaysMissing": recorded["plays_missing"], "EntriesLost": recorded["lost"]}
+    return {"Incomplete": {"Missing": losses(recorded), **told}}
 
 
 _AT_ONCE = 10_000
@@ -346,8 +342,8 @@ def _event(row: Mapping[str, Any], zero: int, stimuli: Mapping[str, str], labels
 
 
 def first_pulse_ns(row: Mapping[str, Any]) -> int | None:
-    """The first pulse of a pin on the recording PC's clock, ns; None: none, or an older daemon has recorded it."""
-    tick: int | None = row.get("first_pulse_tick")
+    """The first pulse of a pin on the recording PC's clock, ns; None: none."""
+    tick: int | None = row["first_pulse_tick"]
     if tick is None:
         return None
     onset_ns: int = row["onset_monotonic_ns"]
@@ -356,15 +352,15 @@ def first_pulse_ns(row: Mapping[str, Any]) -> int | None:
 
 
 def edge_cells(row: Mapping[str, Any]) -> dict[str, int | None]:
-    """The edges of the trigger input that started and stopped the play. An older daemon records none."""
-    edges = {name: row.get(name) or {} for name in ("start_edge", "stop_edge")}
+    """The edges of the trigger input that started and stopped the play."""
+    edges = {name: row[name] or {} for name in ("start_edge", "stop_edge")}
     numbers = {name: edge.get("number") for name, edge in edges.items()}
     return {**numbers, **{f"{name}_tick": edge.get("tick") for name, edge in edges.items()}}
 
 
 def answer_cells(row: Mapping[str, Any]) -> dict[str, Any]:
     """What the participant answered; None: not known. The response time is in seconds."""
-    answer = row.get("answer") or {}
+    answer = row["answer"] or {}
     correct, rt_ms = answer.get("correct"), answer.get("rt_ms")
     return {
         "response": exact(answer["response"]) if answer else None,

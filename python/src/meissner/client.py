@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import functools
 import os
 from collections.abc import Callable, Generator, Iterable
 from types import TracebackType
@@ -13,12 +14,11 @@ from typing import Any, Concatenate, ParamSpec, TypeVar
 from . import _ending, _exports, _http, _kept, _live, _plan, _sessions, bids, nwb, program
 from . import _operations as ops
 from ._alive import Alive
-from ._answers import Answerable
 from ._arguments import hinted, hints
 from ._bodies import Labels, Verdict
 from ._http import Op
 from ._operations import Accepted, Core
-from ._plays import answered, played_in, quietly, trial_answer, unanswered
+from ._plays import KnownPlay, answered, played_in, quietly, trial_answer, unanswered
 from ._sse import Event, EventParser
 from ._transport import BlockingTransport
 from .arrays import Array
@@ -29,79 +29,59 @@ from .live import Live
 from .results import Receipt
 
 P = ParamSpec("P")
+R = TypeVar("R")
 T = TypeVar("T")
 
 
-def _blocking(operation: Callable[Concatenate[Core, P], Op[T]]) -> Callable[Concatenate[Client, P], T]:
-    """A method that runs this operation and waits for its end."""
+def _method(
+    operation: Callable[Concatenate[Core, P], Op[T]], then: Callable[[Client, T, object], R]
+) -> Callable[Concatenate[Client, P], R]:
+    """A method that runs this operation and waits for its end. `then` makes its result, of the trial that it belongs to, too."""
     operation = hinted(operation)
 
-    def method(client: Client, /, *args: P.args, **kwargs: P.kwargs) -> T:
-        return client.run(operation(client.core, *args, **kwargs))
+    def method(client: Client, /, *args: P.args, **kwargs: P.kwargs) -> R:
+        return then(client, client.run(operation(client.core, *args, **kwargs)), kwargs.get("trial"))
 
-    return ops.named_after(operation, method)
+    return functools.update_wrapper(method, operation)
+
+
+def _blocking(operation: Callable[Concatenate[Core, P], Op[T]]) -> Callable[Concatenate[Client, P], T]:
+    return _method(operation, lambda client, result, trial: result)
 
 
 def _arming(operation: Callable[Concatenate[Core, P], Op[T]]) -> Callable[Concatenate[Client, P], T]:
     """A method that arms, and shows signs of life from then on."""
-    operation = hinted(operation)
+    arm = _blocking(operation)
 
     def method(client: Client, /, *args: P.args, **kwargs: P.kwargs) -> T:
         try:
-            return client.run(operation(client.core, *args, **kwargs))
+            return arm(client, *args, **kwargs)
         finally:
             # The motors may be on although the answer was lost.
             client.alive.begin()
 
-    return ops.named_after(operation, method)
+    return functools.update_wrapper(method, arm)
 
 
-def _playing(operation: Callable[Concatenate[Core, P], Op[Accepted]]) -> Callable[Concatenate[Client, P], Play]:
-    """A method that orders a play and returns it."""
-    operation = hinted(operation)
-
-    def method(client: Client, /, *args: P.args, **kwargs: P.kwargs) -> Play:
-        play = Play(client, client.run(operation(client.core, *args, **kwargs)))
-        client.trials[kwargs.get("trial")] = play
-        return play
-
-    return ops.named_after(operation, method)
+def _played(client: Client, accepted: Accepted, trial: object) -> Play:
+    play = client.trials[trial] = Play(client, accepted)
+    return play
 
 
-def _living(operation: Callable[Concatenate[Core, P], Op[_live.Started]]) -> Callable[Concatenate[Client, P], Live]:
-    """A method that starts a live play and returns it."""
-    operation = hinted(operation)
-
-    def method(client: Client, /, *args: P.args, **kwargs: P.kwargs) -> Live:
-        play = Live(client, client.run(operation(client.core, *args, **kwargs)))
-        client.trials[kwargs.get("trial")] = play
-        return play
-
-    return ops.named_after(operation, method)
+def _lives(client: Client, started: _live.Started, trial: object) -> Live:
+    play = client.trials[trial] = Live(client, started)
+    return play
 
 
-def _opening(
-    operation: Callable[Concatenate[Core, P], Op[dict[str, Any]]],
-) -> Callable[Concatenate[Client, P], Session]:
-    """A method that starts a session and returns it."""
-    operation = hinted(operation)
-
-    def method(client: Client, /, *args: P.args, **kwargs: P.kwargs) -> Session:
-        session = Session(client, client.run(operation(client.core, *args, **kwargs)))
-        client.trials.clear()
-        client.alive.begin()
-        return session
-
-    return ops.named_after(operation, method)
+def _opened(client: Client, started: dict[str, Any], trial: object) -> Session:
+    client.trials.clear()
+    client.alive.begin()
+    return Session(client, started)
 
 
 @hints
-class Play(Answerable):
+class Play(KnownPlay):
     """A play that the daemon has taken."""
-
-    def __init__(self, client: Client, accepted: Accepted) -> None:
-        super().__init__(accepted)
-        self._client = client
 
     def wait(self, timeout: float | None = None, *, check: bool = True) -> Receipt:
         """Wait until the play has ended, and return its receipt.
@@ -246,11 +226,11 @@ class Client:
     reset = _blocking(ops.reset)
     home = _blocking(ops.home)
     edge = _blocking(ops.edge)
-    play = _playing(ops.play)
-    sequence = _playing(ops.sequence)
+    play = _method(ops.play, _played)
+    sequence = _method(ops.sequence, _played)
     check = _blocking(_plan.check)
-    live = _living(_live.start)
-    session = _opening(_sessions.session)
+    live = _method(_live.start, _lives)
+    session = _method(_sessions.session, _opened)
     receipt = _blocking(ops.receipt)
     wait_until_idle = _blocking(ops.wait_until_idle)
     doctor = _blocking(ops.doctor)

@@ -18,12 +18,11 @@ from typing import TYPE_CHECKING, Any
 
 from . import _live
 from . import _operations as ops
-from ._answers import Answerable
 from ._arguments import hints, number, whole
 from ._http import Answer
 from ._live import END_TIMEOUT, Drives, Pose, Started, Update, Updates
 from ._operations import Core
-from ._plays import quietly
+from ._plays import KnownPlay, quietly
 from ._transport import tls
 from .errors import ConnectionLost, MeissnerError, UnexpectedAnswer, Unreachable
 from .results import LiveResult, Receipt
@@ -40,13 +39,12 @@ _BUFFER = 1 << 20
 
 
 @hints
-class Live(Answerable):
+class Live(KnownPlay):
     """A live play. As a context manager it ends with its block; `receipt` and `wait()` then say what became of it."""
 
     def __init__(self, client: Client, started: Started) -> None:
         """`Client.live()` makes them."""
-        super().__init__(started.accepted)
-        self._client = client
+        super().__init__(client, started.accepted)
         self._lock = threading.Lock()
         self._updates = Updates(self.id, started.array, self._wait_for)
         self._is_over = threading.Event()
@@ -59,7 +57,7 @@ class Live(Answerable):
         An update that was refused, and that nobody waits for, raises its error at the next call, whose own message is not
         sent then. Raises `PlayStopped` once the daemon has ended the play, and `ConnectionLost` if the connection has ended.
 
-        While the daemon has not answered 24 messages, newer ones wait and merge into the newest.
+        While two dozen messages have no answer, newer ones wait and merge into the newest.
         """
         with self._lock:
             update, messages = self._updates.message(drives, pose, scale)

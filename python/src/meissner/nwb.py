@@ -117,11 +117,7 @@ def write(
         "stimulus_notes": "Vibration patterns by SHA-256, frequencies in Hz, amplitudes in um peak to peak.\n\n"
         + "\n".join(f"# {sha256}\n{text}" for sha256, text in texts.items()),
         "was_generated_by": [["meissner", status.raw["version"]]],
-        **(
-            {"notes": "Incomplete: " + "; ".join(left_out)}
-            if not recorded.get("complete", not recorded["lost"])
-            else {}
-        ),
+        **({} if recorded["complete"] else {"notes": "Incomplete: " + "; ".join(left_out)}),
         **(metadata or {}),
     }
     nwb = pynwb.NWBFile(**about)
@@ -148,7 +144,7 @@ def write(
             left_out.append("no units: no spike is predicted")
     with replacing(file) as beside, pynwb.NWBHDF5IO(str(beside), "w") as io:
         io.write(nwb)
-    return Export(file, tuple(left_out), recorded.get("plays_missing", 0))
+    return Export(file, tuple(left_out), recorded["plays_missing"])
 
 
 def _zero_ns(rows: list[dict[str, Any]], started: datetime) -> int:

@@ -197,9 +197,6 @@ def _described(array: Array, options: Mapping[str, Any]) -> Iterator[dict[str, A
     """Options with an `array` that the program can read."""
     if "array" in options:
         yield dict(options)
-    elif "toml" not in array.raw:
-        # An older daemon drives the paper's array, which every program ships.
-        yield {**options, "array": array.name}
     else:
         with tempfile.TemporaryDirectory(prefix="meissner-") as folder:
             file = Path(folder) / "array.toml"

@@ -175,8 +175,8 @@ class Receipt:
             cause=raw["cause"],
             onset=instant(raw["onset"], "actual_tick"),
             offset=instant(raw["offset"]),
-            start_edge=instant(raw.get("start_edge")),
-            stop_edge=instant(raw.get("stop_edge")),
+            start_edge=instant(raw["start_edge"]),
+            stop_edge=instant(raw["stop_edge"]),
             late=lateness["host"] + lateness["link"] + lateness["device"],
             items=tuple(
                 Item(

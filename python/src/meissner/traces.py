@@ -201,7 +201,7 @@ def is_blank(row: Mapping[str, Any]) -> bool:
 def unknown(row: Mapping[str, Any], texts: Mapping[str, str]) -> str | None:
     """Why it is not known how a stimulus moved the pins; None: it is. `texts` holds the patterns by SHA-256."""
     what = f"play {row['play']}" + ("" if row["item"] is None else f", item {row['item']}")
-    if (live := row.get("live")) is not None:
+    if (live := row["live"]) is not None:
         return f"{what} was live: the record has the number of its updates ({live['updates']}), not its moves"
     if row["mapped_from"] is not None:
         return f"{what}: its pattern is for the array {row['mapped_from']} and was mapped by position"
