@@ -32,6 +32,11 @@ def why_not(play: Row, items: list[Row]) -> str | None:
     return None if all(row["pattern_kept"] for row in items or [play]) else "the text of its pattern is not kept"
 
 
+def is_soon(play: Row, before: Row) -> bool:
+    """Whether a play begins within a minute of another one."""
+    return bool((play["onset_tick"] or 0) < before["onset_tick"] + 60 * before["tick_hz"])
+
+
 def main(session: str) -> int:
     """Plays; if that fails, what was ordered must not go on."""
     with meissner.connect() as m:
@@ -54,9 +59,9 @@ def replay(m: meissner.Client, session: str) -> int:
     running: deque[tuple[Row, int, meissner.Play]] = deque()
     differing = left_out = 0
     while by_play or running:
-        # The daemon queues 16 plays; those that are ordered long before outlast a stall of this process.
-        if by_play and len(running) < 8:
-            number = next(iter(by_play))
+        number = next(iter(by_play), 0)
+        # A play that is ordered long before outlasts a stall of this process. The daemon queues 16, for an hour at most.
+        if by_play and (not running or (len(running) < 8 and is_soon(by_play[number][0], running[-1][0]))):
             play, *items = by_play.pop(number)
             items = [row for row in items if row["state"] in ("played", "incomplete")]
             if reason := why_not(play, items):
