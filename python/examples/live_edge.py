@@ -1,7 +1,7 @@
-"""Move an edge on a simulated array while it plays.
+"""Move an edge that is pressed on a simulated array.
 
 python live_edge.py                  # along a sine
-tracker | python live_edge.py -      # along a tracked hand: lines of x_mm,y_mm,angle_deg, as they come
+tracker | python live_edge.py -      # along a tracked hand: lines of x_mm,y_mm,angle_deg,depth_um, as they come
 """
 
 import math
@@ -26,7 +26,7 @@ def hand() -> Iterator[tuple[float, ...]]:
 
 
 # The play ends, and the pins return, when no pose comes for `timeout` s.
-with meissner.demo() as m, m.live("edge-45", timeout=2.0) as live:
+with meissner.demo() as m, m.live(object="edge-45", timeout=2.0) as live:
     update = live.pose()
     for pose in hand() if "-" in sys.argv[1:] else sine(2.0):
         update = live.pose(*pose)

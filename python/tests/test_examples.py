@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import importlib.util
 import os
 import re
@@ -9,6 +10,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -52,10 +54,93 @@ def test_live_edge(tmp_path: Path) -> None:
     assert found
     assert 0 < int(found[2]) <= int(found[1]) <= 101
     command = [sys.executable, str(EXAMPLES / "live_edge.py"), "-"]
-    hand = "-3,0,0\n0.5,1.0,10\n3,0,20\n"
+    hand = "-3,0,0\n0.5,1.0,10\n3,0,20,300\n"
     ended = run_kept(command, tmp_path, {}, hand)
     assert ended.returncode == 0, ended.stderr
     assert re.fullmatch(poses, ended.stdout)
+
+
+class Touchpad:
+    """What `live_mouse.py` uses of an `evdev.InputDevice`: it has these events, and then it is gone."""
+
+    def __init__(self, *events: tuple[int, int, int]) -> None:
+        self.fd, self._writing = os.pipe()
+        self._events = events
+        os.write(self._writing, b"events")
+
+    def capabilities(self, absinfo: bool) -> dict[int, Any]:
+        ecodes, info = importlib.import_module("evdev.ecodes"), importlib.import_module("evdev").AbsInfo
+        return {ecodes.EV_ABS: [(code, info(0, 0, 1000, 0, 0, 0)) for code in (ecodes.ABS_X, ecodes.ABS_Y)]}
+
+    def read(self) -> Iterator[Any]:
+        event = importlib.import_module("evdev").InputEvent
+        yield from (event(0, 0, *of) for of in self._events)
+        self._events = ()
+        if os.read(self.fd, 6) == b"events":
+            os.write(self._writing, b"gone!!")
+        else:
+            raise OSError("no such device")
+
+
+def test_live_mouse(capsys: pytest.CaptureFixture[str]) -> None:
+    ecodes = pytest.importorskip("evdev", reason="evdev is not installed").ecodes
+    spec = importlib.util.spec_from_file_location("live_mouse", EXAMPLES / "live_mouse.py")
+    assert spec
+    assert spec.loader
+    example = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(example)
+    rel, absolute = ecodes.EV_REL, ecodes.EV_ABS
+    moves = [(rel, ecodes.REL_X, 100), (rel, ecodes.REL_Y, 50), (rel, ecodes.REL_WHEEL, -2), (ecodes.EV_KEY, 272, 1)]
+    mouse = Touchpad(*moves, (rel, ecodes.REL_DIAL, 1), (rel, ecodes.REL_Y, 0))
+    hand = example.Hand([4.35, 7.25], mouse)
+    with meissner.demo() as m, m.live(object="edge-45", timeout=5.0) as live:
+        example.follow(live, hand, mouse)
+    assert ([round(mm, 9) for mm in hand.mm], hand.degrees) == ([2.0, -1.0], 355.0)
+    assert live.receipt.raw["live"]["updates"] > 0
+    assert "the device is gone" in capsys.readouterr().out
+    for event in Touchpad(
+        (absolute, ecodes.ABS_X, 750), (absolute, ecodes.ABS_Y, 0), (rel, ecodes.REL_X, 10_000)
+    ).read():
+        hand.hear(event)
+    assert hand.mm == [4.35, 7.25]
+
+
+def test_replay_keeps_gaps_to_the_tick_and_patterns_as_they_were(tmp_path: Path) -> None:
+    own = 'format = 1\nname = "own"\n[[drive]]\nmotor = 3\nfrequency_hz = {}\namplitude_um = 50\n'
+    with meissner.Daemon() as daemon, meissner.connect(daemon.socket) as m:
+        m.arm(assume_rest=True, checked="a test")
+        with m.session(participant="P07") as session:
+            m.store_pattern("own", own.format(60))
+            recorded = [m.play("own", seconds=0.2, scale=0.9, trial=1, trigger=7).wait()]
+            items: list[meissner.SequenceItem] = ["dot", None, {"pattern": "edge-0", "gap": 0.05, "trigger": False}]
+            recorded.append(m.sequence(items, seconds=0.1, trial=2).wait())
+            with m.live(object="edge-45", timeout=5.0) as live:
+                live.pose().wait()
+            stopped = m.play("pin-60", endless=True)
+            while (onset := stopped.refresh().onset) is None or m.now() < onset.monotonic + 0.2:
+                pass
+            m.stop()
+            recorded.append(stopped.wait(check=False))
+        m.store_pattern("own", own.format(30), replace=True)
+        command = [sys.executable, str(EXAMPLES / "replay.py"), session.id]
+        ended = run_kept(command, tmp_path, {"MEISSNER_SOCKET": daemon.socket})
+        assert ended.returncode == 1, ended.stderr
+        assert ended.stdout.endswith("left out\n"), ended.stderr
+        left_out, *plays, last = ended.stdout.splitlines()
+        assert (len(plays), last) == (3, "0 differ, 1 left out"), ended.stderr
+        assert left_out.startswith("play 3 is left out: ")
+        last_id = m.receipt().id
+        again = [m.receipt(last_id - back) for back in (2, 1, 0)]
+        ticks = [[receipt.onset.tick for receipt in of if receipt.onset] for of in (recorded, again)]
+        assert [tick - ticks[0][0] for tick in ticks[0]] == [tick - ticks[1][0] for tick in ticks[1]]
+        for one, two in zip(recorded[:2], again, strict=False):
+            assert one.raw["ordered"] == two.raw["ordered"]
+            assert one.raw["trial"] == two.raw["trial"]
+        first = again[0].raw["items"][0]
+        assert first["pattern_sha256"] == recorded[0].raw["pattern_sha256"]
+        assert first["trigger"]["code"] == 7
+        triggers = [[item["trigger"] is None for item in of.raw["items"]] for of in (recorded[1], again[1])]
+        assert triggers[0] == triggers[1] == [False, False, True]
 
 
 def test_design_loop(tmp_path: Path) -> None:

@@ -264,7 +264,7 @@ class Judgement:
     lines: dict[str, dict[str, Any]]
     """By name: the judged pattern, the object felt again, methods of rendering, plain rules. `r`, `error`, and both by class."""
     felt: dict[str, Any]
-    """Of the first finger: `afferents`, and their spikes, s: `object_s`, `pattern_s`."""
+    """Of the first finger: `afferents`, and their spikes, s: `object_spikes_s`, `pattern_spikes_s`."""
     raw: dict[str, Any] = field(repr=False)
     """The program's whole answer."""
 
@@ -294,7 +294,7 @@ def judge(
             *([] if array is None else ["--array", os.fspath(array)]),
         ]
         raw = _run(arguments)
-    return Judgement({line["name"]: line for line in raw["lines"]}, raw.get("felt") or {}, raw)
+    return Judgement({line["name"]: line for line in raw["lines"]}, raw["felt"], raw)
 
 
 def render_for(array: Array, object: Object, options: Mapping[str, Any]) -> Rendering:
