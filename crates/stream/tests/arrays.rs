@@ -62,8 +62,6 @@ fn nothing_moves_for_a_play_that_is_for_another_array() {
         assert!(events.iter().any(|event| matches!(event, StreamEvent::PlayRejected(play) if play.id == 1)));
     }
     assert!(rig.mock.take_trace().iter().all(|(_, run)| run.lines == OFF));
-    let ticket = rig.send(Command::Configure(Settings::of(found)));
-    assert_eq!(answer(&rig.take_events(), ticket), refused);
     let line = CommandError::OtherArray { found, array }.to_string();
     assert!(
         line.starts_with("it is for the array tula35-2x3, but the array in use is tula35-6x4: "),

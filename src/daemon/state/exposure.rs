@@ -47,11 +47,6 @@ impl Exposure {
         Self { account, ..Self::default() }
     }
 
-    /// Changes the limits.
-    pub(in crate::daemon) const fn set_limits(&mut self, limits: ParticipantLimits) {
-        self.account.set_limits(limits);
-    }
-
     /// The problem with the sums or their file.
     pub(in crate::daemon) fn problem(&self) -> Option<String> {
         let silent = || {

@@ -12,11 +12,10 @@ use std::thread;
 use tokio::sync::Notify;
 
 /// The threads that the daemon needs.
-const NEEDED: [&str; 10] = [
+const NEEDED: [&str; 9] = [
     "session record",
     "connector",
     "manager",
-    "reload",
     "tokens",
     "renderer",
     "usb-in",

@@ -83,8 +83,6 @@ pub enum Command {
     WithdrawEdges(u64),
     /// Use these gains of the motors.
     SetGains(Box<PerMotor<Gains>>),
-    /// Use these settings from the next `arm` on, or at once while disarmed. Refused if they are for another array.
-    Configure(Settings),
     /// Return the pins and disable the motors.
     Disarm,
     /// Disarm and end the thread. The answer comes when the device is off, or after a second.
