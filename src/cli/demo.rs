@@ -152,6 +152,7 @@ pub(super) fn run(asked: &Asked) -> Result<ExitCode> {
         patterns: PatternsDir::None,
         calibration: None,
         logbook: None,
+        tokens: None,
         // No limits: no finger lies on simulated pins.
         participant: ParticipantLimits::NONE,
         // Simulated motors may stay armed while the machine stands still.

@@ -92,13 +92,6 @@ impl Daemon {
         engine.lock().sessions.set_silence(Duration::from_secs_f64(config.session_silence_s));
         engine.lock().armed.set_default(Duration::from_secs_f64(config.armed_silence_s));
         let engine = Arc::new(engine.with(record, realtime, bound.socket().to_owned()).with_gate(gate));
-        let changed = Arc::downgrade(&engine);
-        let tokens_changed = move || {
-            if let Some(engine) = changed.upgrade() {
-                engine.lock().rights_changed();
-            }
-        };
-        engine.gate.watch_tokens(tokens_changed).map_err(system("tokens' thread"))?;
         engine.load_calibration(None);
         let connector =
             connector::spawn(config.device.clone(), config.settings.array, config.mock, Arc::clone(&engine))
