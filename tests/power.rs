@@ -3,7 +3,7 @@
 use crate::harness::{Daemon, PATIENT, PROGRAM, complaint, directory, ended, meissner, problem, wait_until};
 use jiff::Zoned;
 use meissner::store::Store;
-use meissner_api::{ImportedPattern, SessionList, Status};
+use meissner_api::{ImportedPattern, SessionList};
 use meissner_client::{Client, ClientError};
 use meissner_input::message::is_plain;
 use rand_chacha::ChaCha8Rng;

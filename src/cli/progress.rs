@@ -106,42 +106,6 @@ impl Drop for Meter {
     }
 }
 
-/// The updates of a live play: on a terminal one line on stderr, removed at the end.
-#[derive(Debug)]
-pub(super) struct Updates {
-    meter: Meter,
-    shown: Option<Instant>,
-}
-
-impl Updates {
-    pub(super) fn new() -> Self {
-        Self { meter: Meter::new(ProgressBar::new_spinner), shown: None }
-    }
-
-    /// Shows the line, ten times a second at most.
-    pub(super) fn show(&mut self, now: Instant, line: impl FnOnce() -> String) {
-        if self.shown.is_some_and(|shown| now.duration_since(shown) < TURN) {
-            return;
-        }
-        self.shown = Some(now);
-        if let Some(bar) = &self.meter.0 {
-            bar.set_message(shown(&line()));
-            bar.tick();
-        }
-    }
-
-    /// Prints a line that stays.
-    pub(super) fn say(&self, line: &str) {
-        let say = || {
-            tell(line);
-        };
-        match &self.meter.0 {
-            Some(bar) => bar.suspend(say),
-            None => say(),
-        }
-    }
-}
-
 /// The cells of a sweep, on stderr: a bar with the time left on a terminal, else a line every ten seconds.
 #[derive(Debug)]
 pub(super) struct Cells {

@@ -9,7 +9,7 @@ use meissner_array::random::normal;
 use meissner_array::simulated::SimulatedMotorsConfig;
 use meissner_array::spec::Array;
 use meissner_array::strokes::{StrokeOptions, Strokes};
-use meissner_stream::queues::{Command, CommandError, End, Snapshot, StreamEvent};
+use meissner_stream::queues::{Command, CommandError, End, Snapshot};
 use meissner_stream::{Gains, LowerStopSettings, Settings, forecast_drift};
 use meissner_test_support::paper::MOTORS;
 use meissner_test_support::patterns::{drive, pattern};

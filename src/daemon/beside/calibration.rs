@@ -15,7 +15,6 @@ use meissner_api::{Code, Event, Problem, Route};
 use meissner_input::message::quote;
 use meissner_stream::calibrate::Calibration;
 use meissner_stream::queues::{Command, CommandError};
-use std::path::PathBuf;
 use std::sync::{Arc, PoisonError};
 use tracing::{info, warn};
 

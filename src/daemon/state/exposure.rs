@@ -10,7 +10,7 @@
 
 use crate::daemon::state::State;
 use crate::daemon::state::commands::LOST_AFTER;
-use crate::exposure::{Account, Limit, Now, Onset, ParticipantLimits, Vibration};
+use crate::exposure::{Account, Limit, Now, Onset, Vibration};
 use crate::receipts::state_name;
 use firmware_protocol::message::State as DeviceState;
 use jiff::civil::Date;

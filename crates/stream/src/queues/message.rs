@@ -7,7 +7,6 @@ use crate::queues::error::CommandError;
 use crate::queues::live::LiveUpdate;
 use crate::queues::outcome::{Onset, Outcome, Snapshot};
 use crate::queues::play::{At, Edge, Play};
-use crate::settings::Settings;
 use crate::time::HostInstant;
 use firmware_protocol::array::MotorSet;
 use firmware_protocol::limits::Refusal;
