@@ -1,8 +1,7 @@
 //! The API over TCP: hosts, origins, tokens and roles, floods; without `listen` the daemon does not listen.
 
 use crate::harness::{
-    Daemon, PATIENT, TIMEOUT, assert_accounts, complaint, document, meissner, printed, refusal,
-    wait_until,
+    Daemon, PATIENT, TIMEOUT, assert_accounts, complaint, document, meissner, printed, refusal, wait_until,
 };
 use meissner_api::{MAX_CLIENTS, SessionStarted, Status, TokenCreated};
 use serde_json::{Value, json};
@@ -259,11 +258,7 @@ fn only_a_sessions_owner_revokes_tokens() {
     );
     let path = format!("/v1/tokens/{}", operate.info.id);
     assert_eq!(refusal(daemon.client().delete(&path)).0, "session-exclusive");
-    assert_answers(
-        &ask(&address, "GET /v1/status", &(bearer(&operate) + "via: 1.1 x\r\n")),
-        200,
-        "",
-    );
+    assert_answers(&ask(&address, "GET /v1/status", &(bearer(&operate) + "via: 1.1 x\r\n")), 200, "");
 }
 
 #[test]

@@ -3,7 +3,7 @@
 //! On a terminal it shows a bar or a spinner on stderr, and removes it at the end. Elsewhere a play prints lines on stdout: at its
 //! beginning, every second, and for each of the first ten late or refused strokes. With `--json` there are no lines.
 
-use super::output::{is_broken_pipe, say, shown, tell};
+use super::output::{is_broken_pipe, say};
 use anyhow::Result;
 use indicatif::{ProgressBar, ProgressStyle};
 use meissner_api::Event;

@@ -68,7 +68,7 @@ pub mod token;
 pub mod trigger;
 
 pub use answer::{AnswerTaken, PlayAnswer};
-pub use array::{ArrayDetails, ArrayDuty, ArrayGrid, ArrayMotor, ArrayResponse};
+pub use array::{ArrayDetails, ArrayDuty, ArrayGrid, ArrayMotor};
 pub use board::{BoardRecord, BoardStatus};
 pub use body::{Labels, MAX_AT_MS, is_sha256};
 pub use calibration::{CalibratedMotor, CalibrationReport, FittedLine, MeasuredPoint, Provenance};

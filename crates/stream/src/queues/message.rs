@@ -185,7 +185,7 @@ pub enum StreamEvent {
     },
     /// The device contradicted itself, in this way for the first time since it was connected. The link ignored the message.
     Contradiction(Contradiction),
-    /// The error of dead reckoning exceeds [`Settings::drift_warning_um`].
+    /// The error of dead reckoning exceeds [`crate::Settings::drift_warning_um`].
     DriftWarning {
         /// The largest of all motors, one standard deviation, µm.
         um: f32,
