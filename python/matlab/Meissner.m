@@ -166,12 +166,11 @@ classdef Meissner < handle
     end
 
     function play = play(self, pattern, varargin)
-      % Queue a play. Options: seconds, at, scale, trigger (a code, or false), trial, labels (a struct), late, fit, map, replace,
+      % Queue a play. Options: seconds, at, scale, trigger (a code, or false), trial, labels (a struct), late, fit, replace,
       % endless, open_loop, strict, hold (s), on_edge (s after an edge of the trigger input), stop_on_edge. 'pattern' is a name, or a struct with the keys of a pattern file; tables of it are cells of
-      % structs: struct('wave', {{struct('motor', 9, 'rate_hz', 1000, 'um', samples)}}). 'map', 'nearest' plays a pattern for another
-      % array by the pins' positions. 'at' is a time of
+      % structs: struct('wave', {{struct('motor', 9, 'rate_hz', 1000, 'um', samples)}}). 'at' is a time of
       % now(), or an instant such as m.later(receipt.onset, 1.5), which is exact to the tick.
-      names = {'seconds', 'at', 'scale', 'trigger', 'trial', 'labels', 'late', 'fit', 'map', 'replace', 'endless', 'open_loop', 'strict', 'hold', 'on_edge', 'stop_on_edge'};
+      names = {'seconds', 'at', 'scale', 'trigger', 'trial', 'labels', 'late', 'fit', 'replace', 'endless', 'open_loop', 'strict', 'hold', 'on_edge', 'stop_on_edge'};
       body = Meissner.options(names, varargin);
       body.pattern = pattern;
       name = pattern;
@@ -183,8 +182,8 @@ classdef Meissner < handle
     function play = sequence(self, items, varargin)
       % Queue patterns as one play with exact times. An item is a name, or a struct with pattern and any of seconds, scale, trigger,
       % gap and start (s). Options: isi (pause from an item's end) or soa (distance of onsets), seconds and scale of items that give
-      % none, at, name, trial, labels, late, map, replace, open_loop, strict, hold (s), on_edge (s), stop_on_edge.
-      names = {'isi', 'soa', 'seconds', 'scale', 'at', 'name', 'trial', 'labels', 'late', 'map', 'replace', 'open_loop', 'strict', 'hold', 'on_edge', 'stop_on_edge'};
+      % none, at, name, trial, labels, late, replace, open_loop, strict, hold (s), on_edge (s), stop_on_edge.
+      names = {'isi', 'soa', 'seconds', 'scale', 'at', 'name', 'trial', 'labels', 'late', 'replace', 'open_loop', 'strict', 'hold', 'on_edge', 'stop_on_edge'};
       body = Meissner.options(names, varargin);
       [made, body] = Meissner.items(items, body);
       body.items = made;
@@ -194,9 +193,9 @@ classdef Meissner < handle
     end
 
     function checked = check(self, items, varargin)
-      % Ask before the first trial whether a study would stop at the drift limit on a board. Items and options isi, soa, seconds, scale
-      % and map as those of sequence: all plays of the study. Nothing is played. stopped_at is empty if the study comes to its end.
-      body = Meissner.options({'isi', 'soa', 'seconds', 'scale', 'map'}, varargin);
+      % Ask before the first trial whether a study would stop at the drift limit on a board. Items and options isi, soa, seconds and scale
+      % as those of sequence: all plays of the study. Nothing is played. stopped_at is empty if the study comes to its end.
+      body = Meissner.options({'isi', 'soa', 'seconds', 'scale'}, varargin);
       [made, body] = Meissner.items(items, body);
       body.items = made;
       checked = self.post('/v1/sequence/check', body, 60);
@@ -402,7 +401,7 @@ classdef Meissner < handle
     function receipt = receipt_of(self, raw)
       if ~isfield(raw, 'tick_hz')
         % An older daemon drives the paper's array.
-        raw.array = 'tula35-6x4'; raw.tick_hz = 85000; raw.mapped_from = [];
+        raw.array = 'tula35-6x4'; raw.tick_hz = 85000;
       end
       receipt = struct('id', raw.id, 'pattern', raw.pattern, 'state', raw.state, 'cause', raw.cause, 'onset', [], 'offset', [], ...
         'late', raw.lateness.host + raw.lateness.link + raw.lateness.device, 'items', {{}}, 'raw', raw);

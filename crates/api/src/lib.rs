@@ -99,8 +99,8 @@ pub use rendering::{
     PreviewSpikes, RenderMethod, Rendered,
 };
 pub use request::{
-    ArmRequest, CalibrateRequest, DisarmRequest, EdgeRequest, Fit, LatePolicy, MAX_WAIT_S, Mapping,
-    PlayRequest, ResetRequest, parse_empty,
+    ArmRequest, CalibrateRequest, DisarmRequest, EdgeRequest, Fit, LatePolicy, MAX_WAIT_S, PlayRequest,
+    ResetRequest, parse_empty,
 };
 pub use route::{Method, Route};
 pub use search::{

@@ -12,7 +12,7 @@ from typing import Any
 
 from ._arguments import hints, number
 
-_PAPER = {"array": "tula35-6x4", "tick_hz": 85_000, "mapped_from": None}
+_PAPER = {"array": "tula35-6x4", "tick_hz": 85_000}
 _PAPER_GRID = (6, 4, 2.9)
 _PAPER_MOTOR = {"speed_mm_s": 11.5, "window_ms": 4.3, "travel_um": 400.0}
 
@@ -85,5 +85,5 @@ class Array:
 
 
 def of_record(record: Mapping[str, Any]) -> dict[str, Any]:
-    """A receipt, or a row of a session, with `array`, `tick_hz` and `mapped_from`, whatever daemon wrote it."""
+    """A receipt, or a row of a session, with `array` and `tick_hz`, whatever daemon wrote it."""
     return {**_PAPER, **record}
