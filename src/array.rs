@@ -1,8 +1,7 @@
 //! Finds the description of an array by its name or in a file, and shows it as the API does.
 
 use crate::file::read_regular;
-use meissner_api::{ArrayDetails, ArrayDuty, ArrayGrid, ArrayMotor, ArrayResponse};
-use meissner_array::motor::Response;
+use meissner_api::{ArrayDetails, ArrayDuty, ArrayGrid, ArrayMotor};
 use meissner_array::spec::{Array, ArrayError, ArraySpec, Problem, UnknownArray};
 use std::path::{Path, PathBuf};
 
@@ -85,10 +84,6 @@ pub fn details(array: Array) -> ArrayDetails {
         chips: array.chips().members().to_vec(),
         motor: ArrayMotor {
             um_per_pulse: motor.um_per_pulse,
-            response: match motor.response {
-                Response::Average => ArrayResponse::Average,
-                Response::Lag { .. } => ArrayResponse::Lag,
-            },
             window_ms: array.rate().ticks_to_ms(1) * motor.window_ticks(),
             speed_mm_s: motor.um_per_pulse * f64::from(array.rate().hz()) / 1000.0,
             travel_um: motor.travel_um,

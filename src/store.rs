@@ -21,10 +21,8 @@ use folder::{Folder, Make, check_name, check_new_name};
 use in_use::InUse;
 use include_dir::{Dir, include_dir};
 use meissner_api::pattern_choice::INLINE;
-use meissner_api::{
-    MAX_LISTED, MAX_PACKED_BODY, Mapping, PatternList, PatternSummary, RailLoad, ReachedDrive,
-};
-use meissner_array::pattern::{FORMAT_OF_MOTIONS, Mapped, Pattern, PatternError};
+use meissner_api::{MAX_LISTED, MAX_PACKED_BODY, PatternList, PatternSummary, RailLoad, ReachedDrive};
+use meissner_array::pattern::{FORMAT_OF_MOTIONS, Pattern, PatternError};
 use meissner_array::power::{CAPACITANCE_NF, RailPulses, current_ma, rail_pulses};
 use meissner_array::spec::Array;
 use meissner_array::strokes::{StrokeOptions, Strokes};
@@ -96,8 +94,7 @@ pub enum StoreError {
     },
     /// A pattern for another array.
     #[error(
-        "{} is for the array {}, and this one is {}: `--map nearest`, or `\"map\": \"nearest\"`, plays it by the pins' positions; \
-         `meissner optimise --array ARRAY` makes one for this array: ARRAY is its name, or the file of its description if it is \
+        "{} is for the array {}, and this one is {}: `meissner optimise --array ARRAY` makes one for this array: ARRAY is its name, or the file of its description if it is \
          not shipped", quote(.name), .its, .this
     )]
     OtherArray {
@@ -118,15 +115,6 @@ fn offer(nearest: &[String]) -> String {
         [] => ";".to_owned(),
         names => format!(": did you mean `{}`?", names.join("`, `")),
     }
-}
-
-/// A pattern that was mapped to another array by position.
-#[derive(Clone, Debug)]
-pub struct MappedFrom {
-    /// The array that it is for.
-    pub array: String,
-    /// What people should know.
-    pub warnings: Vec<String>,
 }
 
 /// A pattern and the hash of its file. Clones share the pattern and its JSON.
@@ -370,24 +358,17 @@ impl Stored {
         }
     }
 
-    /// The pattern on an array; and if it was mapped, what became of it. The text stays that of the file.
+    /// Refuses an array that the pattern is not for.
     ///
     /// # Errors
-    /// [`StoreError::OtherArray`] if it is for another array and is not to be mapped; [`StoreError::Pattern`] if no pin would follow
-    /// one that it drives.
-    pub fn on(self, array: Array, map: Option<Mapping>) -> Result<(Self, Option<MappedFrom>), StoreError> {
+    /// [`StoreError::OtherArray`].
+    pub fn check_array(&self, array: Array) -> Result<(), StoreError> {
         let its = self.pattern.array();
         if its == array {
-            return Ok((self, None));
+            return Ok(());
         }
-        let Some(Mapping::Nearest) = map else {
-            let [its, this] = [its, array].map(|array| array.name().to_owned());
-            return Err(StoreError::OtherArray { name: self.pattern.name().to_owned(), its, this });
-        };
-        let Mapped { pattern, warnings } = self.pattern.mapped_to(array)?;
-        let mapped = MappedFrom { array: its.name().to_owned(), warnings };
-        let pattern = Arc::new(pattern);
-        Ok((Self { pattern, json: Arc::default(), run: Arc::default(), ..self }, Some(mapped)))
+        let [its, this] = [its, array].map(|array| array.name().to_owned());
+        Err(StoreError::OtherArray { name: self.pattern.name().to_owned(), its, this })
     }
 
     /// The order for one run of the pattern.

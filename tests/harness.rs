@@ -126,11 +126,6 @@ impl Daemon {
         });
     }
 
-    /// Replaces its configuration, without telling it.
-    pub(crate) fn write_config(&self, config: &str) {
-        write_config(self.dir.path(), config);
-    }
-
     pub(crate) fn path(&self, name: &str) -> PathBuf {
         self.dir.path().join(name)
     }

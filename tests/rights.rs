@@ -446,46 +446,6 @@ fn an_owner_who_comes_back_ends_what_strangers_play() {
     assert_eq!(ends().1, Some(EndCause::OwnerReturned));
 }
 
-#[test]
-fn two_daemons_with_one_file_know_the_same_tokens() {
-    let dir = directory();
-    let file = dir.path().join("shared/tokens.toml");
-    let config = format!("tokens = {file:?}\n");
-    let [a, b] = [(); 2].map(|()| listening(&config));
-    let [at_a, at_b] = [address(&a), address(&b)];
-    let made = [create(&a, Role::Operate), create(&b, Role::Operate), create(&a, Role::Observe)];
-    for address in [&at_a, &at_b] {
-        for token in &made {
-            assert_eq!(ask(address, "GET /v1/status", &bearer(&token.token), "").0, 200);
-        }
-    }
-    let ids = |daemon: &Daemon| -> Vec<String> {
-        let list: TokenList = daemon.client().get("/v1/tokens").unwrap();
-        list.tokens.into_iter().map(|token| token.id).collect()
-    };
-    assert_eq!((ids(&a), ids(&a).len()), (ids(&b), 3));
-    // When one daemon revokes the token, open streams at the other end, and the next use there is refused.
-    b.armed();
-    let mut events = b.client().events().unwrap();
-    let headers = bearer(&made[0].token);
-    let play = ask(&at_b, "POST /v1/play", &headers, "{\"pattern\": \"pin-60\", \"endless\": true}");
-    assert_eq!(play.0, 202, "{play:?}");
-    began(&mut events);
-    for round in 0..20 {
-        let token = create(&a, Role::Operate);
-        assert_eq!(ask(&at_b, "GET /v1/status", &bearer(&token.token), "").0, 200, "{round}");
-        revoke(&a, &token);
-        assert_eq!(ask(&at_b, "GET /v1/status", &bearer(&token.token), "").0, 401, "{round}");
-    }
-    revoke(&a, &made[0]);
-    assert_eq!(ask(&at_b, "POST /v1/play", &headers, "{\"pattern\": \"pin-60\"}").0, 401);
-    assert_eq!(ended(&mut events).cause.as_ref(), Some(&EndCause::Revoked));
-    // The token stays revoked when the other daemon writes the file, or restarts.
-    create(&b, Role::Observe);
-    assert!(!ids(&a).contains(&made[0].info.id) && ids(&a).len() == 3);
-    assert!(!fs::read_to_string(&file).unwrap().contains(&made[0].info.id));
-}
-
 /// Runs a command in another process, which has none of this process's tokens.
 fn command(daemon: &Daemon, arguments: &[&str]) -> Value {
     serde_json::from_str(&printed(daemon.meissner().args(arguments).arg("--json"))).unwrap()

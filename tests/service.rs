@@ -1,13 +1,12 @@
-//! The daemon as a service: notifications, watchdog, socket activation, reload, and a newer program.
+//! The daemon as a service: notifications, watchdog, socket activation.
 
-use crate::harness::{Daemon, PATIENT, PROGRAM, TIMEOUT, complaint, meissner, printed};
+use crate::harness::{Daemon, PROGRAM, TIMEOUT, complaint, meissner, printed};
 use meissner_api::Status;
 use rustix::process::Signal;
 use std::io;
 use std::os::fd::OwnedFd;
 use std::os::unix::fs::FileTypeExt;
 use std::os::unix::net::{UnixDatagram, UnixListener};
-use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
@@ -25,14 +24,10 @@ impl Manager {
         Self { socket, dir }
     }
 
+    /// Starts a daemon as a service manager does: without a terminal, with a notification socket.
     fn start(&self, watchdog: Option<Duration>) -> Daemon {
-        self.start_program(PROGRAM.as_ref(), watchdog)
-    }
-
-    /// Starts a program as a service manager does: without a terminal, with a notification socket.
-    fn start_program(&self, program: &Path, watchdog: Option<Duration>) -> Daemon {
-        let mut command = Command::new("sh");
-        command.args(["-c", "trap '' HUP; exec \"$0\" \"$@\""]).arg(program).stdin(Stdio::null());
+        let mut command = Command::new(PROGRAM);
+        command.stdin(Stdio::null());
         command.env("NOTIFY_SOCKET", self.dir.path().join("notify")).env_remove("WATCHDOG_PID");
         match watchdog {
             Some(interval) => command.env("WATCHDOG_USEC", interval.as_micros().to_string()),
@@ -123,30 +118,6 @@ fn a_slow_client_costs_no_watchdog_notification() {
     }
 }
 
-/// Copy it in another process, so that no child of another test holds it open for writing when it is started.
-fn copy_program(to: &Path) {
-    assert!(Command::new("cp").arg(PROGRAM).arg(to).status().unwrap().success());
-}
-
-#[test]
-fn a_newer_program_is_started_when_motors_are_disarmed() {
-    let manager = Manager::new();
-    let program = manager.dir.path().join("meissner");
-    copy_program(&program);
-    let mut daemon = manager.start_program(&program, None);
-    daemon.wait_for_device();
-    daemon.armed();
-    let newer = manager.dir.path().join("newer");
-    copy_program(&newer);
-    std::fs::rename(newer, &program).unwrap();
-    printed(daemon.meissner().args(["play", "wave", "--seconds", "0.2", "--wait"]));
-    let status: Status = daemon.client().get("/v1/status").unwrap();
-    assert_eq!(status.state, "armed", "a session goes on");
-    printed(daemon.meissner().arg("disarm"));
-    assert_eq!(daemon.wait().code(), Some(75), "{}", daemon.log());
-    assert!(daemon.log().contains("another version was installed"));
-}
-
 #[test]
 fn a_socket_that_is_handed_over_is_used_and_not_removed() {
     let dir = tempfile::tempdir().unwrap();
@@ -170,56 +141,6 @@ fn a_socket_that_is_handed_over_is_used_and_not_removed() {
         std::fs::symlink_metadata(&path).unwrap().file_type().is_socket(),
         "the daemon does not remove it"
     );
-}
-
-#[test]
-fn a_reload_applies_what_can_change_and_names_the_rest() {
-    let manager = Manager::new();
-    let daemon = manager.start(None);
-    manager.wait_for(|text| text == "READY=1");
-    let status = || daemon.client().get::<Status>("/v1/status").unwrap();
-    let reload = |config: &str| {
-        daemon.write_config(config);
-        daemon.signal(Signal::HUP);
-        manager.wait_for(|text| text.starts_with("RELOADING=1"));
-        manager.wait_for(|text| text == "READY=1");
-        daemon.log().lines().last().unwrap().to_owned()
-    };
-    assert!(reload(PATIENT).contains("has not changed"));
-    daemon.armed();
-    let line = reload("lead_ms = 800\nlease_ms = 8000\n");
-    assert!(line.contains("`lead_ms`") && line.contains("from the next `arm` on"), "{line}");
-    // An answer to a later command shows that the settings have arrived.
-    printed(daemon.meissner().args(["play", "wave", "--seconds", "0.3", "--wait"]));
-    assert_eq!((status().lead_ms, status().lease_ms), (900.0, 10_000.0), "armed with these");
-    printed(daemon.meissner().arg("disarm"));
-    daemon.armed();
-    assert_eq!((status().lead_ms, status().lease_ms), (800.0, 8000.0));
-    printed(daemon.meissner().args(["play", "wave", "--seconds", "0.3", "--wait"]));
-
-    let line = reload("lead_ms = 4\n");
-    assert!(line.contains("`lead_ms` is 4") && line.contains("stays as it was"), "{line}");
-    assert_eq!(status().lead_ms, 800.0);
-    let line = reload("lead_ms = 800\nlease_ms = 8000\n[mock]\nseed = 7\n");
-    assert!(line.contains("[mock] cannot change while the daemon runs"), "{line}");
-
-    let other = daemon.path("other");
-    daemon.write_config(&format!("patterns_dir = {other:?}\nlead_ms = 800\nlease_ms = 8000\n"));
-    daemon.signal(Signal::HUP);
-    daemon.wait_for_log("`patterns_dir`: ");
-    let file = daemon.path("mine.toml");
-    std::fs::write(
-        &file,
-        "format = 1\nname = \"mine\"\n[[drive]]\nmotor = 9\nfrequency_hz = 60.0\namplitude_um = 40.0\n",
-    )
-    .unwrap();
-    printed(daemon.meissner().arg("import").arg(&file));
-    assert!(daemon.path("patterns/mine.toml").exists(), "the old directory is still in use");
-    std::fs::create_dir(&other).unwrap();
-    daemon.signal(Signal::HUP);
-    daemon.wait_for_log("`patterns_dir` at once");
-    assert!(complaint(daemon.meissner().args(["show", "mine"])).contains("no pattern is called"));
-    assert_eq!(status().state, "armed", "nothing of this ends what was armed");
 }
 
 #[test]

@@ -150,12 +150,11 @@ classdef Meissner < handle
     end
 
     function play = play(self, pattern, varargin)
-      % Queue a play. Options: seconds, at, scale, trigger (a code, or false), trial, labels (a struct), late, fit, map, replace,
+      % Queue a play. Options: seconds, at, scale, trigger (a code, or false), trial, labels (a struct), late, fit, replace,
       % endless, open_loop, strict, hold (s), on_edge (s after an edge of the trigger input), stop_on_edge. 'pattern' is a name, or a struct with the keys of a pattern file; tables of it are cells of
-      % structs: struct('wave', {{struct('motor', 9, 'rate_hz', 1000, 'um', samples)}}). 'map', 'nearest' plays a pattern for another
-      % array by the pins' positions. 'at' is a time of
+      % structs: struct('wave', {{struct('motor', 9, 'rate_hz', 1000, 'um', samples)}}). 'at' is a time of
       % now(), or an instant such as m.later(receipt.onset, 1.5), which is exact to the tick.
-      names = {'seconds', 'at', 'scale', 'trigger', 'trial', 'labels', 'late', 'fit', 'map', 'replace', 'endless', 'open_loop', 'strict', 'hold', 'on_edge', 'stop_on_edge'};
+      names = {'seconds', 'at', 'scale', 'trigger', 'trial', 'labels', 'late', 'fit', 'replace', 'endless', 'open_loop', 'strict', 'hold', 'on_edge', 'stop_on_edge'};
       body = Meissner.options(names, varargin);
       body.pattern = pattern;
       name = pattern;
@@ -167,8 +166,8 @@ classdef Meissner < handle
     function play = sequence(self, items, varargin)
       % Queue patterns as one play with exact times. An item is a name, or a struct with pattern and any of seconds, scale, trigger,
       % gap and start (s). Options: isi (pause from an item's end) or soa (distance of onsets), seconds and scale of items that give
-      % none, at, name, trial, labels, late, map, replace, open_loop, strict, hold (s), on_edge (s), stop_on_edge.
-      names = {'isi', 'soa', 'seconds', 'scale', 'at', 'name', 'trial', 'labels', 'late', 'map', 'replace', 'open_loop', 'strict', 'hold', 'on_edge', 'stop_on_edge'};
+      % none, at, name, trial, labels, late, replace, open_loop, strict, hold (s), on_edge (s), stop_on_edge.
+      names = {'isi', 'soa', 'seconds', 'scale', 'at', 'name', 'trial', 'labels', 'late', 'replace', 'open_loop', 'strict', 'hold', 'on_edge', 'stop_on_edge'};
       body = Meissner.options(names, varargin);
       [made, body] = Meissner.items(items, body);
       body.items = made;

@@ -47,37 +47,26 @@ def check_a_session(m: meissner.Client, folder: Path, description: Path | None =
     with m.session("P07") as session:
         play, second = kept(lambda: a_second_apart(m))
         receipt = play.receipt
-        assert (receipt.array, receipt.tick_hz, receipt.mapped_from) == (array.name, array.tick_hz, None)
+        assert (receipt.array, receipt.tick_hz) == (array.name, array.tick_hz)
         assert second.onset.tick - play.onset.tick == array.ticks(1.0) == array.tick_hz
         assert array.seconds(play.offset.tick - play.onset.tick) == pytest.approx(0.1, abs=0.02)
-        if is_paper:
-            mapped = m.play("pin-60", 0.1, map="nearest").wait()
-        else:
+        if not is_paper:
             with pytest.raises(errors.OtherArray, match="tula35-6x4"):
                 m.play("pin-60", 0.1)
             with pytest.raises(errors.OtherArray, match="tula35-6x4"):
                 m.sequence(["pin-60"], seconds=0.1)
-            mapped = m.play("pin-60", 0.1, map="nearest").wait()
-            several = m.sequence(["pin-60", "last"], seconds=0.1, map="nearest")
-            assert several.wait().mapped_from == "tula35-6x4"
-        assert mapped.mapped_from == (None if is_paper else "tula35-6x4")
     export = m.export_bids(session.id, folder, array=description)
     rows = read(export.events)
     assert {(row["array"], row["tick_hz"]) for row in rows} == {(array.name, str(array.tick_hz))}
-    of_play = {int(row["play"]): row["mapped_from"] for row in rows}
-    assert (of_play[play.id], of_play[second.id]) == ("n/a", "n/a")
-    assert of_play[mapped.id] == ("n/a" if is_paper else "tula35-6x4")
     header = export.events.read_text().splitlines()[0].split("\t")
     first = header.index("array")
-    assert header[first : first + 3] == ["array", "tick_hz", "mapped_from"]
+    assert header[first : first + 2] == ["array", "tick_hz"]
     # The file of a pattern names its array, so that it can be stored again.
     m.store_pattern("again", (folder / "stimuli" / rows[0]["stim_file"]).read_text().replace('"last"', '"again"'))
     assert export.displacement is not None
     table = [line.split("\t") for line in gzip.decompress(export.displacement.read_bytes()).decode().splitlines()]
     assert {len(line) for line in table} == {array.motors}
     assert max(float(line[last]) for line in table[:100]) > 20.0
-    mapped_lines = [line for line in export.left_out if "was mapped by position" in line]
-    assert bool(mapped_lines) != is_paper
     alone = meissner.displacement(text, 0.1, array=description)
     assert alone.motors == (last,)
 
@@ -111,7 +100,7 @@ def test_a_pattern_that_is_found_is_for_the_array(tmp_path: Path) -> None:
     with meissner.demo(config='[array]\ndescription = "tula35-2x3"\n') as m:
         found = m.design("edge-45", objective="off-rms", budget=20)
         assert 'array = "tula35-2x3"' in found.toml
-        assert m.play(found.name, 0.1).wait().mapped_from is None
+        assert m.play(found.name, 0.1).wait().array == m.array.name
 
 
 def check_designs(m: meissner.Client, description: Path) -> None:

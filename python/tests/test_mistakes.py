@@ -63,7 +63,6 @@ OF_A_CLIENT: list[tuple[str, Call, str]] = [
     ("play", lambda m: m.play("pin-60", 0.1, labels=["a"]), r"`labels` is \['a'\]: must be a dict, such as"),
     ("play", lambda m: m.play("pin-60", 0.1, trigger="1"), "`trigger` is '1': must be a dict, such as"),
     ("play", lambda m: m.play("pin-60", 0.1, at="now"), "`at` is 'now': must be a number of seconds, such as `m.now"),
-    ("play", lambda m: m.play("pin-60", 0.1, map=True), "`map` is True: must be 'nearest' or None"),
     ("play", lambda m: m.play("pin-60", 0.1, hold="x"), "`hold` is 'x': must be a number of seconds"),
     ("play", lambda m: m.play(samples={9: [0, 1]}), "`samples` need `rate`"),
     ("play", lambda m: m.play(samples=[0, 1, 2], rate=10), "`samples` are one row of values: must be {9:"),

@@ -73,8 +73,8 @@ def check(nwb: Any, play: meissner.Play, pair: meissner.Play) -> None:
     assert list(table["pattern"][:3]) == ["pin-60", "mine", "pin-60"]
     assert (table["timestamp"].resolution, table["duration"].resolution) == (1 / 85_000, 1 / 85_000)
     first = list(table.colnames).index("array")
-    assert list(table.colnames)[first : first + 3] == ["array", "tick_hz", "mapped_from"]
-    assert (table["array"][0], table["tick_hz"][0], table["mapped_from"][0]) == ("tula35-6x4", 85_000, "")
+    assert list(table.colnames)[first : first + 2] == ["array", "tick_hz"]
+    assert (table["array"][0], table["tick_hz"][0]) == ("tula35-6x4", 85_000)
     times, ticks = table["timestamp"][:], table["onset_tick"][:]
     assert [int(tick) for tick in ticks[:3]] == [
         instant.tick for instant in (play.onset, *(item.onset for item in pair.items)) if instant

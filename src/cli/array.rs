@@ -6,7 +6,6 @@ use super::text;
 use crate::array::details;
 use anyhow::{Context, Result, anyhow, bail};
 use clap::{Args, Subcommand};
-use meissner_array::motor::Response;
 use meissner_array::spec::{Array as Known, ArraySpec, NewArray};
 use std::fs::OpenOptions;
 use std::io::Write;
@@ -96,10 +95,6 @@ fn shown(array: &ArraySpec) -> String {
     let motor = array.motor();
     let speed_mm_s = motor.um_per_pulse * f64::from(array.rate().hz()) / 1000.0;
     let window_ms = array.rate().ticks_to_ms(1) * motor.window_ticks();
-    let follows = match motor.response {
-        Response::Average => "average over",
-        Response::Lag { .. } => "a lag that settles in",
-    };
     let facts = text::pairs(&[
         (
             "array",
@@ -117,7 +112,7 @@ fn shown(array: &ArraySpec) -> String {
         (
             "motors",
             format!(
-                "{:.4} um per pulse, {speed_mm_s:.1} mm/s, {follows} {window_ms:.1} ms, amplitudes up to {} um",
+                "{:.4} um per pulse, {speed_mm_s:.1} mm/s, average over {window_ms:.1} ms, amplitudes up to {} um",
                 motor.um_per_pulse, motor.travel_um
             ),
         ),

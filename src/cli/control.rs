@@ -12,9 +12,7 @@ use super::progress::Progress;
 use super::text;
 use anyhow::{Result, bail};
 use clap::Args;
-use meissner_api::{
-    ArmRequest, Code, EdgeRequest, Event, Fit, Mapping, PlayRequest, Receipt, ResetRequest, Status,
-};
+use meissner_api::{ArmRequest, Code, EdgeRequest, Event, Fit, PlayRequest, Receipt, ResetRequest, Status};
 use meissner_client::{Client, ClientError, Endpoint, Events, HOME_TIMEOUT};
 use serde_json::json;
 use std::io::{self, BufRead, IsTerminal, Read, Write};
@@ -47,9 +45,6 @@ pub(super) struct Play {
     /// Choose which strokes are played at the end
     #[arg(long, default_value = "whole", value_parser = choice::<Fit>(FITS))]
     fit: Fit,
-    /// Play a pattern for another array: each pin follows the nearest of the pattern's pins
-    #[arg(long, value_parser = choice::<Mapping>(&[("nearest", "By position: a pin with none within a pitch rests")]))]
-    map: Option<Mapping>,
     /// Refuse the play if a motor is too slow for a motion
     #[arg(long)]
     strict: bool,
@@ -233,7 +228,6 @@ pub(super) fn play(play: &Play) -> Result<ExitCode> {
         pattern: play.name.as_str().into(),
         pattern_sha256: None,
         seconds: play.seconds,
-        map: play.map,
         at_tick,
         at_ms,
         at_monotonic_ns,

@@ -21,16 +21,16 @@ use crate::receipts::{PlayedPattern, end_text};
 use crate::store::Store;
 use anyhow::{Context, Result, bail};
 use meissner_api::{
-    ArmRequest, BurstCounts, DurationRecord, EndCause, LinkTraffic, Mapping, OrderedCounts, PlayAccepted,
-    PlayRequest, PredictedResponse, PulseCounts, Rates, Realtime, Receipt, Status,
+    ArmRequest, BurstCounts, DurationRecord, EndCause, LinkTraffic, OrderedCounts, PatternChoice,
+    PlayAccepted, PlayRequest, PredictedResponse, PulseCounts, Rates, Realtime, Receipt, Status,
 };
-use meissner_array::pattern::Pattern;
+use meissner_array::pattern::{Drive, Pattern};
 use meissner_array::per_motor::PerMotor;
 use meissner_array::simulated::{LowerStop, SimulatedMotorsConfig};
 use meissner_array::spec::Array;
 use meissner_client::{Client, Events};
 use meissner_design::shipped;
-use meissner_render::{Judge, response_of};
+use meissner_render::{Judge, Method, Rival, render, response_of};
 use meissner_skin::{Finger, SkinModel};
 use meissner_stream::device::Spec;
 use meissner_stream::{Gains, Settings, SimulatedPlay, simulate_play};
@@ -39,6 +39,7 @@ use serde::Serialize;
 use std::collections::HashSet;
 use std::net::Ipv4Addr;
 use std::process::ExitCode;
+use std::sync::Arc;
 use std::sync::mpsc::{self, Receiver};
 use std::thread;
 use std::time::{Duration, Instant};
@@ -152,6 +153,7 @@ pub(super) fn run(asked: &Asked) -> Result<ExitCode> {
         patterns: PatternsDir::None,
         calibration: None,
         logbook: None,
+        tokens: None,
         // No limits: no finger lies on simulated pins.
         participant: ParticipantLimits::NONE,
         // Simulated motors may stay armed while the machine stands still.
@@ -173,11 +175,11 @@ pub(super) fn run(asked: &Asked) -> Result<ExitCode> {
     let mut client = Client::new(&config.socket)?;
     connected(&mut client)?;
     let signal = page.then(|| serve_page(&mut client)).transpose()?;
+    let edges = Edges::of(array)?;
     let request = PlayRequest {
-        pattern: PATTERN.into(),
+        pattern: edges.vibrating.choice()?,
         seconds: Some(seconds),
         open_loop,
-        map: Some(Mapping::Nearest),
         ..PlayRequest::default()
     };
     let mut events = client.events()?;
@@ -186,8 +188,8 @@ pub(super) fn run(asked: &Asked) -> Result<ExitCode> {
         client.post("/v1/arm", &ArmRequest { assume_rest: !sensorless, ..ArmRequest::default() })?;
     let receipt = play(&mut client, &mut events, &request, json)?;
     let receipt = control::with_prediction(&mut client, &mut events, receipt, PREDICTION_TIMEOUT);
-    let mut report = report(&config, &hosted, &mut client, &request, &receipt, begun)?;
-    let pressed = PlayRequest { pattern: RENDERED.into(), seconds: None, ..request };
+    let mut report = report(&config, &hosted, &mut client, &request, &receipt, &edges, begun)?;
+    let pressed = PlayRequest { pattern: edges.pressed.choice()?, seconds: None, ..request };
     let pressed = play(&mut client, &mut events, &pressed, json)?;
     (report.rendered.state, report.rendered.all_played) = (pressed.state.name(), pressed.all_played());
     report.duration_s = begun.elapsed().as_secs_f64();
@@ -218,23 +220,82 @@ fn serve_page(client: &mut Client) -> Result<Receiver<i32>> {
     Ok(receiver)
 }
 
+/// The edge under the finger.
+struct Edge {
+    object: Object,
+    contact: Contact,
+}
+
+impl Edge {
+    fn new() -> Result<Self> {
+        let target = shipped(PATTERN).context("internal error: the target is not shipped")?;
+        let object = Object::new(PATTERN, surface_of(target.shape()), Touch::default());
+        let contact = Contact::new(object.grains(object.pitch_mm()), object.touch().most_depth_mm())?;
+        Ok(Self { object, contact })
+    }
+}
+
+/// A pattern, and whether the library has it.
+struct Shown {
+    pattern: Pattern,
+    is_shipped: bool,
+}
+
+impl Shown {
+    /// What a play names.
+    fn choice(&self) -> Result<PatternChoice> {
+        if self.is_shipped {
+            return Ok(self.pattern.name().into());
+        }
+        let keys: toml::Table = self.pattern.to_toml().parse()?;
+        let keys = serde_json::to_value(keys)?;
+        Ok(PatternChoice::Inline(Box::new(keys.as_object().cloned().unwrap_or_default())))
+    }
+}
+
+/// The edge as both patterns show it. Those of the library are for the paper's array; for others they are made.
+struct Edges {
+    edge: Edge,
+    vibrating: Shown,
+    pressed: Shown,
+}
+
+impl Edges {
+    fn of(array: Array) -> Result<Self> {
+        let edge = Edge::new()?;
+        let store = Store::new(None, false)?;
+        let shipped = |name| -> Result<Shown> {
+            let pattern = Arc::unwrap_or_clone(store.get(name)?.pattern);
+            Ok(Shown { pattern, is_shipped: true })
+        };
+        if array == Array::paper() {
+            let (vibrating, pressed) = (shipped(PATTERN)?, shipped(RENDERED)?);
+            return Ok(Self { edge, vibrating, pressed });
+        }
+        let (touch, contact) = (edge.object.touch(), &edge.contact);
+        let drives = Rival::WithinReach.pattern(array, contact, touch)?;
+        let drives = drives.drives().iter().map(|drive| Drive { start_s: None, stop_s: None, ..*drive });
+        let vibrating = Pattern::new(array, PATTERN, None, drives.collect(), toml::Table::new())?;
+        let pressed = render(array, contact, touch, Method::default());
+        let pressed = pressed.pattern(array, RENDERED, toml::Table::new())?;
+        let [vibrating, pressed] = [vibrating, pressed].map(|pattern| Shown { pattern, is_shipped: false });
+        Ok(Self { edge, vibrating, pressed })
+    }
+}
+
 /// What a finger feels of both patterns, against the real edge.
-fn rendered(array: Array) -> Result<RenderedReport> {
-    let target = shipped(PATTERN).context("internal error: the target is not shipped")?;
-    let object = Object::new(PATTERN, surface_of(target.shape()), Touch::default());
+fn rendered(edges: &Edges) -> Result<RenderedReport> {
+    let Edges { edge: Edge { object, contact }, vibrating, pressed } = edges;
     let touch = object.touch();
-    let contact = Contact::new(object.grains(object.pitch_mm()), touch.most_depth_mm())?;
     let finger = Finger::new(SkinModel::AFFERENTS, FINGER);
-    let real_s = respond(&contact, touch, finger.afferents(), Some(0), &|_| ());
+    let real_s = respond(contact, touch, finger.afferents(), Some(0), &|_| ());
     let seconds = touch.duration_s() + AFTER_S;
     let judge = Judge::new(&finger, &real_s, seconds);
-    let store = Store::new(None, false)?;
-    let errors = |name| -> Result<[f64; 2]> {
-        let pattern = store.get(name)?.on(array, Some(Mapping::Nearest))?.0.pattern;
-        let [sa1, ra, _] = judge.compare(&response_of(&finger, &pattern, seconds, 1)?).error_by_class;
+    let errors = |shown: &Shown| -> Result<[f64; 2]> {
+        let [sa1, ra, _] = judge.compare(&response_of(&finger, &shown.pattern, seconds, 1)?).error_by_class;
         Ok([sa1, ra])
     };
-    let (errors, vibrating_errors) = (errors(RENDERED)?, errors(PATTERN)?);
+    let (errors, vibrating_errors) = (errors(pressed)?, errors(vibrating)?);
     Ok(RenderedReport { pattern: RENDERED, state: "", all_played: false, errors, vibrating_errors })
 }
 
@@ -315,14 +376,15 @@ fn report(
     client: &mut Client,
     request: &PlayRequest,
     receipt: &Receipt,
+    edges: &Edges,
     begun: Instant,
 ) -> Result<Report> {
     let truth = hosted.true_positions().context("internal error: the mock has no pins")?.rest();
     let array = config.settings.array;
-    let pattern = Store::new(None, false)?.get(PATTERN)?.on(array, request.map)?.0.pattern;
+    let pattern = &edges.vibrating.pattern;
     let sensorless = config.settings.lower_stop.is_some();
-    let open = compare(config, request, &pattern, false)?;
-    let stopped = if sensorless { Some(compare(config, request, &pattern, true)?) } else { None };
+    let open = compare(config, request, pattern, false)?;
+    let stopped = if sensorless { Some(compare(config, request, pattern, true)?) } else { None };
     let status: Status = client.get("/v1/status")?;
     let traffic = receipt.wire.unwrap_or(LinkTraffic::new(0, 0));
     let surplus = config.settings.surplus(&PerMotor::all(array, Gains::default()));
@@ -355,7 +417,7 @@ fn report(
             max: truth.max_abs_um,
         },
         response: response_report(request, receipt, open.response, stopped.and_then(|it| it.response)),
-        rendered: rendered(array)?,
+        rendered: rendered(edges)?,
         realtime: hosted.realtime(),
         duration_s: begun.elapsed().as_secs_f64(),
     })

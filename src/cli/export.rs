@@ -81,7 +81,6 @@ const COLUMNS: [Column; 59] = [
     ("estimated", |_, play| play.estimated.to_string()),
     ("array", |_, play| play.array.clone()),
     ("tick_hz", |_, play| play.tick_hz.to_string()),
-    ("mapped_from", |_, play| field(play.mapped_from.as_ref())),
     ("first_pulse_tick", |_, play| field(play.first_pulse_tick)),
     // An empty response is an answer, too.
     ("response", |_, play| {

@@ -49,7 +49,7 @@ pub use output::give;
 pub use text::{columns, number};
 
 use crate::config::Source;
-use crate::daemon::{self, Daemon, DaemonError, Exit, Signals};
+use crate::daemon::{self, Daemon, DaemonError, Signals};
 use crate::{log, search};
 use anyhow::{Result, anyhow};
 use arguments::{ClientOptions, Output, PaperArrayOption, hours, measured, positive};
@@ -336,7 +336,7 @@ fn run(command: Command) -> Result<ExitCode> {
         Command::Daemon { config, check_config: check, device, array, socket, listen, no_record } => {
             let array = array.as_deref().map(arguments::array).transpose()?;
             let source = Source { file: config, device, array, socket, listen, no_record };
-            if check { check_config(&source) } else { serve(source) }
+            if check { check_config(&source) } else { serve(&source) }
         }
         Command::Play(play) => control::play(&play),
         Command::Sequence(asked) => sequence::run(&asked),
@@ -382,10 +382,7 @@ fn run(command: Command) -> Result<ExitCode> {
     }
 }
 
-/// The exit code of a daemon that systemd must start again (`RestartForceExitStatus=` of the unit): EX_TEMPFAIL.
-const START_AGAIN: u8 = 75;
-
-fn serve(source: Source) -> Result<ExitCode> {
+fn serve(source: &Source) -> Result<ExitCode> {
     // Extend the umask, so that only this user can change files that the daemon makes.
     umask(umask(Mode::empty()) | Mode::WGRP | Mode::WOTH);
     daemon::check_memory()?;
@@ -394,17 +391,15 @@ fn serve(source: Source) -> Result<ExitCode> {
     let runtime = daemon::runtime()?;
     let work = async {
         let signals = Signals::new()?;
-        let daemon = Daemon::start(&config).map_err(|error| named(&source, error))?;
-        anyhow::Ok(daemon.run(signals, Some(source)).await?)
+        let daemon = Daemon::start(&config).map_err(|error| named(source, error))?;
+        anyhow::Ok(daemon.run(signals).await?)
     };
     let ended = panic::catch_unwind(AssertUnwindSafe(|| runtime.block_on(work)));
     // Do not wait for threads that are blocked by a disk.
     runtime.shutdown_background();
     // The panic has already printed its own line.
-    Ok(match ended.unwrap_or_else(|_| Err(DaemonError::Panicked.into()))? {
-        Exit::Requested => ExitCode::SUCCESS,
-        Exit::Replaced => ExitCode::from(START_AGAIN),
-    })
+    ended.unwrap_or_else(|_| Err(DaemonError::Panicked.into()))?;
+    Ok(ExitCode::SUCCESS)
 }
 
 /// Checks the configuration as a daemon does at its start.

@@ -3,7 +3,7 @@
 //! On a terminal it shows a bar or a spinner on stderr, and removes it at the end. Elsewhere a play prints lines on stdout: at its
 //! beginning, every second, and for each of the first ten late or refused strokes. With `--json` there are no lines.
 
-use super::output::{is_broken_pipe, say, shown, tell};
+use super::output::{is_broken_pipe, say};
 use anyhow::Result;
 use indicatif::{ProgressBar, ProgressStyle};
 use meissner_api::Event;
@@ -101,42 +101,6 @@ impl Drop for Meter {
     fn drop(&mut self) {
         if let Some(bar) = &self.0 {
             bar.finish_and_clear();
-        }
-    }
-}
-
-/// The updates of a live play: on a terminal one line on stderr, removed at the end.
-#[derive(Debug)]
-pub(super) struct Updates {
-    meter: Meter,
-    shown: Option<Instant>,
-}
-
-impl Updates {
-    pub(super) fn new() -> Self {
-        Self { meter: Meter::new(ProgressBar::new_spinner), shown: None }
-    }
-
-    /// Shows the line, ten times a second at most.
-    pub(super) fn show(&mut self, now: Instant, line: impl FnOnce() -> String) {
-        if self.shown.is_some_and(|shown| now.duration_since(shown) < TURN) {
-            return;
-        }
-        self.shown = Some(now);
-        if let Some(bar) = &self.meter.0 {
-            bar.set_message(shown(&line()));
-            bar.tick();
-        }
-    }
-
-    /// Prints a line that stays.
-    pub(super) fn say(&self, line: &str) {
-        let say = || {
-            tell(line);
-        };
-        match &self.meter.0 {
-            Some(bar) => bar.suspend(say),
-            None => say(),
         }
     }
 }

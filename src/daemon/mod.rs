@@ -12,7 +12,7 @@
 //! - `plays`: what every play goes through, from a request to the streamer's answer: plays, sequences, live plays, calibrations.
 //! - `engine`: commands to the streamer and their answers; emergency stops; the status; the log's lines; rights that outlive a request.
 //! - `state`: the daemon's state behind one lock.
-//! - `beside`: what runs beside the requests: the streamer's events, devices, predictions, fits, searches, reloads, the service manager.
+//! - `beside`: what runs beside the requests: the streamer's events, devices, predictions, fits, searches, the service manager.
 //! - `system`: the system around all of them.
 //!
 //! `run` starts and ends the daemon. In a build for the fuzzer there is also `fuzzed`: requests without a socket.
@@ -35,10 +35,10 @@ mod system;
 
 #[cfg(fuzzing)]
 pub use fuzzed::Fuzzed;
-pub use run::{Daemon, Exit, Hosted};
+pub use run::{Daemon, Hosted};
 pub use system::check::{MEMORY_BOUND, check, check_memory};
 pub use system::error::DaemonError;
 pub use system::panics::end_on_panic;
 pub use system::runtime::runtime;
-pub use system::signals::{Action, Signals};
+pub use system::signals::Signals;
 pub use system::socket::SocketError;

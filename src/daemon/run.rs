@@ -5,13 +5,11 @@
 //!
 //! Invariant: before the daemon ends, it returns the pins, switches the motors off and removes its socket.
 
-use crate::config::{Config, Source};
+use crate::config::Config;
 use crate::daemon::beside::connector;
 use crate::daemon::beside::predictor::Predictor;
-use crate::daemon::beside::reload;
 use crate::daemon::beside::service::{self, Manager, Notification, StatusReporter};
 use crate::daemon::engine::Engine;
-use crate::daemon::engine::patterns::SharedStore;
 use crate::daemon::http;
 use crate::daemon::http::app::App;
 use crate::daemon::http::server::Server;
@@ -22,11 +20,12 @@ use crate::daemon::system::check;
 use crate::daemon::system::error::{DaemonError, system};
 use crate::daemon::system::panics;
 use crate::daemon::system::runtime::runtime;
-use crate::daemon::system::signals::{Action, Signals};
+use crate::daemon::system::signals::Signals;
 use crate::daemon::system::socket::Bound;
 use crate::daemon::system::sums;
 use crate::exposure::Account;
 use crate::session_record::{Note, SessionRecord};
+use crate::store::Store;
 use meissner_api::Realtime;
 use meissner_stream::device::mock::TruePositions;
 use meissner_stream::queues::EventQueue;
@@ -47,26 +46,16 @@ const STREAMER_TIMEOUT: Duration = Duration::from_millis(500);
 /// A daemon whose socket is bound and whose streamer runs.
 #[derive(Debug)]
 pub struct Daemon {
-    config: Config,
     bound: Bound,
     /// The listener for network clients.
     tcp: Option<TcpListener>,
     pub(in crate::daemon) engine: Arc<Engine>,
-    pub(in crate::daemon) store: SharedStore,
+    pub(in crate::daemon) store: Arc<Store>,
     events: EventQueue,
     predictor: Predictor,
     realtime: Realtime,
     streamer: JoinHandle<()>,
     connector: crossbeam_channel::Sender<ConnectorMessage>,
-}
-
-/// Why a daemon ended without an error.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Exit {
-    /// A signal or a request ended it.
-    Requested,
-    /// Another version of the program is installed, and the service manager must start it.
-    Replaced,
 }
 
 impl Daemon {
@@ -103,20 +92,13 @@ impl Daemon {
         engine.lock().sessions.set_silence(Duration::from_secs_f64(config.session_silence_s));
         engine.lock().armed.set_default(Duration::from_secs_f64(config.armed_silence_s));
         let engine = Arc::new(engine.with(record, realtime, bound.socket().to_owned()).with_gate(gate));
-        let changed = Arc::downgrade(&engine);
-        let tokens_changed = move || {
-            if let Some(engine) = changed.upgrade() {
-                engine.lock().rights_changed();
-            }
-        };
-        engine.gate.watch_tokens(tokens_changed).map_err(system("tokens' thread"))?;
         engine.load_calibration(None);
         let connector =
             connector::spawn(config.device.clone(), config.settings.array, config.mock, Arc::clone(&engine))
                 .map_err(system("connector's thread"))?;
         info!("listening on {}", bound.socket().display());
-        let (config, store) = (config.clone(), SharedStore::new(store));
-        Ok(Self { config, bound, tcp, engine, store, events, predictor, realtime, streamer, connector })
+        let store = Arc::new(store);
+        Ok(Self { bound, tcp, engine, store, events, predictor, realtime, streamer, connector })
     }
 
     /// Runs it on a separate thread, until it is stopped or a signal ends it.
@@ -129,20 +111,20 @@ impl Daemon {
         let work = move || {
             runtime()?.block_on(async {
                 let signals = Signals::new()?.or(ended);
-                self.run(signals, None).await.map(drop)
+                self.run(signals).await
             })
         };
         let thread = thread::Builder::new().name("daemon".into()).spawn(work).map_err(system("thread"))?;
         Ok(Hosted { engine, realtime, end: Some(end), thread: Some(thread) })
     }
 
-    /// Works until a signal or a request ends it, then shuts down. A reload reads `source`; without a source it ends the daemon.
+    /// Works until a signal or a request ends it, then shuts down.
     ///
     /// # Errors
     /// If the system fails, or the streamer ended by itself.
-    pub async fn run(self, signals: Signals, source: Option<Source>) -> Result<Exit, DaemonError> {
+    pub async fn run(self, signals: Signals) -> Result<(), DaemonError> {
         let engine = Arc::clone(&self.engine);
-        if let Ok(ended) = panics::caught(self.work(signals, source)).await {
+        if let Ok(ended) = panics::caught(self.work(signals)).await {
             return ended;
         }
         // As at any other end, return the pins and switch the motors off.
@@ -150,8 +132,8 @@ impl Daemon {
         Err(DaemonError::Panicked)
     }
 
-    async fn work(self, mut signals: Signals, source: Option<Source>) -> Result<Exit, DaemonError> {
-        let Self { config, bound, tcp, engine, store, events, predictor, streamer, connector, .. } = self;
+    async fn work(self, mut signals: Signals) -> Result<(), DaemonError> {
+        let Self { bound, tcp, engine, store, events, predictor, streamer, connector, .. } = self;
         let api = bound.listener.try_clone().map_err(system("socket"))?;
         let estop =
             bound.estop.as_ref().map(UnixListener::try_clone).transpose().map_err(system("socket"))?;
@@ -160,7 +142,6 @@ impl Daemon {
         let (acceptor, handovers, mut acceptor_ended) =
             Acceptor::spawn(sockets, Arc::clone(&engine.estops), gate, bounds, Arc::clone(&counts))
                 .map_err(system("acceptor's thread"))?;
-        let mut acceptor = Some(acceptor);
         let manager = Manager::find().map_err(system("thread"))?;
         let (close, closing) = watch::channel(false);
         let reporter = StatusReporter::new(manager.clone());
@@ -169,32 +150,16 @@ impl Daemon {
         let mut streamer = ended(streamer).map_err(system("thread"))?;
         // A client's first command may have started the daemon: give the device time to connect.
         engine.first_device().await;
-        let router = http::router(App::new(Arc::clone(&engine), store.clone(), &bounds, Arc::clone(&counts)));
+        let router = http::router(App::new(Arc::clone(&engine), store, &bounds, Arc::clone(&counts)));
         let server = Server::new(Arc::clone(&engine), router, bounds, counts);
         let server = tokio::spawn(server.serve(handovers, closing));
-        let reloads =
-            source.map(|source| reload::spawn(source, config, Arc::clone(&engine), store, manager.clone()));
-        let reloads = reloads.transpose()?;
         manager.notify(Notification::Ready);
-        let result = loop {
-            tokio::select! {
-                action = signals.next() => match (action, &reloads) {
-                    // If the queue is full, a reload is already waiting.
-                    (Action::Reload, Some(reloads)) => drop(reloads.try_send(())),
-                    _ => break Ok(Exit::Requested),
-                },
-                () = engine.replaced.notified() => {
-                    info!("another version was installed and motors are disarmed: starting it");
-                    // New clients wait in the socket's queue for the new program.
-                    drop(acceptor.take());
-                    let _ = close.send(true);
-                    break Ok(Exit::Replaced);
-                }
-                _ = &mut streamer => break Err(DaemonError::Streamer),
-                _ = &mut acceptor_ended => break Err(DaemonError::Acceptor),
-                _ = &mut event_loop => break Err(DaemonError::EventLoop),
-                () = panics::of_needed_thread() => break Err(DaemonError::Panicked),
-            }
+        let result = tokio::select! {
+            () = signals.end() => Ok(()),
+            _ = &mut streamer => Err(DaemonError::Streamer),
+            _ = &mut acceptor_ended => Err(DaemonError::Acceptor),
+            _ = &mut event_loop => Err(DaemonError::EventLoop),
+            () = panics::of_needed_thread() => Err(DaemonError::Panicked),
         };
         manager.notify(Notification::Stopping);
         // An error means that the connector has ended already.
@@ -214,7 +179,7 @@ impl Daemon {
             state.close_session("daemon-ended");
             state.publisher.close();
         }
-        drop(acceptor.take());
+        drop(acceptor);
         // An error means that the server has ended already.
         let _ = close.send(true);
         let _ = server.await;

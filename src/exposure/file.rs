@@ -81,16 +81,11 @@ impl Account {
         self.try_restore(text, now).map_err(|why| self.lose(&why))
     }
 
-    /// Starts from 0, because there is no file.
-    pub fn restore_none(&mut self) {
-        self.unknown = None;
-    }
-
     /// Notes that the sums are unknown. Returns why, and what to do.
     pub fn lose(&mut self, why: &str) -> Unreadable {
         let text = format!(
             "`{FILE}`: {why}: today's vibration is not known and counts as all that `participant.max_day_s` allows; look at the file \
-             beside the session record, correct or remove it, and reload the configuration or start the daemon again"
+             beside the session record, correct or remove it, and start the daemon again"
         );
         self.unknown = Some(text.clone());
         Unreadable(text)

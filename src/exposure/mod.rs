@@ -181,11 +181,6 @@ impl Account {
         Self { limits, ..Self::default() }
     }
 
-    /// Changes the limits.
-    pub const fn set_limits(&mut self, limits: ParticipantLimits) {
-        self.limits = limits;
-    }
-
     /// The limits.
     #[must_use]
     pub const fn limits(&self) -> &ParticipantLimits {

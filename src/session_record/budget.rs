@@ -39,7 +39,7 @@ const PLAYS: Rate = Rate { burst: 128 << 20, per_s: 4 << 10 };
 const ESTOPS: Rate = Rate { burst: 1 << 20, per_s: 256 };
 /// Edges of the trigger input: 20 000 at once, and one a second.
 const EDGES: Rate = Rate { burst: 4 << 20, per_s: 256 };
-/// Entries that no client causes: starts, reloads, devices.
+/// Entries that no client causes: starts, devices.
 const DAEMON: Rate = Rate { burst: 1 << 20, per_s: 256 };
 /// The other commands of a user: 28 000 at once, and three a second.
 const USER: Rate = Rate { burst: 8 << 20, per_s: 1 << 10 };

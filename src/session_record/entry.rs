@@ -1,6 +1,6 @@
 //! Entries: the content of a line of the session record, without the time.
 //!
-//! Most are the daemon's events as clients see them; the others are commands, and the daemon's start, reloads and end. Events that
+//! Most are the daemon's events as clients see them; the others are commands, and the daemon's start and end. Events that
 //! come ten times a second or once per stroke are left out, because receipts sum them up.
 //!
 //! A command keeps at most [`MAX_TEXT`] characters of each text that its client sent, and [`MAX_ITEMS`] items of a list.
@@ -171,13 +171,6 @@ pub enum Note {
         /// The problem; null: a signal or a request ended it.
         problem: Option<String>,
     },
-    /// The configuration was read again.
-    Reloaded {
-        /// What changed, and from when on, in words.
-        changed: Vec<String>,
-        /// What could not change, and why; null if everything could.
-        problem: Option<String>,
-    },
     /// A client's command.
     Command(CommandEntry),
     /// A participant's answer to a play.
@@ -322,7 +315,6 @@ impl Entry {
             }
             Self::Note(Note::DaemonStarted { .. }) => daemon("daemon-started"),
             Self::Note(Note::DaemonEnded { .. }) => daemon("daemon-ended"),
-            Self::Note(Note::Reloaded { .. }) => daemon("reloaded"),
             // A play has one at most, so the room for plays bounds them.
             Self::Note(Note::Answered { .. }) => (Kind::Play, None, "answered"),
             Self::Note(Note::Edge { .. }) => (Kind::Edge, None, "edge"),

@@ -107,7 +107,6 @@ mod tests {
             (Note::Command(command), 4),
             (Note::DaemonStarted { version: "1", pid: 1, wanted: odd() }, 1),
             (Note::DaemonEnded { problem: Some(odd()) }, 1),
-            (Note::Reloaded { changed: vec![odd()], problem: Some(odd()) }, 2),
         ];
         let events = events.into_iter().map(|(event, odd)| (Entry::of(&event, None).unwrap(), odd));
         for (entry, count) in events.chain(notes.into_iter().map(|(note, odd)| (note.into(), odd))) {

@@ -59,8 +59,6 @@ enum Message {
     Entry(Box<Added>),
     /// The entries up to this number did not fit into the queue.
     Missed(u64, Counts),
-    /// Write the following entries to this location.
-    Move(Location),
     /// Replace the exposure file, and report whether that succeeded.
     Exposure(String, oneshot::Sender<bool>),
     /// Keep a pattern's text under its SHA-256.
@@ -264,39 +262,6 @@ impl SessionRecord {
         Ok(record)
     }
 
-    /// Moves the record, or ends it: each entry is at the old location or at the new one. May wait `timeout` for the disk.
-    ///
-    /// # Errors
-    /// If the disk is too slow, or the system gives no thread: the record stays where it was.
-    pub fn move_to(
-        &self,
-        location: Option<Location>,
-        users: Arc<Users>,
-        timeout: Duration,
-    ) -> io::Result<()> {
-        let Some(location) = location else {
-            self.close(timeout);
-            return Ok(());
-        };
-        let messages = self.lock().as_ref().map(|queue| queue.messages.clone());
-        match messages {
-            Some(messages) => {
-                let dir = location.dir.clone();
-                let sent = messages.send_timeout(Message::Move(location), timeout);
-                sent.map_err(|_| io::Error::from(io::ErrorKind::TimedOut))?;
-                if let Some(queue) = self.lock().as_mut() {
-                    queue.dir = dir;
-                }
-                Ok(())
-            }
-            None => {
-                let owner = Arc::downgrade(&self.queue);
-                *self.lock() = Some(Queue::open(Writer::new(location), users, WAITING, owner)?);
-                Ok(())
-            }
-        }
-    }
-
     fn lock(&self) -> MutexGuard<'_, Option<Queue>> {
         self.queue.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -447,10 +412,6 @@ fn write_all(
             Some(at) => queue.recv_deadline(at),
         };
         match message {
-            Ok(Message::Move(location)) => {
-                writer.move_to(location);
-                texts.forget();
-            }
             Ok(Message::Text(sha256, text)) => {
                 let kept = writer.keep_text(&sha256, &text);
                 texts.done(text.len(), kept.then_some(sha256));

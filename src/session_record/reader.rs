@@ -539,7 +539,6 @@ fn played(entry: &Value, receipt: Receipt) -> RecordedPlay {
         pattern_sha256: Some(receipt.pattern_sha256),
         array: receipt.array,
         tick_hz: receipt.tick_hz,
-        mapped_from: receipt.mapped_from,
         seconds: receipt.seconds,
         state: receipt.state.name().to_owned(),
         cause: receipt.cause,

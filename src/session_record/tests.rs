@@ -313,29 +313,6 @@ fn a_full_queue_does_not_wait_and_is_told() {
     assert_eq!((counted, &lines[lines.len() - 1]["event"]), (20 - written, &json!("daemon-started")));
 }
 
-#[test]
-fn a_record_that_moves_loses_nothing() {
-    let (first, second) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
-    let (users, timeout) = (Arc::new(Users::default()), Duration::from_secs(300));
-    let log = SessionRecord::none();
-    log.move_to(Some(location(first.path(), 1)), Arc::clone(&users), timeout).unwrap();
-    let entries = |dir: &Path| {
-        let file = only_file(&dir.join("logbook")).path();
-        fs::read_to_string(file).unwrap().lines().count()
-    };
-    log.add(started());
-    log.add(started());
-    log.move_to(Some(location(second.path(), 1)), Arc::clone(&users), timeout).unwrap();
-    log.add(started());
-    log.move_to(None, Arc::clone(&users), timeout).unwrap();
-    log.add(started());
-    assert_eq!((entries(first.path()), entries(second.path())), (2, 1));
-    log.move_to(Some(location(first.path(), 1)), users, timeout).unwrap();
-    log.add(started());
-    log.close(timeout);
-    assert_eq!((entries(first.path()), entries(second.path())), (3, 1));
-}
-
 /// A JSON value that has no key twice.
 struct Unique;
 
@@ -403,7 +380,6 @@ fn no_line_has_a_key_twice() {
     entries.extend([
         started(),
         Note::DaemonEnded { problem: None }.into(),
-        Note::Reloaded { changed: Vec::new(), problem: None }.into(),
         Note::Command(command).into(),
         Note::Answered { session: "a".to_owned(), play: 1, answer }.into(),
         lost(1),

@@ -61,11 +61,6 @@ impl Texts {
             state.kept.extend(kept);
         });
     }
-
-    /// Forgets all texts, because the record has moved and its new place has none.
-    pub(super) fn forget(&self) {
-        self.change(|state| state.kept.clear());
-    }
 }
 
 /// The file of a text.
@@ -133,9 +128,6 @@ mod tests {
         texts.done(1, Some("a".to_owned()));
         assert!(!texts.take("a", 1) && texts.take("b", 1));
         texts.done(1, Some("b".to_owned()));
-        texts.forget();
-        assert!(texts.take("a", 1));
-        texts.done(1, None);
         for n in 0..2 * MAX_KNOWN {
             texts.done(0, Some(n.to_string()));
         }

@@ -392,16 +392,6 @@ impl Writer {
         }
     }
 
-    /// Writes the following entries, and the count of missing ones, to another location.
-    pub(super) fn move_to(&mut self, location: Location) {
-        self.sync();
-        self.save_count();
-        (self.location, self.open, self.lock, self.failing) = (location, None, None, None);
-        self.ahead = None;
-        self.account.set_torn(false);
-        self.set_problem(None);
-    }
-
     /// Makes the last lines durable and closes.
     pub(super) fn finish(mut self) {
         if self.account.newest() > self.account.settled() && !self.waits_for_retry() {

@@ -11,7 +11,7 @@ use utoipa::ToSchema;
     "grid": {"rows": 2, "columns": 3, "pitch_mm": 2.9}, "pitch_mm": 2.9, "pin_radius_mm": 0.5,
     "tick_hz": 85000, "duty": {"up": 0.2, "down": 0.8},
     "rails": [[0, 1, 2, 3, 4, 5]], "chips": [[0, 1], [2, 3], [4, 5]],
-    "motor": {"um_per_pulse": 0.1357142857142857, "response": "average", "window_ms": 4.3, "speed_mm_s": 11.5, "travel_um": 400.0, "least_pulses": 7,
+    "motor": {"um_per_pulse": 0.1357142857142857, "window_ms": 4.3, "speed_mm_s": 11.5, "travel_um": 400.0, "least_pulses": 7,
               "most_pulses": 3000},
     "toml": "name = \"tula35-2x3\"\npins = { rows = 2, columns = 3, pitch_mm = 2.9 }\ntick_hz = 85000\nduty = { up = 0.2, down = 0.8 }\n[motor]\nstep_um = 0.1357142857142857\nwindow_ms = 4.3\ntravel_um = 400.0\nleast_pulses = 7\nmost_pulses = 3000\n"
 })))]
@@ -74,25 +74,13 @@ pub struct ArrayDuty {
     pub down: f64,
 }
 
-/// How a shaft follows its pulses.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
-#[serde(rename_all = "lowercase")]
-pub enum ArrayResponse {
-    /// As a moving average.
-    Average,
-    /// As a mass on a damped spring: a second-order lag.
-    Lag,
-}
-
 /// What a motor does with its pulses.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct ArrayMotor {
     /// Travel of a shaft per pulse, µm.
     #[schema(minimum = 0.001, maximum = 10.0)]
     pub um_per_pulse: f64,
-    /// How a shaft follows its pulses.
-    pub response: ArrayResponse,
-    /// The window of the moving average; of a lag, the time until it has settled, ms.
+    /// The window of the moving average with which a shaft follows its pulses, ms.
     #[schema(minimum = 0.0, maximum = 500.0)]
     pub window_ms: f64,
     /// Speed of a shaft while its motor has pulses, mm/s.

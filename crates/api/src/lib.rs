@@ -68,7 +68,7 @@ pub mod token;
 pub mod trigger;
 
 pub use answer::{AnswerTaken, PlayAnswer};
-pub use array::{ArrayDetails, ArrayDuty, ArrayGrid, ArrayMotor, ArrayResponse};
+pub use array::{ArrayDetails, ArrayDuty, ArrayGrid, ArrayMotor};
 pub use board::{BoardRecord, BoardStatus};
 pub use body::{Labels, MAX_AT_MS, is_sha256};
 pub use calibration::{CalibratedMotor, CalibrationReport, FittedLine, MeasuredPoint, Provenance};
@@ -99,8 +99,8 @@ pub use rendering::{
     PreviewSpikes, RenderMethod, Rendered,
 };
 pub use request::{
-    ArmRequest, CalibrateRequest, DisarmRequest, EdgeRequest, Fit, LatePolicy, MAX_WAIT_S, Mapping,
-    PlayRequest, ResetRequest, parse_empty,
+    ArmRequest, CalibrateRequest, DisarmRequest, EdgeRequest, Fit, LatePolicy, MAX_WAIT_S, PlayRequest,
+    ResetRequest, parse_empty,
 };
 pub use route::{Method, Route};
 pub use search::{

@@ -351,7 +351,7 @@ impl LinkTraffic {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 #[schema(examples(json!({
     "id": 7, "pattern": "edge-45",
-    "pattern_sha256": "9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08", "array": "tula35-6x4", "tick_hz": 85000, "mapped_from": null,
+    "pattern_sha256": "9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08", "array": "tula35-6x4", "tick_hz": 85000,
     "seconds": 2.0, "scale": 1.0, "fit": "whole", "session": "20261122T083000Z-9f3c", "trial": 12,
     "labels": {"condition": "a"}, "late_policy": "drop", "open_loop": false, "state": "done", "cause": null,
     "onset": {
@@ -434,10 +434,6 @@ pub struct Receipt {
     #[serde(default = "paper_tick_hz")]
     #[schema(required, minimum = 20000, maximum = 200_000)]
     pub tick_hz: u32,
-    /// The array that the pattern is for, if the play mapped it to the daemon's array by position; null: it did not.
-    #[serde(default)]
-    #[schema(required)]
-    pub mapped_from: Option<String>,
     /// Requested duration, s; null: as long as the pattern lasts.
     #[schema(required, minimum = 0.0, maximum = 1e8)]
     pub seconds: Option<f64>,
@@ -608,7 +604,6 @@ impl Receipt {
             pattern_sha256: pattern_sha256.to_owned(),
             array: paper_array(),
             tick_hz: paper_tick_hz(),
-            mapped_from: None,
             seconds,
             fit: Fit::default(),
             session: None,

@@ -38,9 +38,6 @@ pub struct PlayRequest {
     #[serde(default, deserialize_with = "given", skip_serializing_if = "Option::is_none")]
     #[schema(minimum = 0.0, maximum = 1.0)]
     pub scale: Option<f64>,
-    /// What to do with a pattern for another array: without it the daemon refuses the pattern.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub map: Option<Mapping>,
     /// Onset on the device's clock, ticks. Excludes `at_ms` and `at_monotonic_ns`.
     #[serde(default, deserialize_with = "given", skip_serializing_if = "Option::is_none")]
     pub at_tick: Option<u64>,
@@ -100,15 +97,6 @@ pub struct PlayRequest {
     #[serde(default, deserialize_with = "given", skip_serializing_if = "Option::is_none")]
     #[schema(minimum = 1.0, maximum = 60_000.0)]
     pub hold_ms: Option<f64>,
-}
-
-/// How a pattern for another array is played: `nearest`, each pin follows the nearest pin of the pattern's array that is at most one
-/// pitch of that array away, and the other pins rest.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
-#[serde(rename_all = "lowercase")]
-pub enum Mapping {
-    /// By position.
-    Nearest,
 }
 
 /// Which strokes a play has at its end: those that have ended by then (`whole`), or those that begin before (`cover`), which it then

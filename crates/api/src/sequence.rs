@@ -10,7 +10,7 @@ use crate::body::{
 };
 use crate::pattern_choice::{self, PatternChoice, check_packed};
 use crate::problem::Problem;
-use crate::request::{LatePolicy, Mapping, check_hold, check_text_of};
+use crate::request::{LatePolicy, check_hold, check_text_of};
 use crate::trigger::{self, TriggerRecord, TriggerRequest};
 use meissner_input::document::{self, given};
 use serde::de::{Error, SeqAccess, Visitor};
@@ -43,9 +43,6 @@ pub struct SequenceRequest {
     /// What status, events and receipt call the sequence, as a pattern's name; without it `sequence`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub name: Option<String>,
-    /// What to do with patterns for another array: without it the daemon refuses them.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub map: Option<Mapping>,
     /// Onset on the device's clock, ticks. Excludes `at_ms` and `at_monotonic_ns`.
     #[serde(default, deserialize_with = "given", skip_serializing_if = "Option::is_none")]
     pub at_tick: Option<u64>,

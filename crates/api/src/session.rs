@@ -197,10 +197,6 @@ pub struct RecordedPlay {
     #[serde(default = "paper_tick_hz")]
     #[schema(required, minimum = 20000, maximum = 200_000)]
     pub tick_hz: u32,
-    /// The array that the pattern is for, if it was mapped by position; null: it was not.
-    #[serde(default)]
-    #[schema(required)]
-    pub mapped_from: Option<String>,
     /// Requested duration, s; null: as long as the pattern lasts.
     #[schema(required, minimum = 0.0)]
     pub seconds: Option<f64>,
@@ -359,7 +355,7 @@ pub struct RecordedPlay {
     "plays": [{
         "play": 7, "user": "ada", "trial": 12, "labels": {"condition": "a"}, "pattern": "edge-45",
         "pattern_sha256": "9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08", "array": "tula35-6x4", "tick_hz": 85000,
-        "mapped_from": null, "seconds": 2.0, "state": "done",
+        "seconds": 2.0, "state": "done",
         "cause": null, "onset_tick": 6442460000_u64, "onset_monotonic_ns": 75793647058823_u64, "onset_uncertainty_ns": 9600,
         "onset_wall_ns": 1795336200123456000_u64, "reported_after_s": 2.01,
         "bursts": {"planned": 1240, "played": 1240, "late": 0, "dropped": 0, "refused": 0, "amended": 1221},

@@ -350,40 +350,6 @@ fn a_pattern_that_names_files_becomes_complete() {
 }
 
 #[test]
-fn motions_follow_the_nearest_pin_and_are_scaled_to_its_travel() {
-    let all: String = (0..24)
-        .map(|motor| {
-            format!(
-                "[[ramp]]\nmotor = {motor}\nto_um = 100\nrise_s = 0.1\n\
-                 [[tone]]\nmotor = {motor}\nduration_s = 0.2\nfrequency_hz = 50\namplitude_um = 10\n"
-            )
-        })
-        .collect();
-    let pattern = parse(&with(&all));
-    let small = pattern.mapped_to(Array::named("ubi-pen-3x3").unwrap()).unwrap();
-    assert_eq!(small.pattern.waveforms().len(), 9);
-    assert_eq!(small.pattern.motions().len(), 18);
-    assert!(
-        small.warnings[1].starts_with("no pin of ubi-pen-3x3 follows its motors"),
-        "{:?}",
-        small.warnings
-    );
-    let text = "name = \"low\"\npins = { rows = 1, columns = 1, pitch_mm = 2.0 }\ntick_hz = 85000\nduty = { up = 0.2, down = 0.8 }\n\
-                [motor]\nstep_um = 0.1\nwindow_ms = 4.0\ntravel_um = 50.0\nmost_pulses = 500\n";
-    let low = Array::known(meissner_array::spec::ArraySpec::parse(text, "low.toml").unwrap()).unwrap();
-    let mapped = pattern.mapped_to(low).unwrap();
-    assert_eq!(
-        mapped.warnings.last().unwrap(),
-        "amplitudes are lowered to 50 um, the travel of the motors of low"
-    );
-    let (_, waveform) = &mapped.pattern.waveforms()[0];
-    assert!((waveform.extremes_um()[1] - 50.0).abs() < 1e-3, "{:?}", waveform.extremes_um());
-    let corner = parse(&with("[[ramp]]\nmotor = 0\nto_um = 100\nrise_s = 0.1\n"));
-    let line = corner.mapped_to(Array::named("tula35-2x3").unwrap()).unwrap_err().to_string();
-    assert!(line.contains("drives no pin near a pin of tula35-2x3"), "{line}");
-}
-
-#[test]
 fn no_text_makes_the_reader_of_motions_panic() {
     for cut in 0..GOOD.len() {
         let _ = in_one_line(Pattern::parse(&GOOD[..cut], "cut"));

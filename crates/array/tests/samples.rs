@@ -301,7 +301,7 @@ fn every_mistake_is_one_line() {
         (text("time_s,a_um\n0,1\n0.1,\"2,5\"\n", &none), "line 3: `2,5` is no number; "),
         (
             text("time_s,a_um\n0,1\n1,2\n3,4\n4,5\n", &none),
-            "row 2 of numbers is at 1 s, the one before at 0 s",
+            "row 3 of numbers is at 3 s, the one before at 1 s",
         ),
         (text("time_s,a_um\n0,1\n0,2\n", &none), "row 2 of numbers is at 0 s"),
         (text("time_s,a_um\n1,1\n0,2\n", &none), "row 2 of numbers is at 0 s, the one before at 1 s"),

@@ -4,7 +4,6 @@
 
 use super::*;
 use crate::connection::connect;
-use meissner_api::{Code, Problem};
 use std::time::Duration;
 use tokio::runtime::Builder;
 

@@ -15,7 +15,6 @@ use crate::point::Point;
 use crate::shape::Shape;
 use crate::target::{Frame, Target};
 use meissner_array::pattern::Drive;
-use meissner_array::spec::Array;
 use meissner_skin::afferents::{self, Class, NearCandidate, NearEvaluator};
 use meissner_skin::membrane::{self, MIN_WEIGHT, Position};
 use meissner_skin::{
@@ -45,10 +44,10 @@ impl Fidelity {
     /// One second, by the finest method.
     pub const FULL: Self = Self { duration_s: 1.0, step_us: None, min_weight: MIN_WEIGHT, min_share: None };
 
-    fn options(self, array: Array) -> Options {
+    fn options(self) -> Options {
         let stepping =
             |step_us| Stepping { step_us, integrator: Integrator::Propagator, precision: Precision::F32 };
-        let method = self.step_us.map_or(Method::finest(array), |step_us| Method::Stepped(stepping(step_us)));
+        let method = self.step_us.map_or(Method::Exact, |step_us| Method::Stepped(stepping(step_us)));
         Options { min_weight: self.min_weight, ..Options::rates(method) }
     }
 }
@@ -188,7 +187,7 @@ impl Objective {
                     seeds.iter().flat_map(|&seed| membrane::population(seed)).collect();
                 let scene = Scene::new(array, duration_s, noise_seed, Vec::new(), afferents, *target.model());
                 let scene = scene.expect("the parts of a checked target make a scene");
-                Afferents::Membrane(Box::new(scene), fidelity.options(array))
+                Afferents::Membrane(Box::new(scene), fidelity.options())
             }
             ModelName::Afferents => {
                 let all = seeds.iter().flat_map(|&seed| afferents::population(seed));

@@ -62,7 +62,7 @@ pub fn choose(scene: &Scene, error_hz: f64) -> Result<Choice, MethodError> {
         firing.truncate(SAMPLE);
         (firing, share)
     };
-    let finest = Method::finest(scene.array());
+    let finest = Method::Exact;
     let by_finest = Choice { method: finest, estimated_rate_error_hz: 0.0, sampled: sample.len() };
     if sample.is_empty() {
         return Ok(by_finest);
@@ -76,12 +76,7 @@ pub fn choose(scene: &Scene, error_hz: f64) -> Result<Choice, MethodError> {
         let steps = scene.duration_s() * 1e6 / f64::from(step_us) * sample.len() as f64 * scale;
         steps * NS_PER_STEP + spikes * NS_PER_STEPPED_SPIKE
     };
-    let finest_ns = match finest {
-        Method::Exact => {
-            breakpoints(scene, &sample) * scale * NS_PER_BREAKPOINT + spikes * NS_PER_EXACT_SPIKE
-        }
-        Method::Stepped(stepping) => steps_ns(stepping.step_us),
-    };
+    let finest_ns = breakpoints(scene, &sample) * scale * NS_PER_BREAKPOINT + spikes * NS_PER_EXACT_SPIKE;
     for step_us in STEPS_US {
         if steps_ns(step_us) > finest_ns.max(NOTHING_NS) {
             break;

@@ -185,7 +185,7 @@ impl Finger {
         match (&self.model, stimulus.moved) {
             (SkinModel::Membrane(model), Moved::Drives { array, drives, gain }) => {
                 let scene = self.motors(stimulus, (array, drives, gain), self.places(), *model)?;
-                let answer = simulate(&scene, &Options::spikes(Method::finest(scene.array())), &|_| ())?;
+                let answer = simulate(&scene, &Options::spikes(Method::Exact), &|_| ())?;
                 Ok(answer.spikes_s.expect("spikes are kept"))
             }
             (SkinModel::Membrane(model), Moved::Ramps(ramps)) => {
@@ -210,7 +210,7 @@ impl Finger {
         match (&self.model, stimulus.moved) {
             (SkinModel::Membrane(model), Moved::Drives { array, drives, gain }) => {
                 let scene = self.motors(stimulus, (array, drives, gain), self.places(), *model)?;
-                Ok(simulate(&scene, &Options::rates(Method::finest(scene.array())), &|_| ())?.counts)
+                Ok(simulate(&scene, &Options::rates(Method::Exact), &|_| ())?.counts)
             }
             (SkinModel::Membrane(_), Moved::Ramps(_)) => {
                 Ok(self.spikes_s(stimulus)?.iter().map(|train| train.len() as u64).collect())

@@ -6,7 +6,7 @@
 //! 2. `scene`: a [`Scene`] holds the drives of the motors, and the afferents with their places and parameters.
 //! 3. `breakpoints`: a motor's strokes become the breakpoints of its velocity. Between two breakpoints the velocity
 //!    is a straight line. `track` keeps what one motor does, `blocks` merges the motors in order of time, `sampler`
-//!    puts the velocity on a grid of steps. `lagging` does so for motors that follow their pulses otherwise.
+//!    puts the velocity on a grid of steps.
 //! 4. `membrane::equation`: the leaky membrane in closed form, and the threshold. `membrane::silence` proves which
 //!    afferents cannot reach it.
 //! 5. From there two methods lead to spikes. `exact` goes from breakpoint to breakpoint, eight afferents at a time;
@@ -79,7 +79,6 @@ mod engine;
 mod evaluator;
 mod exact;
 mod finger;
-mod lagging;
 mod member;
 mod method;
 mod ramps;

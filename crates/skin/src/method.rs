@@ -5,8 +5,6 @@
 use crate::membrane::MIN_WEIGHT;
 use crate::scene::Scene;
 use crate::time::end;
-use meissner_array::motor::Response;
-use meissner_array::spec::Array;
 use meissner_array::units::TickRate;
 use serde::{Deserialize, Serialize};
 use std::ops::RangeInclusive;
@@ -161,15 +159,6 @@ pub enum MethodError {
         /// The step.
         step_us: u32,
     },
-    /// The exact method follows straight lines.
-    #[error(
-        "the motors of {array} follow their pulses as a lag, whose velocity is no straight line: the exact method cannot simulate \
-         them; take --method stepped"
-    )]
-    Lag {
-        /// The array's name.
-        array: &'static str,
-    },
     /// There are more spikes than can be kept.
     #[error("more than {MAX_SPIKES} spikes: keep only their rates (--rates-only), or shorten the scene")]
     TooManySpikes,
@@ -192,31 +181,12 @@ impl Stepping {
 }
 
 impl Method {
-    /// The method with the smallest error for the motors of an array: the exact one, or steps of 10 µs where that one refuses.
-    #[must_use]
-    pub fn finest(array: Array) -> Self {
-        match array.motor().response {
-            Response::Average => Self::Exact,
-            Response::Lag { .. } => Self::Stepped(Stepping {
-                step_us: 10,
-                integrator: Integrator::Propagator,
-                precision: Precision::F64,
-            }),
-        }
-    }
-
     /// Checks whether the method can simulate the scene.
     ///
     /// # Errors
-    /// If it is exact and the motors lag, or its step is out of range, unstable, or too short for what `f32` can count.
+    /// If its step is out of range, unstable, or too short for what `f32` can count.
     pub fn check(&self, scene: &Scene) -> Result<(), MethodError> {
-        let Self::Stepped(Stepping { step_us, integrator, precision }) = *self else {
-            let array = scene.array();
-            return match array.motor().response {
-                Response::Average => Ok(()),
-                Response::Lag { .. } => Err(MethodError::Lag { array: array.spec().name() }),
-            };
-        };
+        let Self::Stepped(Stepping { step_us, integrator, precision }) = *self else { return Ok(()) };
         if !STEP_US.contains(&step_us) {
             return Err(MethodError::Step { step_us });
         }

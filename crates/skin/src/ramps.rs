@@ -194,7 +194,7 @@ pub fn simulate_ramps(
     for some in by_place(&scene, &all).chunks(AT_A_TIME) {
         let mut give =
             |(number, _, half_ticks): Train| give(number, in_seconds(half_ticks, scene.array().rate()));
-        run(&scene, &tracks, some, &Options::spikes(Method::finest(scene.array())), &|_| (), &mut give)?;
+        run(&scene, &tracks, some, &Options::spikes(Method::Exact), &|_| (), &mut give)?;
     }
     Ok(())
 }

@@ -8,14 +8,13 @@
 //! Invariant: a track depends on its motor's drives or ramps, the scene's duration and membrane, and the method.
 
 use crate::breakpoints::{Breakpoint, Breakpoints, InOrder, ramps_before, ramps_of};
-use crate::lagging::Lagging;
 use crate::membrane::silence::Bound;
 use crate::method::{Method, Stepping};
 use crate::sampler::{Sampler, TILE};
 use crate::scene::Scene;
 use crate::simd::Number;
 use crate::time::end;
-use meissner_array::motor::{Ramp, Response};
+use meissner_array::motor::Ramp;
 use meissner_array::pattern::Drive;
 use meissner_array::spec::Array;
 use std::sync::{Arc, OnceLock};
@@ -106,7 +105,7 @@ impl Track {
         let breakpoints_per_s =
             4.0 * ramps.len() as f64 / duration_s.max(1.0 / array.rate().half_ticks_per_s());
         let moved_by = MovedBy::Ramps(Arc::clone(ramps), full_um_per_tick);
-        Self::moved(array, motor, moved_by, breakpoints_per_s, duration_s, Method::finest(array))
+        Self::moved(array, motor, moved_by, breakpoints_per_s, duration_s, Method::Exact)
     }
 
     fn moved(
@@ -165,14 +164,7 @@ impl Track {
 
     /// The samples of these steps.
     pub(crate) fn sampled(&self, stepping: Stepping) -> Sampler<'_> {
-        let rate = self.array.rate();
-        match self.array.motor().response {
-            Response::Average => Sampler::new(self.breakpoints(), stepping, rate),
-            Response::Lag { .. } => {
-                let (ramps, full_um_per_tick) = self.ramps();
-                Sampler::of_lag(Lagging::new(self.array, ramps, full_um_per_tick), stepping, rate)
-            }
-        }
+        Sampler::new(self.breakpoints(), stepping, self.array.rate())
     }
 
     /// The samples of all steps, in whole tiles, if they are few enough to keep.

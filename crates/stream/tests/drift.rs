@@ -9,7 +9,7 @@ use meissner_array::random::normal;
 use meissner_array::simulated::SimulatedMotorsConfig;
 use meissner_array::spec::Array;
 use meissner_array::strokes::{StrokeOptions, Strokes};
-use meissner_stream::queues::{Command, CommandError, End, Snapshot, StreamEvent};
+use meissner_stream::queues::{Command, CommandError, End, Snapshot};
 use meissner_stream::{Gains, LowerStopSettings, Settings, forecast_drift};
 use meissner_test_support::paper::MOTORS;
 use meissner_test_support::patterns::{drive, pattern};
@@ -22,39 +22,14 @@ fn blind(seed: u64) -> SimulatedMotorsConfig {
 
 /// An armed rig without telemetry; pins may drift as far as `limit_um`.
 fn rig(config: &SimulatedMotorsConfig, limit_um: f32) -> Rig {
-    let mut rig = Rig::of(config, config.seed);
     let settings = Settings {
         end_stop_um: config.end_stop_um as f32,
         drift_limit_um: limit_um,
         ..Settings::of(Array::paper())
     };
-    rig.send(Command::Configure(settings));
+    let mut rig = Rig::with_motors(settings, config, config.seed);
     rig.arm();
     rig
-}
-
-#[test]
-fn the_snapshot_has_the_settings_in_use() {
-    let mut rig = rig(&blind(1), 150.0);
-    rig.run_ms(1100);
-    let new = Settings { drift_limit_um: 77.0, ..last_snapshot(&rig.take_events()).settings };
-    let drift_limit_um = |rig: &mut Rig| {
-        rig.run_ms(1100);
-        last_snapshot(&rig.take_events()).settings.drift_limit_um
-    };
-    rig.send(Command::Configure(new));
-    assert_eq!(drift_limit_um(&mut rig), 150.0, "an armed device keeps its settings");
-    rig.send(Command::Disarm);
-    assert_eq!(drift_limit_um(&mut rig), 150.0);
-    let ticket = rig.send(Command::Arm { assume_rest: true });
-    rig.run_ms(20);
-    let events = rig.take_events();
-    let known =
-        events.iter().position(|event| matches!(event, StreamEvent::Snapshot(at) if at.settings == new));
-    let answered = events
-        .iter()
-        .position(|event| matches!(event, StreamEvent::Answer { ticket: of, .. } if *of == ticket));
-    assert!(known.is_some() && known < answered, "a client that has armed must not read the old ones");
 }
 
 /// A trial of a two-alternative forced choice: 18 strokes at 62.5 Hz and 80 µm, all pins.

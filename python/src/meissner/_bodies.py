@@ -18,7 +18,6 @@ Verdict = Union[SupportsInt, None]
 """Whether an answer is right: a `bool`, or a kind of NumPy."""
 Late = Literal["drop", "abort", None]
 Fit = Literal["whole", "cover", None]
-Map = Literal["nearest", None]
 ITEM_KEYS = ("pattern", "seconds", "scale", "gap", "start", "trigger", "samples", "rate", "drives", "pattern_sha256")
 SequenceItem = Union[str, Mapping[str, Any], None]
 

@@ -23,7 +23,6 @@ from ._bodies import (
     Fit,
     Labels,
     Late,
-    Map,
     SequenceItem,
     Trigger,
     milliseconds,
@@ -370,7 +369,6 @@ def play(
     labels: Labels = None,
     late: Late = None,
     fit: Fit = None,
-    map: Map = None,
     replace: bool = False,
     endless: bool = False,
     open_loop: bool = False,
@@ -389,9 +387,6 @@ def play(
 
     With `on_edge` the play waits for an edge of the trigger input, the first after those before it are over, and begins so many s after
     it, exact to the tick. `stop_on_edge`: the first edge after the onset stops it and clears the queue.
-
-    `map="nearest"` plays a pattern for another array, which the daemon refuses otherwise (`OtherArray`): each pin follows the
-    nearest pin of the pattern's array, if that is at most one pitch of that array away.
     """
     given = pattern
     if samples is not None or drives is not None:
@@ -404,7 +399,6 @@ def play(
         raise TypeError(
             f"`pattern` is {given!r}: must be a pattern's name, or a dict with the keys of a pattern file; `store_pattern` stores a file"
         )
-    one_of_map(map)
     name = given if isinstance(given, str) else str(given.get("name", "inline"))
     body = {
         "pattern": given,
@@ -417,7 +411,6 @@ def play(
         "labels": texts(labels),
         "late": late,
         "fit": fit,
-        "map": map,
         "replace": replace or None,
         "endless": endless or None,
         "open_loop": open_loop or None,
@@ -426,11 +419,6 @@ def play(
         **(yield from _onset(core, at, on_edge)),
     }
     return (yield from _accepted(core, _http.post("/v1/play", body, timeout=_COMPILING), name, given))
-
-
-def one_of_map(map: object) -> None:
-    if map not in (None, "nearest"):
-        raise ValueError(f"`map` is {map!r}: must be 'nearest' or None")
 
 
 def _inline(core: Core, given: Mapping[str, Any]) -> Op[dict[str, Any]]:
@@ -461,7 +449,6 @@ def sequence(
     trial: int | None = None,
     labels: Labels = None,
     late: Late = None,
-    map: Map = None,
     replace: bool = False,
     open_loop: bool = False,
 ) -> Op[Accepted]:
@@ -470,11 +457,10 @@ def sequence(
     An item is a pattern's name, or a dict with `pattern` (or `samples` and `rate`, or `drives`, as in `play`) and any of `seconds`,
     `scale`, `trigger`, `gap` (pause after the items before, s) and `start` (from the sequence's onset, s). None, or a dict whose
     `pattern` is None, is a blank item: nothing is played for its `seconds`. Items may overlap if they drive different motors. `isi` is the pause from one item's end to the next
-    onset, `soa` the distance of onsets, s. `seconds` and `scale` are for items that give none. `strict`, `hold`, `map`,
+    onset, `soa` the distance of onsets, s. `seconds` and `scale` are for items that give none. `strict`, `hold`,
     `on_edge` and `stop_on_edge`: as in `play`.
     """
     made = yield from items_of(core, items, isi, soa, seconds, scale)
-    one_of_map(map)
     body = {
         "items": made,
         "name": name,
@@ -483,7 +469,6 @@ def sequence(
         "trial": trial_number(trial),
         "labels": texts(labels),
         "late": late,
-        "map": map,
         "replace": replace or None,
         "open_loop": open_loop or None,
         "stop_on_edge": stop_on_edge or None,

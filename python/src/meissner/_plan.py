@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 from . import _http
 from . import _operations as ops
-from ._bodies import Map, SequenceItem
+from ._bodies import SequenceItem
 from ._http import Op
 from ._operations import Core
 from .results import PlanCheck
@@ -20,15 +20,13 @@ def check(
     soa: float | None = None,
     seconds: float | None = None,
     scale: float | None = None,
-    map: Map = None,
 ) -> Op[PlanCheck]:
     """Ask before the first trial whether a study would stop at the drift limit on a board. Nothing is played.
 
     The arguments are those of `sequence`: give all plays of the study as one list, at most 4096. The daemon follows its estimate of the
     drift of pins without telemetry, from level pins on, also if its own device has telemetry.
     """
-    ops.one_of_map(map)
-    body = {"items": (yield from ops.items_of(core, items, isi, soa, seconds, scale)), "map": map}
+    body = {"items": (yield from ops.items_of(core, items, isi, soa, seconds, scale))}
     # Compiling long motions takes a while.
     answer = yield from ops.send(core, _http.post("/v1/sequence/check", body, timeout=60.0))
     return PlanCheck.of(core.read(answer))

@@ -38,9 +38,7 @@ def _key(line: str) -> str:
 
 
 def _is_meant(receipt: Receipt, line: str) -> bool:
-    """Whether other pins follow by `map`, as asked, or a drive is saturated as stored, and not with the `scale` of the play."""
-    if re.search(r"(^|: )made for .* follow the nearest", line):
-        return True
+    """Whether a drive is saturated as stored, and not with the `scale` of the play."""
     saturated = re.match(r"drive (\d+) .* is saturated", line)
     found = [drive for drive in receipt.raw["drives"] if saturated and drive["drive"] == int(saturated[1])]
     return any(drive["reached_um"] >= _ENOUGH * drive["ordered_um"] for drive in found)

@@ -72,9 +72,6 @@ _COLUMNS: dict[str, dict[str, Any]] = {
     "item": {"Description": "Number of the item in its sequence, from 0; n/a: a play of one pattern"},
     "array": {"Description": "Name of the array of pins"},
     "tick_hz": {"Description": "Ticks of the device's clock a second", "Units": "Hz"},
-    "mapped_from": {
-        "Description": "Name of the array that the pattern is for, if it was mapped by position; n/a: it was not"
-    },
     "start_edge": {
         "Description": "Number of the edge of the trigger input after which the play began; n/a: it waited for none"
     },
@@ -335,7 +332,6 @@ def _event(row: Mapping[str, Any], zero: int, stimuli: Mapping[str, str], labels
         "item": row["item"],
         "array": row["array"],
         "tick_hz": row["tick_hz"],
-        "mapped_from": row["mapped_from"],
         **edge_cells(row),
         **answer_cells(row),
     }

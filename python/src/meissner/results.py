@@ -134,8 +134,6 @@ class Receipt:
     """The name of the array that was driven."""
     tick_hz: int
     """Ticks per second of its device's clock."""
-    mapped_from: str | None
-    """The name of the array that the pattern is for, if the play mapped it by position."""
     raw: dict[str, Any] = field(repr=False)
 
     @property
@@ -192,6 +190,5 @@ class Receipt:
             ),
             array=raw["array"],
             tick_hz=raw["tick_hz"],
-            mapped_from=raw["mapped_from"],
             raw=raw,
         )

@@ -203,8 +203,6 @@ def unknown(row: Mapping[str, Any], texts: Mapping[str, str]) -> str | None:
     what = f"play {row['play']}" + ("" if row["item"] is None else f", item {row['item']}")
     if (live := row["live"]) is not None:
         return f"{what} was live: the record has the number of its updates ({live['updates']}), not its moves"
-    if row["mapped_from"] is not None:
-        return f"{what}: its pattern is for the array {row['mapped_from']} and was mapped by position"
     if texts.get(row["pattern_sha256"] or "") is None:
         return f"{what}: its pattern as played is not kept"
     return f"{what}: its end is missing from the record" if as_played(row) is None else None

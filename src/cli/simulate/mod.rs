@@ -41,7 +41,7 @@ pub(super) struct Simulate {
     /// Choose the model of skin and afferents [default: the scene's key `model`, else membrane]
     #[arg(long, value_parser = choice::<ModelName>(MODELS))]
     model: Option<ModelName>,
-    /// Choose the method [default: stepped if a step, integrator or precision is given or the motors lag, else exact]
+    /// Choose the method [default: stepped if a step, integrator or precision is given, else exact]
     #[arg(long, value_enum)]
     method: Option<Name>,
     /// Take steps of N us [default: 200]
@@ -139,7 +139,7 @@ pub(super) fn run(asked: &Simulate) -> Result<ExitCode> {
     let begun = Instant::now();
     let (method, chosen) = match asked.max_rate_error {
         None if asked.method == Some(Name::Exact) => (Method::Exact, None),
-        None => (stepping.map_or(Method::finest(scene.array()), Method::Stepped), None),
+        None => (stepping.map_or(Method::Exact, Method::Stepped), None),
         Some(error_hz) => {
             let choice = progress::waiting("choosing a method", || choose(&scene, error_hz))?;
             let (estimated_rate_error_hz, sampled) = (choice.estimated_rate_error_hz, choice.sampled);

@@ -24,9 +24,6 @@ pub(in crate::cli) fn receipt(receipt: &Receipt) -> String {
     if let Some(offset) = &receipt.offset {
         lines.push(("offset", format!("tick {}", offset.tick)));
     }
-    if let Some(array) = &receipt.mapped_from {
-        lines.push(("mapped", format!("by position, from {array} to {}", receipt.array)));
-    }
     if receipt.duration_ms != DurationRecord::default() {
         lines.push(("duration", duration(&receipt.duration_ms)));
     }

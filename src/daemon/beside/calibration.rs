@@ -15,7 +15,6 @@ use meissner_api::{Code, Event, Problem, Route};
 use meissner_input::message::quote;
 use meissner_stream::calibrate::Calibration;
 use meissner_stream::queues::{Command, CommandError};
-use std::path::PathBuf;
 use std::sync::{Arc, PoisonError};
 use tracing::{info, warn};
 
@@ -50,11 +49,6 @@ impl Engine {
                 info!("{motors} motors are calibrated");
             }
         }
-    }
-
-    /// Changes the file of the calibration; the daemon reads it at the next connection.
-    pub(in crate::daemon) fn set_calibration_file(&self, file: Option<PathBuf>) {
-        self.lock().calibration.file = file;
     }
 
     /// Stores a calibration that was measured elsewhere, and uses it. Returns the document of `GET /v1/calibration`.
@@ -191,8 +185,9 @@ impl Engine {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::daemon::state::Exposure;
     use crate::daemon::system::runtime::PLAYS;
-    use crate::exposure::ParticipantLimits;
+    use crate::exposure::{Account, ParticipantLimits};
     use crate::session_record::Peer;
     use crate::store::Stored;
     use meissner_api::{LiveDrive, LiveRequest, PlayRequest};
@@ -255,10 +250,8 @@ mod tests {
         let (mut port, commands, _events) = queues().unwrap();
         let file = Some(dir.path().join("calibration.toml"));
         let engine = Arc::new(Engine::new(commands, Settings::of(array), "mock".to_owned(), file));
-        engine
-            .lock()
-            .exposure
-            .set_limits(ParticipantLimits { max_amplitude_um: 100.0, ..ParticipantLimits::NONE });
+        let limits = ParticipantLimits { max_amplitude_um: 100.0, ..ParticipantLimits::NONE };
+        engine.lock().exposure = Exposure::new(Account::new(limits));
         let runtime = crate::daemon::runtime().unwrap();
         let calibrate = |gain: f64| {
             let plan = meissner_stream::calibrate::laser_plan(array, 9, None, None).unwrap();

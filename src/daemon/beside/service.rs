@@ -27,7 +27,6 @@ const CHECKS: u32 = 4;
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(in crate::daemon) enum Notification {
     Ready,
-    Reloading,
     /// The status in [`Line::status`].
     Status,
     Alive,
@@ -88,7 +87,7 @@ impl StatusReporter {
         Self { manager, last: String::new() }
     }
 
-    /// Reports a changed status. Ends an idle daemon whose program was replaced, so that the service manager starts the new one.
+    /// Reports a changed status.
     pub(in crate::daemon) fn update(&mut self, engine: &Engine) {
         if !self.manager.is_there() {
             return;
@@ -98,9 +97,6 @@ impl StatusReporter {
         if line != self.last {
             self.last.clone_from(&line);
             self.manager.notify_status(line);
-        }
-        if engine.lock().is_idle() && is_replaced() {
-            engine.make_room_if_idle();
         }
     }
 }
@@ -120,9 +116,6 @@ fn send_all(to: &OsStr, queue: &Receiver<Notification>, status: &Mutex<Option<St
     for notification in queue {
         let sent = match &notification {
             Notification::Ready => send(to, &[NotifyState::Ready]),
-            Notification::Reloading => {
-                NotifyState::monotonic_usec_now().and_then(|now| send(to, &[NotifyState::Reloading, now]))
-            }
             Notification::Status => {
                 let text = status.lock().unwrap_or_else(PoisonError::into_inner).take().unwrap_or_default();
                 send(to, &[NotifyState::Status(&text)])
@@ -157,12 +150,6 @@ async fn watch(manager: Manager, engine: Arc<Engine>, every: Duration) {
             manager.notify(Notification::Alive);
         }
     }
-}
-
-/// Whether the file that this process was started from has been replaced.
-fn is_replaced() -> bool {
-    let program = std::fs::read_link("/proc/self/exe");
-    program.is_ok_and(|program| program.as_os_str().as_encoded_bytes().ends_with(b" (deleted)"))
 }
 
 #[cfg(test)]

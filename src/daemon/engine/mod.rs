@@ -52,8 +52,6 @@ pub(in crate::daemon) struct Engine {
     pub(in crate::daemon) changed: Notify,
     /// A play has ended.
     pub(in crate::daemon) play_ended: Notify,
-    /// Another version of the program is installed, and the daemon is idle.
-    pub(in crate::daemon) replaced: Notify,
     /// The real-time rights that the system granted the streamer.
     pub(in crate::daemon) realtime: Realtime,
     /// Where the daemon listens.
@@ -96,7 +94,6 @@ impl Engine {
             first_device_known: watch::channel(false).0,
             changed: Notify::new(),
             play_ended: Notify::new(),
-            replaced: Notify::new(),
             realtime: Realtime::default(),
             socket: PathBuf::new(),
             gate: Arc::new(Gate::new(None, None, TokenStore::open(None))),
@@ -186,20 +183,6 @@ impl Engine {
             Some(Err(error)) => Err(refusal(error)),
             None => waited,
         }
-    }
-
-    /// If the daemon is idle, ends it so that a newer program can start.
-    pub(in crate::daemon) fn make_room_if_idle(&self) {
-        let mut state = self.lock();
-        if state.is_idle() && !state.commands.is_closing() {
-            state.commands.close();
-            self.replaced.notify_one();
-        }
-    }
-
-    /// Uses these settings, or, if motors are armed, from the next `arm` on. Returns the command if too many wait.
-    pub(in crate::daemon) fn configure(&self, settings: Settings) -> Result<(), Command> {
-        self.lock().commands.send_unanswered(Command::Configure(settings))
     }
 
     /// Refuses further commands; has the streamer return the pins and switch the motors off.

@@ -1,4 +1,4 @@
-//! The patterns' store in use, and the pattern that a request names.
+//! The pattern that a request names.
 //!
 //! Bounds: plays of one pattern hold four patterns of the directory, other plays two, checks one, other requests two; further requests wait.
 
@@ -8,26 +8,8 @@ use crate::session_record;
 use crate::store::{Store, StoreError, Stored};
 use meissner_api::{Code, FOUND_PREFIX, Problem};
 use std::io;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 use tokio::sync::SemaphorePermit;
-
-/// The pattern store in use; a reload may replace it.
-#[derive(Clone, Debug)]
-pub(in crate::daemon) struct SharedStore(Arc<Mutex<Arc<Store>>>);
-
-impl SharedStore {
-    pub(in crate::daemon) fn new(store: Store) -> Self {
-        Self(Arc::new(Mutex::new(Arc::new(store))))
-    }
-
-    pub(in crate::daemon) fn get(&self) -> Arc<Store> {
-        Arc::clone(&self.0.lock().unwrap_or_else(PoisonError::into_inner))
-    }
-
-    pub(in crate::daemon) fn replace(&self, store: Store) {
-        *self.0.lock().unwrap_or_else(PoisonError::into_inner) = Arc::new(store);
-    }
-}
 
 impl From<StoreError> for Problem {
     fn from(error: StoreError) -> Self {

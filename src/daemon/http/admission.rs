@@ -11,7 +11,7 @@ use axum::http::header::{WWW_AUTHENTICATE, X_CONTENT_TYPE_OPTIONS};
 use axum::http::{HeaderName, HeaderValue, StatusCode};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
-use meissner_api::{Code, Problem, Route};
+use meissner_api::{Code, Problem};
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
@@ -25,19 +25,7 @@ pub(super) async fn layer(State(gate): State<Arc<Gate>>, mut request: Request, n
         let unknown = Problem::new(Code::Forbidden, "the daemon does not know where this request comes from");
         return ErrorResponse(unknown).into_response();
     };
-    // A request that makes the display safe waits for the disk only if it would otherwise be refused, because another daemon may
-    // have created its token.
-    let route = Route::find(request.method().as_str(), request.uri().path());
-    let makes_safe = matches!(route, Some(Route::EStop | Route::Stop | Route::Disarm));
-    if !makes_safe && shows_access(&request) {
-        gate.refresh_tokens().await;
-    }
-    let mut checked = check(&gate, peer, &request);
-    if makes_safe && checked.is_err() && shows_access(&request) {
-        gate.refresh_tokens().await;
-        checked = check(&gate, peer, &request);
-    }
-    let refusal = match checked {
+    let refusal = match check(&gate, peer, &request) {
         Ok(caller) => {
             // A file of the page needs no token.
             if let Some(activity) = request.extensions().get::<Arc<Activity>>()
@@ -68,10 +56,6 @@ fn head(request: &Request) -> Head<'_> {
         head.add(name.as_str(), value.as_bytes());
     }
     head
-}
-
-fn shows_access(request: &Request) -> bool {
-    head(request).shown().is_ok_and(|shown| shown.access.is_some())
 }
 
 /// Asks the gate about a request; returns the sender.

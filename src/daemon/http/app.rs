@@ -3,10 +3,10 @@
 //! Invariant: a client that waits holds a place, and a network client a further one, so that places stay free for clients of the socket.
 
 use crate::daemon::engine::Engine;
-use crate::daemon::engine::patterns::SharedStore;
 use crate::daemon::http::doctor::Doctor;
 use crate::daemon::sockets::acceptor::{Bounds, Counts};
 use crate::session_record::Peer;
+use crate::store::Store;
 use meissner_api::{Code, Problem};
 use std::sync::Arc;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, TryAcquireError};
@@ -15,7 +15,7 @@ use tokio::sync::{OwnedSemaphorePermit, Semaphore, TryAcquireError};
 #[derive(Clone, Debug)]
 pub(in crate::daemon) struct App {
     pub(super) engine: Arc<Engine>,
-    pub(super) store: SharedStore,
+    pub(super) store: Arc<Store>,
     pub(super) doctor: Arc<Doctor>,
     pub(super) counts: Arc<Counts>,
     /// A permit for each event stream, and for each request that waits for the end of a play.
@@ -30,7 +30,7 @@ type Waiting = (OwnedSemaphorePermit, Option<OwnedSemaphorePermit>);
 impl App {
     pub(in crate::daemon) fn new(
         engine: Arc<Engine>,
-        store: SharedStore,
+        store: Arc<Store>,
         bounds: &Bounds,
         counts: Arc<Counts>,
     ) -> Self {

@@ -9,14 +9,12 @@
 
 use crate::config::Listen;
 use crate::daemon::network::head::{Head, Shown};
-use crate::daemon::network::refresh::Refresher;
 use crate::daemon::network::refusal::{NOT_VALID, READS_ONLY, Refusal};
 use crate::daemon::network::tokens::TokenStore;
 use crate::daemon::page;
 use crate::session_record::{NetworkPeer, Peer, TokenId};
 use meissner_api::access::Access;
 use meissner_api::{Code, NetworkStatus, Role, Route};
-use std::io;
 use std::net::{IpAddr, Ipv6Addr};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -36,8 +34,6 @@ pub(in crate::daemon) struct Gate {
     /// Why the daemon does not listen there.
     problem: Option<String>,
     pub(in crate::daemon) tokens: Arc<TokenStore>,
-    /// Reads tokens that another daemon has changed.
-    refresher: Refresher,
     denied: AtomicU64,
 }
 
@@ -48,22 +44,7 @@ impl Gate {
         problem: Option<String>,
         tokens: TokenStore,
     ) -> Self {
-        let (refresher, denied) = Default::default();
-        Self { listen, problem, tokens: Arc::new(tokens), refresher, denied }
-    }
-
-    /// Starts to read tokens that another daemon has changed, if clients can come over the network. Calls `changed` whenever there were
-    /// any.
-    pub(in crate::daemon) fn watch_tokens(&self, changed: impl Fn() + Send + 'static) -> io::Result<()> {
-        if self.listen.is_none() {
-            return Ok(());
-        }
-        self.refresher.watch(&self.tokens, changed)
-    }
-
-    /// Waits until the tokens are those of the file as it is now.
-    pub(in crate::daemon) async fn refresh_tokens(&self) {
-        self.refresher.refresh().await;
+        Self { listen, problem, tokens: Arc::new(tokens), denied: AtomicU64::default() }
     }
 
     /// Sites whose pages may send requests over the network.

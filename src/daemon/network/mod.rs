@@ -2,13 +2,12 @@
 //!
 //! [`listen`] binds the address of the configuration key `listen`; without it nothing listens. [`Gate::check`] decides about each
 //! request by its [`Head`]: the acceptor calls it before it orders an emergency stop, and `http::admission` calls it before every route.
-//! [`TokenStore`] holds the access tokens. Several daemons may share one token file; `refresh` reads the changes of the others.
+//! [`TokenStore`] holds the access tokens.
 //!
 //! Invariant: a request reaches a handler only after the gate let it through.
 
 mod gate;
 mod head;
-mod refresh;
 mod refusal;
 mod tokens;
 

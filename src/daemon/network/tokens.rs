@@ -3,11 +3,9 @@
 //! A token holds 256 random bits, so its SHA-256 needs no salt and cannot be guessed. The store compares a token with all valid
 //! ones in constant time. The file is replaced atomically, and only the daemon's user can read it.
 //!
-//! Several daemons may share one file. To change it, a daemon locks the file beside it (`.lock`), reads the file, changes the
-//! tokens, and writes it again; [`TokenStore::refresh`] reads the changes of others.
+//! A daemon that has tokens in a file holds a lock beside it (`.lock`), so that two daemons with one file do not undo each other's changes.
 //!
-//! Invariants: a file that cannot be read admits no token, and is not overwritten; a token that was revoked here is never valid
-//! again, even if the file still has it.
+//! Invariant: a file that cannot be read or locked admits no token, and is not overwritten.
 
 use crate::file::{self, read_regular};
 use crate::session_record::{TokenId, utc_now};
@@ -19,26 +17,18 @@ use rustix::io::Errno;
 use rustix::rand::{GetRandomFlags, getrandom};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
-use std::fs::{self, File, Metadata, OpenOptions};
+use std::fs::{File, OpenOptions};
 use std::io;
-use std::os::unix::fs::{MetadataExt, OpenOptionsExt};
+use std::os::unix::fs::OpenOptionsExt;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use std::thread;
-use std::time::{Duration, Instant, SystemTime};
 use subtle::{Choice, ConditionallySelectable, ConstantTimeEq};
-use tracing::{info, warn};
+use tracing::warn;
 
 /// Characters of a token.
 const LENGTH: usize = TOKEN_PREFIX.len() + 64;
 /// The most bytes of the file.
 const MAX_FILE: u64 = 1 << 20;
-/// How long to wait for another daemon that changes the file: it holds the lock for milliseconds.
-const LOCKED: Duration = Duration::from_secs(2);
-/// A file that was changed less than this before it was read may change again with the same time, because file times have steps of
-/// up to 10 ms.
-const SETTLED: Duration = Duration::from_millis(100);
-
 #[derive(Clone, Debug)]
 struct Token {
     id: TokenId,
@@ -75,85 +65,28 @@ pub(in crate::daemon) struct TokenStore {
     changing: Mutex<FileState>,
 }
 
-/// The state of the file as last read.
+/// How the file stands.
 #[derive(Debug, Default)]
 struct FileState {
     /// Why the file is not used.
     problem: Option<String>,
-    /// The file that was read last; none if it must be read again.
-    stamp: Option<Stamp>,
-    /// Tokens that were revoked here and may still be in the file, because it could not be written.
-    revoked: Vec<TokenId>,
-}
-
-/// Identifies a version of a file: it differs for another file, and after a change; all zero without a file.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-struct Stamp([i64; 8]);
-
-impl Stamp {
-    fn of(file: &Path) -> io::Result<Self> {
-        match fs::metadata(file) {
-            Ok(of) => Ok(Self([
-                of.dev().cast_signed(),
-                of.ino().cast_signed(),
-                of.size().cast_signed(),
-                of.mode().into(),
-                of.mtime(),
-                of.mtime_nsec(),
-                of.ctime(),
-                of.ctime_nsec(),
-            ])),
-            Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(Self::default()),
-            Err(error) => Err(error),
-        }
-    }
+    /// The lock beside it, once the file is there.
+    lock: Option<File>,
 }
 
 impl TokenStore {
     /// Reads the tokens of the file. If the file cannot be read, the log says so, and no token is valid.
     pub(in crate::daemon) fn open(file: Option<PathBuf>) -> Self {
-        let store = Self { file, tokens: ArcSwap::default(), changing: Mutex::default() };
-        store.refresh();
-        store
-    }
-
-    pub(super) const fn has_file(&self) -> bool {
-        self.file.is_some()
-    }
-
-    /// Reads the file if it has changed since it was read last. Returns whether other tokens are valid now. It waits for the disk.
-    pub(super) fn refresh(&self) -> bool {
-        self.refresh_known(&mut self.lock())
-    }
-
-    fn refresh_known(&self, known: &mut FileState) -> bool {
-        let Some(file) = &self.file else { return false };
-        let stamp = Stamp::of(file).ok();
-        if stamp.is_some() && stamp == known.stamp {
-            return false;
-        }
-        let (tokens, problem) = match read(file) {
-            Ok(mut tokens) => {
-                tokens.retain(|token| !known.revoked.contains(&token.id));
-                (tokens, None)
-            }
-            Err(problem) => (Vec::new(), Some(problem)),
+        let mut state = FileState::default();
+        let tokens = match &file {
+            Some(file) if file.exists() => state.take(file).unwrap_or_else(|problem| {
+                warn!("{problem}: no access token is valid");
+                state.problem = Some(problem);
+                Vec::new()
+            }),
+            _ => Vec::new(),
         };
-        if problem != known.problem {
-            match &problem {
-                Some(problem) => warn!("{problem}: no access token is valid"),
-                None => info!("{}: can be read again", file.display()),
-            }
-        }
-        // Keep the stamp from before the reading, unless the file may have changed during it.
-        known.stamp = stamp.filter(|_| is_settled(file));
-        known.problem = problem;
-        let valid = |of: &[Token]| {
-            of.iter().map(|token| (token.id, token.sha256, token.info.role)).collect::<Vec<_>>()
-        };
-        let changed = valid(&tokens) != valid(&self.tokens.load());
-        self.tokens.store(Arc::new(tokens));
-        changed
+        Self { file, tokens: ArcSwap::from_pointee(tokens), changing: Mutex::new(state) }
     }
 
     /// Makes the heap allocations that the first look-up of a thread needs.
@@ -205,9 +138,8 @@ impl TokenStore {
         );
         let info = TokenInfo { id: id.to_string(), role, name: name.to_owned(), created: utc_now() };
         let sha256 = Sha256::digest(&token).into();
-        let mut known = self.lock();
-        let _locked = self.lock_file()?;
-        let mut tokens = self.current(&mut known)?;
+        let mut state = self.lock();
+        let mut tokens = self.current(&mut state)?;
         if tokens.len() >= MAX_TOKENS {
             let detail =
                 format!("there are {MAX_TOKENS} tokens already: revoke one with `meissner token revoke ID`");
@@ -217,21 +149,17 @@ impl TokenStore {
             return Err(Problem::new(Code::Exists, "the token's id is taken by chance: create it again"));
         }
         tokens.push(Token { id, sha256, info: info.clone() });
-        self.write(&mut known, &tokens)?;
+        self.write(&tokens)?;
         self.tokens.store(Arc::new(tokens));
         Ok(TokenCreated { info, token })
     }
 
     /// Revokes a token, at once; then waits for the disk.
     pub(in crate::daemon) fn revoke(&self, id: &str) -> Result<TokenInfo, Problem> {
-        let mut known = self.lock();
-        let before = self.tokens.load_full();
-        // Another daemon may have created it.
-        self.refresh_known(&mut known);
+        let mut state = self.lock();
         let mut tokens = self.tokens.load().to_vec();
-        let found = tokens.iter().chain(before.iter()).find(|token| token.info.id == id).cloned();
-        let Some(Token { id: number, info: revoked, .. }) = found else {
-            return Err(match &known.problem {
+        let Some(place) = tokens.iter().position(|token| token.info.id == id) else {
+            return Err(match &state.problem {
                 Some(problem) => Problem::new(Code::Store, problem),
                 None => {
                     Problem::new(Code::NotFound, format!("there is no token {id}: see `meissner token list`"))
@@ -239,13 +167,9 @@ impl TokenStore {
             });
         };
         // Revoke it in memory first: a full disk must not keep a token valid.
-        known.revoked.push(number);
-        tokens.retain(|token| token.id != number);
+        let revoked = tokens.remove(place).info;
         self.tokens.store(Arc::new(tokens));
-        let written = self.lock_file().and_then(|_locked| {
-            let tokens = self.current(&mut known)?;
-            self.write(&mut known, &tokens)
-        });
+        let written = self.current(&mut state).and_then(|tokens| self.write(&tokens));
         written.map_err(|problem| {
             let detail = format!("{}; token {id} is revoked until the daemon restarts", problem.detail);
             Problem::new(Code::Store, detail)
@@ -253,72 +177,62 @@ impl TokenStore {
         Ok(revoked)
     }
 
-    /// Locks out other changes by this daemon.
+    /// Locks out other changes.
     fn lock(&self) -> MutexGuard<'_, FileState> {
         self.changing.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Locks out changes by other daemons, until the returned file is closed.
-    fn lock_file(&self) -> Result<Option<File>, Problem> {
-        let Some(file) = &self.file else { return Ok(None) };
-        let path = file.with_added_extension("lock");
-        let bad = |error: io::Error| {
-            Problem::new(Code::Store, format!("{}: cannot be locked: {error}", path.display()))
-        };
-        let open = || {
-            fs::create_dir_all(file::dir_of(file))?;
-            OpenOptions::new().write(true).create(true).truncate(false).mode(file::PRIVATE).open(&path)
-        };
-        let lock = open().map_err(bad)?;
-        let until = Instant::now() + LOCKED;
-        loop {
-            match flock(&lock, FlockOperation::NonBlockingLockExclusive) {
-                Ok(()) => return Ok(Some(lock)),
-                Err(Errno::WOULDBLOCK | Errno::INTR) if Instant::now() < until => {
-                    thread::sleep(Duration::from_millis(2));
-                }
-                Err(Errno::WOULDBLOCK) => {
-                    let held = "another daemon holds the lock: try again";
-                    return Err(Problem::new(Code::Store, format!("{}: {held}", path.display())));
-                }
-                Err(error) => return Err(bad(error.into())),
-            }
+    /// The tokens to change; fails if the file is not used. The first change takes the file.
+    fn current(&self, state: &mut FileState) -> Result<Vec<Token>, Problem> {
+        if let Some(problem) = &state.problem {
+            return Err(Problem::new(Code::Store, problem.clone()));
         }
+        if let (Some(file), None) = (&self.file, &state.lock) {
+            // Another daemon may have made it meanwhile.
+            let found = state.take(file).map_err(|problem| Problem::new(Code::Store, problem))?;
+            self.tokens.store(Arc::new(found));
+        }
+        Ok(self.tokens.load().to_vec())
     }
 
-    /// The tokens of the file as it is now; fails if the file is not used.
-    fn current(&self, known: &mut FileState) -> Result<Vec<Token>, Problem> {
-        self.refresh_known(known);
-        match &known.problem {
-            Some(problem) => Err(Problem::new(Code::Store, problem.clone())),
-            None => Ok(self.tokens.load().to_vec()),
-        }
-    }
-
-    fn write(&self, known: &mut FileState, tokens: &[Token]) -> Result<(), Problem> {
+    fn write(&self, tokens: &[Token]) -> Result<(), Problem> {
         let Some(file) = &self.file else { return Ok(()) };
         let bad =
             |error| Problem::new(Code::Store, format!("{}: cannot be written: {error}", file.display()));
-        known.stamp = None;
-        write(file, tokens).map_err(bad)?;
-        // The revoked tokens are no longer in the file.
-        known.revoked.clear();
-        Ok(())
+        write(file, tokens).map_err(bad)
     }
 }
 
-/// Whether a file was changed so long ago that its next change will have another time.
-fn is_settled(file: &Path) -> bool {
-    let settled = |of: Metadata| {
-        let changed = of.modified().ok()?;
-        SystemTime::now().duration_since(changed).ok().map(|since| since >= SETTLED)
-    };
-    // If there is no file, any later file differs.
-    fs::metadata(file).map_or(true, |of| settled(of).unwrap_or(false))
+impl FileState {
+    /// Locks out other daemons until the end of this one, and reads the tokens of the file, if there is one.
+    fn take(&mut self, file: &Path) -> Result<Vec<Token>, String> {
+        let path = file.with_added_extension("lock");
+        let bad = |error: io::Error| format!("{}: cannot be locked: {error}", path.display());
+        let open = || {
+            file::make_dirs(file::dir_of(file), file::PRIVATE_DIR)?;
+            OpenOptions::new().write(true).create(true).truncate(false).mode(file::PRIVATE).open(&path)
+        };
+        let lock = open().map_err(bad)?;
+        match flock(&lock, FlockOperation::NonBlockingLockExclusive) {
+            Ok(()) => {}
+            Err(Errno::WOULDBLOCK) => {
+                let file = file.display();
+                return Err(format!(
+                    "{file}: another daemon uses it: name another file with `tokens` in the configuration"
+                ));
+            }
+            Err(error) => return Err(bad(error.into())),
+        }
+        let tokens = read(file)?;
+        self.lock = Some(lock);
+        Ok(tokens)
+    }
 }
 
 fn read(file: &Path) -> Result<Vec<Token>, String> {
-    let bad = |what: String| format!("{}: {what}: correct or remove it", file.display());
+    let bad = |what: String| {
+        format!("{}: {what}: correct or remove it, and start the daemon again", file.display())
+    };
     let bytes = match read_regular(file, MAX_FILE) {
         Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(Vec::new()),
         bytes => bytes.map_err(|error| bad(error.to_string()))?,
@@ -379,6 +293,7 @@ mod tests {
         let text = fs::read_to_string(&file).unwrap();
         assert!(!text.contains(&one.token) && !text.contains(&one.token[TOKEN_PREFIX.len()..]), "{text}");
         assert_eq!(fs::metadata(&file).unwrap().permissions().mode() & 0o777, 0o600);
+        drop(store);
         let again = TokenStore::open(Some(file.clone()));
         assert_eq!(
             again.find(&one.token).map(|(id, role)| (id.to_string(), role)),
@@ -430,69 +345,20 @@ mod tests {
 
     /// Two stores stand for two daemons with one file.
     #[test]
-    fn what_one_daemon_changes_holds_in_the_other() {
+    fn a_second_daemon_with_the_file_changes_nothing() {
         let dir = tempfile::tempdir().unwrap();
         let file = dir.path().join("tokens.toml");
-        let [a, b] = [(); 2].map(|()| TokenStore::open(Some(file.clone())));
-        let first = a.create(Role::Operate, "first").unwrap();
-        let second = b.create(Role::Observe, "second").unwrap();
-        assert!(a.refresh() && !b.refresh());
-        assert_eq!(a.list(), [first.info.clone(), second.info.clone()]);
-        assert_eq!(a.list(), b.list());
-        a.revoke(&first.info.id).unwrap();
-        assert!(b.find(&first.token).is_some() && b.refresh() && b.find(&first.token).is_none());
-        // A revoked token stays revoked when the other store writes.
-        let third = b.create(Role::Operate, "third").unwrap();
-        a.refresh();
-        assert_eq!(a.list(), [second.info.clone(), third.info.clone()]);
-        // A token that only the other one has created.
-        let fourth = a.create(Role::Operate, "fourth").unwrap();
-        b.revoke(&fourth.info.id).unwrap();
-        assert!(a.refresh() && a.find(&fourth.token).is_none());
-        assert_eq!(TokenStore::open(Some(file.clone())).list(), [second.info, third.info]);
-        // A missing or unreadable file admits no token; a good file does so again.
+        let [first, second] = [(); 2].map(|()| TokenStore::open(Some(file.clone())));
+        let token = first.create(Role::Operate, "first").unwrap();
         let text = fs::read_to_string(&file).unwrap();
-        fs::remove_file(&file).unwrap();
-        assert!(a.refresh() && a.list().is_empty());
-        fs::write(&file, "format = 9\n").unwrap();
-        a.refresh();
-        let line = a.create(Role::Operate, "x").unwrap_err().detail;
-        assert!(line.contains("format 9 is not known"), "{line}");
-        fs::write(&file, text).unwrap();
-        assert!(a.refresh() && a.list().len() == 2);
-    }
-
-    #[test]
-    fn daemons_that_create_at_the_same_time_lose_none() {
-        let dir = tempfile::tempdir().unwrap();
-        let file = dir.path().join("tokens.toml");
-        let made = thread::scope(|scope| {
-            let stores = [(); 4].map(|()| TokenStore::open(Some(file.clone())));
-            let create = |store: TokenStore| {
-                let made = (0..10).map(move |_| store.create(Role::Observe, "x").unwrap().info.id);
-                scope.spawn(|| made.collect::<Vec<_>>())
-            };
-            stores.map(create).map(|thread| thread.join().unwrap()).concat()
-        });
-        let kept: Vec<_> = TokenStore::open(Some(file)).list().into_iter().map(|info| info.id).collect();
-        assert_eq!(kept.len(), 40);
-        assert!(made.iter().all(|id| kept.contains(id)));
-    }
-
-    #[test]
-    fn a_lock_that_is_held_is_said() {
-        let dir = tempfile::tempdir().unwrap();
-        let file = dir.path().join("tokens.toml");
-        let [a, b] = [(); 2].map(|()| TokenStore::open(Some(file.clone())));
-        let token = a.create(Role::Operate, "x").unwrap();
-        let held = a.lock_file().unwrap();
-        let line = b.revoke(&token.info.id).unwrap_err().detail;
-        assert!(line.contains("tokens.toml.lock: another daemon holds the lock"), "{line}");
-        assert!(b.find(&token.token).is_none(), "it is revoked all the same");
-        drop(held);
-        assert!(!b.refresh() && b.find(&token.token).is_none(), "and stays so, although the file has it");
-        b.create(Role::Observe, "y").unwrap();
-        assert!(a.refresh() && a.find(&token.token).is_none(), "the next change writes it");
+        for store in [second, TokenStore::open(Some(file.clone()))] {
+            let line = store.create(Role::Observe, "second").unwrap_err().detail;
+            assert!(line.contains("tokens.toml: another daemon uses it: name another file"), "{line}");
+            assert!(store.find(&token.token).is_none() && store.list().is_empty());
+        }
+        assert_eq!(fs::read_to_string(&file).unwrap(), text);
+        drop(first);
+        assert!(TokenStore::open(Some(file)).find(&token.token).is_some());
     }
 
     #[test]

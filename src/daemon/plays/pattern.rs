@@ -9,8 +9,8 @@ use crate::daemon::system::runtime::Lane;
 use crate::exposure::Vibration;
 use crate::receipts::{NoPrediction, Order, counts, fit, motions, too_slow};
 use crate::session_record::Peer;
-use crate::store::{MappedFrom, Stored};
-use meissner_api::{Code, Fit, Mapping, PlayAccepted, PlayRequest, Problem, Receipt, TriggerRequest};
+use crate::store::Stored;
+use meissner_api::{Code, Fit, PlayAccepted, PlayRequest, Problem, Receipt, TriggerRequest};
 use meissner_array::pattern::Pattern;
 use meissner_array::strokes::{StrokeOptions, Strokes};
 use meissner_stream::queues::{HOLD_ALWAYS, Item};
@@ -37,7 +37,6 @@ impl Compiled {
 struct Asked {
     seconds: Option<f64>,
     scale: f64,
-    map: Option<Mapping>,
     fit: Fit,
     trigger: Option<TriggerRequest>,
     endless: bool,
@@ -47,8 +46,8 @@ struct Asked {
 
 impl Asked {
     fn of(request: &PlayRequest) -> Self {
-        let &PlayRequest { seconds, map, fit, trigger, endless, strict, hold_ms, .. } = request;
-        Self { seconds, scale: request.scale.unwrap_or(1.0), map, fit, trigger, endless, strict, hold_ms }
+        let &PlayRequest { seconds, fit, trigger, endless, strict, hold_ms, .. } = request;
+        Self { seconds, scale: request.scale.unwrap_or(1.0), fit, trigger, endless, strict, hold_ms }
     }
 }
 
@@ -59,7 +58,7 @@ fn compile(
     (settings, surplus, reach): Basis,
     client: Peer,
 ) -> Result<Compiled, Problem> {
-    let (stored, mapped) = stored.on(settings.array, asked.map)?;
+    stored.check_array(settings.array)?;
     let options = StrokeOptions {
         surplus,
         fit: fit(asked.fit),
@@ -87,11 +86,7 @@ fn compile(
     check_limits(&strokes, &settings)?;
     let (hold, unchecked, vibration) = hold(asked.hold_ms, &strokes, &settings)?;
     order.enter(&mut receipt, asked.fit, counts(pattern, &options, &strokes));
-    let mapped_lines = mapped.map(|MappedFrom { array, warnings }| {
-        receipt.mapped_from = Some(array);
-        warnings
-    });
-    let lines = mapped_lines.into_iter().flatten().chain(unchecked).chain(slow.into_iter().take(MAX_LINES));
+    let lines = unchecked.into_iter().chain(slow.into_iter().take(MAX_LINES));
     receipt.warnings.splice(0..0, lines);
     let largest = (largest_um(pattern, asked.scale, &reach), name.to_owned());
     let bandwidth = Bandwidth::of(&strokes, &settings);

@@ -14,7 +14,7 @@ use crate::daemon::state::{NewPlay, check_samples};
 use crate::daemon::system::runtime::{CHECKS, Lane, PLAYS};
 use crate::receipts::{BLANK, NoPrediction, Order, PlannedItem, motions, motions_of_items, too_slow, walk};
 use crate::session_record::Peer;
-use crate::store::{MappedFrom, Stored, hash};
+use crate::store::{Stored, hash};
 use firmware_protocol::tick::Tick;
 use meissner_api::{
     Code, Fit, FollowedMotion, PlanCheck, PlanStop, PlayAccepted, Problem, SequenceItem, SequenceRequest,
@@ -93,7 +93,7 @@ impl Compiled {
         let (blank, no_sha256): (Arc<str>, Arc<str>) = (BLANK.into(), "".into());
         let (mut memory, mut required) = (Vec::new(), Vec::new());
         let (mut planned, mut placed, mut followed) = (Vec::new(), Vec::new(), Vec::new());
-        let (mut texts, mut held, mut mapped_from) = (Vec::new(), 0, None);
+        let (mut texts, mut held) = (Vec::new(), 0);
         for (number, item) in request.items.iter().enumerate() {
             let at = |problem| at_item(number, problem);
             let start = match (item.gap_ms, item.start_ms) {
@@ -117,16 +117,9 @@ impl Compiled {
             if let Entry::Vacant(new) = used.entry(text) {
                 let found = find(name.to_owned(), item.pattern_sha256.clone()).await;
                 let (stored, _place) = found.map_err(at)?;
-                let map = request.map;
-                let on = lane.computing(move || stored.on(settings.array, map)).await?;
-                let (stored, mapped) = on.map_err(|error| at(error.into()))?;
+                stored.check_array(settings.array).map_err(|error| at(error.into()))?;
                 memory.push((stored.sha256.clone(), stored.pattern.motion_bytes()));
                 check_samples(memory.iter().map(|(_, bytes)| bytes).sum())?;
-                if let Some(MappedFrom { array, warnings }) = mapped {
-                    let of_pattern = warnings.into_iter().map(|warning| format!("`{name}`: {warning}"));
-                    preparing.warnings.extend(of_pattern);
-                    mapped_from.get_or_insert(array);
-                }
                 let items = by_text.remove(&text).unwrap_or_default();
                 let (sha256, name) = (stored.sha256.as_str().into(), name.into());
                 if held + stored.text.len() <= MAX_TEXTS {
@@ -214,7 +207,6 @@ impl Compiled {
         let order = Order { ordered_ms: length_ms, compiled_ms: length_ms, warnings, ..Order::default() };
         let name = request.name.as_deref().unwrap_or(NAME);
         let mut receipt = terms.receipt(name, &sha256(&request.items), length_ms.map(|ms| ms / 1e3));
-        receipt.mapped_from = mapped_from;
         let of_items = followed.iter().map(|(number, motions)| {
             (rate.ticks_to_seconds(planned.get(*number).map_or(0, |item| item.span.0)), &**motions)
         });

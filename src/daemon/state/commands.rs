@@ -157,11 +157,6 @@ impl Commands {
         self.waiting_estops.clear();
     }
 
-    /// Whether every command was answered.
-    pub(super) fn is_idle(&self) -> bool {
-        self.waiting.is_empty()
-    }
-
     /// From now on accepts only emergency stops.
     pub(in crate::daemon) const fn close(&mut self) {
         self.closing = true;

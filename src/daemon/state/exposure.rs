@@ -10,7 +10,7 @@
 
 use crate::daemon::state::State;
 use crate::daemon::state::commands::LOST_AFTER;
-use crate::exposure::{Account, Limit, Now, Onset, ParticipantLimits, Vibration};
+use crate::exposure::{Account, Limit, Now, Onset, Vibration};
 use crate::receipts::state_name;
 use firmware_protocol::message::State as DeviceState;
 use jiff::civil::Date;
@@ -45,11 +45,6 @@ pub(in crate::daemon) struct Exposure {
 impl Exposure {
     pub(in crate::daemon) fn new(account: Account) -> Self {
         Self { account, ..Self::default() }
-    }
-
-    /// Changes the limits.
-    pub(in crate::daemon) const fn set_limits(&mut self, limits: ParticipantLimits) {
-        self.account.set_limits(limits);
     }
 
     /// The problem with the sums or their file.

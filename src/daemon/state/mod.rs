@@ -48,9 +48,8 @@ pub(super) use rights::{NoRight, Rights, going_on};
 pub(super) use searches::{Found, Searches};
 pub(super) use session::{Sessions, no_play, no_session};
 
-use crate::receipts::{NoPrediction, refusal, state_name};
-use firmware_protocol::message::State as DeviceState;
-use meissner_api::{EndCause, Event, ItemState, MAX_ITEMS_LISTED, NO_DEVICE, PredictedResponse, Problem};
+use crate::receipts::{NoPrediction, refusal};
+use meissner_api::{EndCause, Event, ItemState, MAX_ITEMS_LISTED, PredictedResponse, Problem};
 use meissner_array::per_motor::PerMotor;
 use meissner_array::strokes::Surplus;
 use meissner_stream::queues::{Command, CommandError, StreamEvent};
@@ -236,16 +235,5 @@ impl State {
     /// Refuses a play during a calibration.
     pub(super) fn check_not_calibrating(&self) -> Result<(), Problem> {
         if self.calibration.running.is_some() { Err(refusal(CommandError::Playing)) } else { Ok(()) }
-    }
-
-    /// Whether the daemon is idle: no play runs or waits, no motor is armed, and no command is pending.
-    pub(super) fn is_idle(&self) -> bool {
-        let state = self.plays.receipts.device_state().state;
-        let off = state == NO_DEVICE || state == state_name(DeviceState::Disarmed);
-        off && !self.sessions.is_running()
-            && self.plays.receipts.is_idle()
-            && self.calibration.running.is_none()
-            && !self.searches.is_running()
-            && self.commands.is_idle()
     }
 }

@@ -51,10 +51,6 @@ pub(in crate::daemon) enum Found {
 }
 
 impl Searches {
-    pub(in crate::daemon) const fn is_running(&self) -> bool {
-        self.running.is_some()
-    }
-
     /// The client that has started the running search.
     pub(super) fn caller(&self) -> Option<&Caller> {
         self.running.as_ref()?.caller.as_ref()

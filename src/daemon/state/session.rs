@@ -114,11 +114,6 @@ impl Sessions {
         }
     }
 
-    /// Whether a session runs.
-    pub(in crate::daemon) const fn is_running(&self) -> bool {
-        self.running.is_some()
-    }
-
     /// The shortest time until the owner can have been silent for too long; none if the session is over or not exclusive.
     pub(in crate::daemon) fn until_release(&self, id: &str) -> Option<Duration> {
         let running = self.running.as_ref().filter(|running| running.session.id == id)?;

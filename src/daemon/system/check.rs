@@ -1,4 +1,4 @@
-//! Checks whether the daemon can run with a configuration: at its start, at a reload, and for `meissner daemon --check-config`.
+//! Checks whether the daemon can run with a configuration: at its start, and for `meissner daemon --check-config`.
 //!
 //! It does not make or change anything.
 

@@ -1,6 +1,6 @@
 //! The system around the daemon: its socket's file, signals, threads, names of users, and what may be wrong with any of them.
 //!
-//! Nothing here knows the daemon's state. [`check`] finds at the start, and at a reload, what would keep the daemon from working.
+//! Nothing here knows the daemon's state. [`check`] finds at the start what would keep the daemon from working.
 
 pub(in crate::daemon) mod check;
 pub(in crate::daemon) mod error;

@@ -1,32 +1,20 @@
-//! Signals that end the daemon, or make it read its configuration again.
-//!
-//! SIGTERM and SIGINT end it. SIGHUP ends a daemon that was started from a terminal: the terminal was closed. Without a terminal,
-//! or under nohup, SIGHUP makes it read its configuration again.
+//! Signals that end the daemon: SIGTERM, SIGINT, and SIGHUP, which a closed terminal sends, unless it was ignored at the start, as by
+//! nohup.
 //!
 //! Invariant: after [`Signals::new`] none of them kills the process, nor does SIGXFSZ (a file reached the size limit).
 
 use crate::daemon::system::error::{DaemonError, system};
-use std::fs::{self, File};
+use std::fs;
 use tokio::signal::unix::{Signal, SignalKind, signal};
 use tokio::sync::oneshot;
 use tracing::info;
-
-/// The action that a signal requests.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Action {
-    /// End.
-    End,
-    /// Read the configuration again.
-    Reload,
-}
 
 /// The signals, and a request of this process to end.
 #[derive(Debug)]
 pub struct Signals {
     term: Signal,
     int: Signal,
-    hangup: Signal,
-    at_hangup: Action,
+    hangup: Option<Signal>,
     end: Option<oneshot::Receiver<()>>,
 }
 
@@ -36,15 +24,13 @@ impl Signals {
     /// # Errors
     /// If the system gives no signal handler.
     pub fn new() -> Result<Self, DaemonError> {
-        let at_hangup =
-            if ignores_hangup() || File::open("/dev/tty").is_err() { Action::Reload } else { Action::End };
         let take = |kind| signal(kind).map_err(system("signal handler"));
-        let (term, int, hangup) =
-            (take(SignalKind::terminate())?, take(SignalKind::interrupt())?, take(SignalKind::hangup())?);
+        let (term, int) = (take(SignalKind::terminate())?, take(SignalKind::interrupt())?);
+        let hangup = if ignores_hangup() { None } else { Some(take(SignalKind::hangup())?) };
         // A limit on file sizes is then an error like a full disk; otherwise the system would kill the daemon in mid-play. The
         // handler stays when its receiver is dropped.
         drop(take(SignalKind::from_raw(rustix::process::Signal::XFSZ.as_raw()))?);
-        Ok(Self { term, int, hangup, at_hangup, end: None })
+        Ok(Self { term, int, hangup, end: None })
     }
 
     /// Also ends when `end` gets a message or its sender is dropped.
@@ -52,25 +38,27 @@ impl Signals {
         Self { end: Some(end), ..self }
     }
 
-    /// Waits for the next.
-    pub(in crate::daemon) async fn next(&mut self) -> Action {
+    /// Waits for the first.
+    pub(in crate::daemon) async fn end(&mut self) {
+        let hangup = async {
+            match &mut self.hangup {
+                Some(hangup) => hangup.recv().await,
+                None => std::future::pending().await,
+            }
+        };
         let ended = async {
             match &mut self.end {
                 Some(end) => drop(end.await),
                 None => std::future::pending().await,
             }
         };
-        let (name, action) = tokio::select! {
-            _ = self.term.recv() => ("SIGTERM", Action::End),
-            _ = self.int.recv() => ("SIGINT", Action::End),
-            _ = self.hangup.recv() => ("SIGHUP", self.at_hangup),
-            () = ended => return Action::End,
+        let name = tokio::select! {
+            _ = self.term.recv() => "SIGTERM",
+            _ = self.int.recv() => "SIGINT",
+            _ = hangup => "SIGHUP",
+            () = ended => return,
         };
-        match action {
-            Action::End => info!("{name}: ending"),
-            Action::Reload => info!("{name}"),
-        }
-        action
+        info!("{name}: ending");
     }
 }
 

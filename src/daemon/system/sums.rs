@@ -1,4 +1,4 @@
-//! The file of the vibration's sums beside the session record: read at the start, and again at a reload.
+//! The file of the vibration's sums beside the session record: read at the start.
 //!
 //! Invariant: if the sums cannot be read, or cannot be true, the day's limit counts as used up until a person has checked the file.
 
@@ -23,10 +23,7 @@ pub(in crate::daemon) fn restore(account: &mut Account, read: io::Result<Option<
     let now = Now::read();
     let restored = match read {
         Ok(Some(text)) => account.restore(&text, now),
-        Ok(None) => {
-            account.restore_none();
-            Ok(())
-        }
+        Ok(None) => Ok(()),
         Err(error) => Err(account.lose(&error.to_string())),
     };
     if let Some(problem) = restored.err().map(|error| error.to_string()).or_else(|| account.problem(now)) {

@@ -1,13 +1,12 @@
 //! The exact displacement of a shaft, from the ramps of its commanded position.
 //!
-//! For the paper's motor `y(t) = (1/W) ∫ r` over a window W, a whole number of half ticks. The share of a ramp in that integral is
+//! `y(t) = (1/W) ∫ r` over a window W, a whole number of half ticks. The share of a ramp in that integral is
 //! a polynomial in whole half ticks since the ramp's start, so it is an integer until it is multiplied by the ramp's speed. Its
 //! precision does not depend on how late it is. A ramp that ended W ago is added to a base and dropped.
 //!
 //! Push ramps in order of time, and ask only about instants from the start of the newest ramp on. This bounds the memory: the
 //! shortest ramp is one pulse, so the window holds one ramp per tick, the one at its far edge and the newest.
 
-use super::response::Response;
 use crate::spec::MotorSpec;
 use firmware_protocol::stroke::Direction;
 use firmware_protocol::tick::Tick;
@@ -81,17 +80,14 @@ impl Ramp {
     /// The ramp's share in the displacement of such a motor at an instant, µm.
     #[must_use]
     pub fn share_um(&self, at: HalfTick, motor: &MotorSpec) -> f64 {
-        self.share_after(at.since(self.start.into()), motor.window_half_ticks.cast_signed(), motor.response)
+        self.share_after(at.since(self.start.into()), motor.window_half_ticks.cast_signed())
     }
 
     /// The ramp's share in the displacement, `after` half ticks after its start, µm. A moving average is the mean of its travel over the
     /// window; `before` is the part that lies before it.
     #[inline]
     #[expect(clippy::cast_precision_loss, reason = "below 2^44")]
-    fn share_after(&self, after: i64, window: i64, response: Response) -> f64 {
-        if let Response::Lag { omega, damping } = response {
-            return self.lagging_share(after, window, omega, damping);
-        }
+    fn share_after(&self, after: i64, window: i64) -> f64 {
         let before = self.done(after.saturating_sub(window));
         let left = self.half_ticks() - before;
         if left == 0 {
@@ -103,15 +99,6 @@ impl Ramp {
         // A factor 1/2 for the doubled area, and one for half ticks.
         self.um_per_tick * (twice_area as f64 / (4 * window) as f64)
     }
-
-    #[expect(clippy::cast_precision_loss, reason = "below 2^44")]
-    fn lagging_share(&self, after: i64, settled: i64, omega: f64, damping: f64) -> f64 {
-        if after.saturating_sub(self.half_ticks()) >= settled {
-            return self.travel_um();
-        }
-        let of_ramp = |after: i64| Response::of_ramp(omega, damping, after as f64);
-        self.um_per_tick / 2.0 * (of_ramp(after) - of_ramp(after - self.half_ticks()))
-    }
 }
 
 /// The state of one shaft: where it rested before the window, and the ramps since.
@@ -119,9 +106,8 @@ impl Ramp {
 pub struct Shaft {
     base_um: f64,
     ramps: VecDeque<Ramp>,
-    /// The window, or how long until it has followed, half ticks.
+    /// The window, half ticks.
     window: i64,
-    response: Response,
 }
 
 impl Shaft {
@@ -129,12 +115,7 @@ impl Shaft {
     #[must_use]
     pub fn new(motor: &MotorSpec) -> Self {
         let window = motor.window_half_ticks.cast_signed();
-        Self {
-            base_um: 0.0,
-            ramps: VecDeque::with_capacity(most_ramps(window)),
-            window,
-            response: motor.response,
-        }
+        Self { base_um: 0.0, ramps: VecDeque::with_capacity(most_ramps(window)), window }
     }
 
     /// Returns to rest at 0. Keeps the memory.
@@ -177,15 +158,15 @@ impl Shaft {
         })
     }
 
-    /// The displacement y, µm: for the paper's motor the mean of r over the window that ends `at`.
+    /// The displacement y, µm: the mean of r over the window that ends `at`.
     #[must_use]
     pub fn displacement_um(&self, at: HalfTick) -> f64 {
-        self.ramps.iter().fold(self.base_um, |sum, ramp| {
-            sum + ramp.share_after(at.since(ramp.start.into()), self.window, self.response)
-        })
+        self.ramps
+            .iter()
+            .fold(self.base_um, |sum, ramp| sum + ramp.share_after(at.since(ramp.start.into()), self.window))
     }
 
-    /// dy/dt of a moving average, (r(t) - r(t - W)) / W, µm per tick. Linear between the starts and ends of ramps and W after each.
+    /// dy/dt, (r(t) - r(t - W)) / W, µm per tick. Linear between the starts and ends of ramps and W after each.
     #[must_use]
     #[expect(clippy::cast_precision_loss, reason = "a ramp's half ticks")]
     pub fn velocity_um_per_tick(&self, at: HalfTick) -> f64 {

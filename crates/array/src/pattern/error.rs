@@ -117,10 +117,6 @@ pub enum Problem {
     LargeProvenance { what: &'static str, most: usize },
     #[error("is unknown: {0}")]
     Array(UnknownArray),
-    #[error(
-        "drives no pin near a pin of {array}: its pins stand elsewhere, so nothing would move; make the pattern for that array"
-    )]
-    Elsewhere { array: &'static str },
     #[error("holds a date at {key}: leave it out, or quote it as a string")]
     Date { key: String },
 }

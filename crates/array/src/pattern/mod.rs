@@ -17,7 +17,6 @@ mod drive;
 mod error;
 mod file;
 mod limits;
-mod map;
 mod motion;
 mod motions;
 mod provenance;
@@ -30,7 +29,6 @@ pub use limits::{
     MAX_MOTIONS, MAX_PACKED_BYTES, MAX_PATTERN_SAMPLES, MAX_PROVENANCE_DEPTH, MAX_PROVENANCE_TABLES,
     MAX_PROVENANCE_TEXT, MAX_PROVENANCE_VALUES, MAX_SAMPLE_FILE_BYTES, MAX_SECONDS, MAX_SOURCE,
 };
-pub use map::Mapped;
 pub use motion::{Form, Motion, Wave};
 pub use tables::Files;
 

@@ -13,9 +13,9 @@ use meissner_input::message::{cut, quote};
 const TIME: &str = "time_s";
 /// What names of columns end with, and the µm of a value of 1.
 const UNITS: [(&str, f64); 4] = [("_um", 1.0), ("_mm", 1e3), ("_nm", 1e-3), ("_m", 1e6)];
-/// How far a rate may be from a whole number that is meant, as a share of it: programs round times.
-const ROUNDED: f64 = 1e-6;
-/// How far a step of the times may be from the mean one, as a share of it.
+/// How far the times of a file of a second may be from those of a whole rate, s: programs round times.
+const ROUNDED_S: f64 = 1e-6;
+/// How far a step of the times may be from the median one, as a share of it.
 const UNEVEN: f64 = 0.25;
 
 /// The samples of a column, in µm, and their rate.
@@ -129,12 +129,16 @@ fn rate_hz(times: &[f64]) -> Result<f64, SamplesError> {
     let [first, .., last] = times else {
         return Err(SamplesError::Count { samples: times.len() });
     };
-    let step_s = (last - first) / (times.len() - 1) as f64;
+    let mut steps: Vec<f64> = times.windows(2).map(|two| two[1] - two[0]).collect();
+    let middle = steps.len() / 2;
+    let step_s = *steps.select_nth_unstable_by(middle, f64::total_cmp).1;
     let is_even = |two: &[f64]| step_s > 0.0 && ((two[1] - two[0]) - step_s).abs() <= UNEVEN * step_s;
     if let Some(place) = times.windows(2).position(|two| !is_even(two)) {
         let (before, found) = (times[place], times[place + 1]);
         return Err(SamplesError::Uneven { row: place + 2, before, found });
     }
-    let (rate_hz, whole) = (1.0 / step_s, (1.0 / step_s).round());
-    Ok(if (rate_hz - whole).abs() <= ROUNDED * whole { whole } else { rate_hz })
+    let (count, span_s) = (steps.len() as f64, last - first);
+    let whole = (count / span_s).round();
+    let is_whole = (count / whole - span_s).abs() <= ROUNDED_S * span_s.max(1.0);
+    Ok(if is_whole { whole } else { count / span_s })
 }

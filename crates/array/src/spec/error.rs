@@ -27,8 +27,6 @@ pub enum Problem {
         "are too near: {first} and {second} overlap, their middles are {distance_mm:.2} mm apart, their radius is {radius_mm} mm; move one"
     )]
     Overlap { first: usize, second: usize, distance_mm: f64, radius_mm: f64 },
-    #[error("needs either window_ms, or lag = {{ natural_hz, damping }}: how a shaft follows its pulses")]
-    Response,
     #[error(
         "up is {up} and down is {down}: make up less than 0.5 and down more, because a motor goes up where its line is high for less than half of a tick"
     )]
@@ -53,10 +51,6 @@ pub enum Problem {
         "is {found}: {travel_um} um are {pulses} pulses of step_um, and this limit may be at most twice that; lower it to {most} or less"
     )]
     FarTravel { found: u16, travel_um: f64, pulses: u32, most: u32 },
-    #[error(
-        "settles in {settles_s:.2} s: must be at most {most_s} s; raise natural_hz, or bring damping nearer to 1"
-    )]
-    SlowLag { settles_s: f64, most_s: f64 },
     #[error(
         "is {found}: from its highest place a pin needs {least} pulses; raise seek_pulses, or lower most_pulses"
     )]

@@ -16,7 +16,6 @@ pub use known::{Array, UnknownArray, names};
 pub use read::TICK_HZ;
 pub use write::NewArray;
 
-use crate::motor::Response;
 use crate::units::TickRate;
 use firmware_protocol::array::Layout;
 pub use firmware_protocol::array::MAX_MOTORS;
@@ -64,9 +63,7 @@ pub struct Duty {
 pub struct MotorSpec {
     /// Travel of a shaft per pulse, µm.
     pub um_per_pulse: f64,
-    /// How a shaft follows its pulses.
-    pub response: Response,
-    /// The window of the moving average; of another response, how long until a shaft has followed. Half ticks.
+    /// The window of the moving average with which a shaft follows its pulses, half ticks.
     pub window_half_ticks: u64,
     /// The largest amplitude of a drive, µm peak to peak.
     pub travel_um: f64,
@@ -456,16 +453,6 @@ most_pulses = 2000
                  to 3000 or less",
             ),
             (
-                "window_ms = 3.0",
-                "lag = { natural_hz = 7.0, damping = 20.0 }",
-                "`motor.lag`: settles in 18.84 s: must be at most 0.5 s; raise natural_hz, or bring damping nearer to 1",
-            ),
-            (
-                "window_ms = 3.0",
-                "lag = { natural_hz = 5.0, damping = 1.0 }",
-                "`motor.lag.natural_hz` is 5: must be 7 to 10000 Hz",
-            ),
-            (
                 "most_pulses = 2000",
                 "most_pulses = 2000\ntransient = { rest_s = 0.5, gain = 0.74 }",
                 "`motor.transient.gain` is 0.74: must be 0.75 to 2: with less, a seek of the lower stop",
@@ -492,7 +479,6 @@ most_pulses = 2000
             ("up = 0.25, down = 0.75", "up = 0.499, down = 0.501"),
             ("most_pulses = 2000", "most_pulses = 3000"),
             ("most_pulses = 2000", "most_pulses = 2000\ntransient = { rest_s = 0.5, gain = 0.75 }"),
-            ("window_ms = 3.0", "lag = { natural_hz = 7.0, damping = 1.0 }"),
         ] {
             let spec = ArraySpec::parse(&GOOD.replace(from, to), "mine.toml");
             assert!(spec.is_ok(), "{to}: {spec:?}");

@@ -4,7 +4,6 @@
 
 use super::error::{ArrayError, KeyError, Problem};
 use super::{ArraySpec, Duty, Grid, Groups, MAX_MOTORS, MotorSpec};
-use crate::motor::Response;
 use crate::units::TickRate;
 use firmware_protocol::array::{ArrayId, Layout, Name};
 use firmware_protocol::limits::correction;
@@ -28,8 +27,6 @@ const MOST_TRAVELS: u32 = 2;
 /// The least mean gain of a transient burst. A seek of the lower stop goes at least 1.5 times as far as the pin is above it
 /// ([`Layout::least_seek`]) and may be such a burst. Bursts scatter by 10 %, and 1.5 x 0.75 x 0.9 is just above 1.
 const LEAST_TRANSIENT_GAIN: f64 = 0.75;
-/// The longest time in which a lag settles, s. Our choice: a shaft keeps each ramp for so long.
-const MOST_SETTLING_S: f64 = 0.5;
 
 impl ArraySpec {
     /// Reads a description; `file` is its name in errors.
@@ -57,10 +54,8 @@ fn wanted(key: &str) -> &'static str {
         "tick_hz" => "the carrier, pulses per second: 20000 to 200000",
         "duty" => "duty = { up = 0.20, down = 0.80 }",
         "up" | "down" => "the share of a tick for which a line is high",
-        "motor" => "a table [motor] with step_um, window_ms or lag, travel_um and most_pulses",
+        "motor" => "a table [motor] with step_um, window_ms, travel_um and most_pulses",
         "step_um" => "the travel of a shaft per pulse, um",
-        "natural_hz" => "the undamped natural frequency of a shaft on its motor, Hz",
-        "damping" => "the damping ratio; 1 is critical",
         "travel_um" => "the largest amplitude, um peak to peak",
         "most_pulses" => "the most pulses of a burst, which bounds the travel whatever a host asks",
         "rest_s" => "the rest after which a first burst falls short, s",
@@ -101,21 +96,13 @@ struct RawDuty {
 #[serde(deny_unknown_fields)]
 struct RawMotor {
     step_um: f64,
-    window_ms: Option<f64>,
-    lag: Option<Table<RawLag>>,
+    window_ms: f64,
     travel_um: f64,
     #[serde(default = "one")]
     least_pulses: u16,
     most_pulses: u16,
     seek_pulses: Option<u16>,
     transient: Option<Table<RawTransient>>,
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct RawLag {
-    natural_hz: f64,
-    damping: f64,
 }
 
 #[derive(Deserialize)]
@@ -276,8 +263,7 @@ impl Grid {
 impl RawMotor {
     #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "in range")]
     fn checked(self, rate: TickRate) -> Result<MotorSpec, KeyError> {
-        let Self { step_um, window_ms, lag, travel_um, least_pulses, most_pulses, seek_pulses, transient } =
-            self;
+        let Self { step_um, window_ms, travel_um, least_pulses, most_pulses, seek_pulses, transient } = self;
         in_range("step_um", step_um, (0.001..=10.0).contains(&step_um), "0.001 to 10 um")?;
         in_range("travel_um", travel_um, (1.0..=5_000.0).contains(&travel_um), "1 to 5000 um")?;
         in_range("most_pulses", most_pulses.into(), (1..=10_000).contains(&most_pulses), "1 to 10000")?;
@@ -315,35 +301,12 @@ impl RawMotor {
                 (rest_s, gain)
             }
         };
-        let (response, window_half_ticks) = match (window_ms, lag) {
-            (Some(window_ms), None) => {
-                in_range("window_ms", window_ms, (0.1..=50.0).contains(&window_ms), "0.1 to 50 ms")?;
-                (Response::Average, (2.0 * rate.ms_in_ticks(window_ms) + 0.5) as u64)
-            }
-            (None, Some(Table(RawLag { natural_hz, damping }))) => {
-                in_range(
-                    "lag.natural_hz",
-                    natural_hz,
-                    (7.0..=10_000.0).contains(&natural_hz),
-                    "7 to 10000 Hz",
-                )?;
-                in_range("lag.damping", damping, (0.05..=20.0).contains(&damping), "0.05 to 20")?;
-                let lag = Response::lag(natural_hz, damping, rate.half_ticks_per_s());
-                let settled = lag.settled_half_ticks(0);
-                let settles_s = settled as f64 / rate.half_ticks_per_s();
-                if settles_s > MOST_SETTLING_S {
-                    let problem = Problem::SlowLag { settles_s, most_s: MOST_SETTLING_S };
-                    return Err(KeyError::key("lag", problem));
-                }
-                (lag, settled)
-            }
-            _ => return Err(KeyError::whole(None, Problem::Response)),
-        };
+        in_range("window_ms", window_ms, (0.1..=50.0).contains(&window_ms), "0.1 to 50 ms")?;
+        let window_half_ticks = (2.0 * rate.ms_in_ticks(window_ms) + 0.5) as u64;
         let transient_rest_ticks = rate.seconds_to_ticks(rest_s);
         let um_per_pulse = step_um;
         Ok(MotorSpec {
             um_per_pulse,
-            response,
             window_half_ticks,
             travel_um,
             least_pulses,
@@ -358,15 +321,11 @@ impl RawMotor {
 impl MotorSpec {
     /// All its numbers, in an order that never changes.
     fn numbers(&self) -> String {
-        let Self { um_per_pulse, response, window_half_ticks, travel_um, .. } = *self;
+        let Self { um_per_pulse, window_half_ticks, travel_um, .. } = *self;
         let Self { least_pulses, most_pulses, seek_pulses, transient_rest_ticks, transient_gain, .. } = *self;
-        let lag = match response {
-            Response::Average => None,
-            Response::Lag { omega, damping } => Some([omega, damping]),
-        };
         let pulses = [least_pulses, most_pulses, seek_pulses];
         format!(
-            "{um_per_pulse:?} {lag:?} {window_half_ticks} {travel_um:?} {pulses:?} {transient_rest_ticks} {transient_gain:?}"
+            "{um_per_pulse:?} None {window_half_ticks} {travel_um:?} {pulses:?} {transient_rest_ticks} {transient_gain:?}"
         )
     }
 }

@@ -16,7 +16,7 @@ use crate::progress::Parts;
 use crate::statistics::mean_and_sd;
 use firmware_protocol::stroke::{Direction, Lines};
 use firmware_protocol::tick::Tick;
-use meissner_array::motor::{MotorError, Response, SquareWave, SteadyState};
+use meissner_array::motor::{MotorError, SquareWave, SteadyState};
 use meissner_array::simulated::{SimulatedMotors, SimulatedMotorsConfig};
 use meissner_array::spec::Array;
 use rayon::prelude::*;
@@ -90,22 +90,10 @@ pub(super) fn section(
     let (fewest, most) = (cycles().min().unwrap_or(0), cycles().max().unwrap_or(0));
     let cycles = if fewest == most { most.to_string() } else { format!("{fewest} to {most}") };
     let speed_mm_s = array.motor().um_per_pulse * f64::from(array.rate().hz()) / 1000.0;
-    let follows = if averages(array) {
-        format!("moving average over {:.1} ms", window_s(array) * 1000.0)
-    } else {
-        format!("a second-order lag that settles in {:.1} ms", window_s(array) * 1000.0)
-    };
-    let read = if averages(array) {
-        "the amplitude of a cycle is its top minus the mean of the bottoms beside it, at the model's instants"
-    } else {
-        "the amplitude of a cycle is the range of its samples"
-    };
-    let null = if averages(array) {
-        let hz = number(1.0 / window_s(array));
-        format!(" The model's null at {hz} Hz is that of a moving average, not of a motor.")
-    } else {
-        String::new()
-    };
+    let follows = format!("moving average over {:.1} ms", window_s(array) * 1000.0);
+    let read = "the amplitude of a cycle is its top minus the mean of the bottoms beside it, at the model's instants";
+    let hz = number(1.0 / window_s(array));
+    let null = format!(" The model's null at {hz} Hz is that of a moving average, not of a motor.");
     let caption = format!(
         "Steady amplitude of a pin, peak to peak, against the frequency of its drive, for amplitudes of {} µm. Lines: \
          the motor model (slope limited to {speed_mm_s:.1} mm/s, {follows}) before rounding to pulses and ticks. Points: mean and \
@@ -135,12 +123,7 @@ fn amplitudes_um(array: Array) -> Vec<f64> {
     if within.is_empty() { vec![travel_um] } else { within }
 }
 
-/// Whether its motors follow as a moving average does, so that the model says when a cycle is at its top.
-fn averages(array: Array) -> bool {
-    array.motor().response == Response::Average
-}
-
-/// The window of the moving average, or the time until another response has settled, s.
+/// The window of the moving average, s.
 fn window_s(array: Array) -> f64 {
     array.motor().window_ticks() / f64::from(array.rate().hz())
 }
@@ -151,7 +134,7 @@ const LEAST_UM: f64 = 0.5;
 fn plot(array: Array, amplitudes_um: &[f64], rows: &[Row]) -> Result<String, MotorError> {
     let last = f64::from(LINE - 1);
     let mut line_hz: Vec<f64> = (0..LINE).map(|n| 300_f64.powf(f64::from(n) / last)).collect();
-    let null_hz = Some(1.0 / window_s(array)).filter(|null| *null <= 300.0 && averages(array));
+    let null_hz = Some(1.0 / window_s(array)).filter(|null| *null <= 300.0);
     line_hz.extend(null_hz);
     line_hz.sort_by(f64::total_cmp);
     let series = amplitudes_um.par_iter().map(|&um| {
@@ -224,12 +207,6 @@ fn measure(array: Array, frequency_hz: f64, amplitudes_um: &[f64]) -> Result<Vec
                 toggles.extend([start, start + pulses].map(|tick| (Tick(tick), motor, direction)));
             }
         }
-        if !averages(array) {
-            // Where cycles begin: their tops and bottoms are somewhere between.
-            let begins = excursions[skipped..].iter().map(|excursion| sample(array, 2 * excursion.up));
-            wanted.push(begins.collect());
-            continue;
-        }
         let mut samples = Vec::new();
         for pair in excursions[skipped - 1..].windows(2) {
             let (this, next) = (pair[0], pair[1]);
@@ -243,25 +220,14 @@ fn measure(array: Array, frequency_hz: f64, amplitudes_um: &[f64]) -> Result<Vec
     toggles.sort_by_key(|toggle| toggle.0);
 
     let mut readings: Vec<Vec<f64>> = vec![Vec::new(); array.motors()];
-    // Of a response that is not an average: the lowest and the highest sample of each cycle.
-    let mut ranges = vec![[[f64::INFINITY, f64::NEG_INFINITY]; CYCLES]; array.motors()];
     let (mut taken, read_ticks) = (0, array.rate().per_s() / READS_PER_S);
     let mut advance = |motors: &mut SimulatedMotors, lines: Lines, until: Tick| {
         while motors.now() < until {
             motors.advance(lines, read_ticks.min(until - motors.now()));
             while let Some(sample) = motors.telemetry() {
                 taken += 1;
-                let of_motors = readings.iter_mut().zip(&mut ranges).zip(&wanted).zip(&sample.y);
-                for (((readings, ranges), wanted), y) in of_motors {
-                    if !averages(array) {
-                        let um = f64::from(*y) / 100.0;
-                        let begun = wanted.partition_point(|begin| *begin <= taken);
-                        if let Some([low, high]) =
-                            begun.checked_sub(1).and_then(|cycle| ranges.get_mut(cycle))
-                        {
-                            (*low, *high) = (low.min(um), high.max(um));
-                        }
-                    } else if wanted.get(readings.len()) == Some(&taken) {
+                for ((readings, wanted), y) in readings.iter_mut().zip(&wanted).zip(&sample.y) {
+                    if wanted.get(readings.len()) == Some(&taken) {
                         readings.push(f64::from(*y) / 100.0);
                     }
                 }
@@ -279,12 +245,6 @@ fn measure(array: Array, frequency_hz: f64, amplitudes_um: &[f64]) -> Result<Vec
     // With an odd number of whole periods in the window the wave is inverted.
     let sign = if periods.floor() % 2.0 == 0.0 { 1.0 } else { -1.0 };
     let mut cycles: Vec<Vec<f64>> = vec![Vec::new(); amplitudes_um.len()];
-    if !averages(array) {
-        for (motor, ranges) in (0..).zip(&ranges) {
-            cycles[plays(motor)].extend(ranges.iter().map(|[low, high]| high - low));
-        }
-        return Ok(cycles);
-    }
     for (motor, readings) in (0..).zip(&readings) {
         let of_motor = readings.windows(3).step_by(2);
         cycles[plays(motor)]

@@ -319,8 +319,7 @@ impl Response {
             return Ok(Self { afferents: scene.afferents().to_vec(), duration_s, rates_hz, spikes_s });
         }
         let keep = if moves { Keep::Spikes } else { Keep::Rates };
-        let answer =
-            simulate(&scene, &Options { keep, ..Options::rates(Method::finest(scene.array())) }, progress)?;
+        let answer = simulate(&scene, &Options { keep, ..Options::rates(Method::Exact) }, progress)?;
         let rates_hz = answer.rates_hz(&scene);
         Ok(Self { afferents: scene.afferents().to_vec(), duration_s, rates_hz, spikes_s: answer.spikes_s })
     }

@@ -2,7 +2,7 @@
 //!
 //! The paper remarks that the amplitude does not matter much. The rate against the amplitude, for some frequencies, shows where
 //! that is true. The rate against the frequency, for two amplitudes, shows where afferents fire most. Rates are means over
-//! afferents that differ in their threshold noise, simulated by the finest method for the motors: exactly, or in steps if they lag.
+//! afferents that differ in their threshold noise, simulated exactly.
 //!
 //! Invariant: the numbers in the text follow from the numbers that are drawn.
 
@@ -175,7 +175,7 @@ fn row(array: Array, frequency_hz: f64, amplitude_um: f64) -> Result<Row, Figure
     let afferents = vec![Position { x_mm, y_mm }; AFFERENTS];
     let model = AfferentModel::default_for(Rectify::Half, POPULATION_NOISE_SD);
     let scene = Scene::new(array, DURATION_S, SEED, vec![drive], afferents, model)?;
-    let answer = simulate(&scene, &Options::rates(Method::finest(scene.array())), &|_| ())?;
+    let answer = simulate(&scene, &Options::rates(Method::Exact), &|_| ())?;
     let (rate_hz, sd_hz) = mean_and_sd(&answer.rates_hz(&scene));
     Ok(Row { frequency_hz, amplitude_um, rate_hz, sd_hz })
 }

@@ -82,7 +82,7 @@ pub struct LeftOut {
 /// # Errors
 /// If the finest method cannot simulate the scene.
 pub fn tradeoff(scene: &Scene, progress: &(dyn Fn(f64) + Sync)) -> Result<MethodTradeoff, MethodError> {
-    let (finest, afferents) = (Method::finest(scene.array()), scene.afferents().len());
+    let (finest, afferents) = (Method::Exact, scene.afferents().len());
     let feasible =
         |step_us: &u32| scene.duration_s() * 1e6 / f64::from(*step_us) * afferents as f64 <= MOST_STEPS;
     let (steps, too_fine): (Vec<u32>, Vec<u32>) = STEPS_US.into_iter().partition(feasible);

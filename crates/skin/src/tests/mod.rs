@@ -3,7 +3,6 @@
 mod silence;
 
 use crate::blocks::Blocks;
-use crate::breakpoints::velocity_per_d;
 use crate::cycle::periods;
 use crate::engine::run_on;
 use crate::exact::{Group, MAX_BUFFERED};
@@ -12,12 +11,10 @@ use crate::membrane::equation::Membrane;
 use crate::membrane::{AfferentModel, Rectify, population};
 use crate::time::end;
 use crate::track::{Track, Tracks, of_scene};
-use crate::{
-    Integrator, Method, Options, Precision, Ramps, Scene, Stepping, choose, simulate, simulate_ramps,
-};
+use crate::{Integrator, Method, Options, Precision, Ramps, Scene, Stepping, simulate};
 use firmware_protocol::stroke::Direction;
 use firmware_protocol::tick::Tick;
-use meissner_array::motor::{HalfTick, Ramp, Response, Shaft};
+use meissner_array::motor::{HalfTick, Ramp, Shaft};
 use meissner_array::pattern::Drive;
 use meissner_array::random::uniform;
 use meissner_array::spec::{Array, ArraySpec, names};
@@ -37,92 +34,7 @@ pub(crate) fn arrays() -> Vec<Array> {
     "#;
     let other = Array::known(ArraySpec::parse(text, "test.toml").unwrap()).unwrap();
     let shipped = names().into_iter().map(|name| Array::named(name).unwrap());
-    // The array of another test whose motors lag may be known, too.
-    let lines = |array: &Array| array.motor().response == Response::Average && *array != other;
-    shipped.filter(lines).chain([other]).collect()
-}
-
-/// An array whose motors lag.
-fn lagging() -> Array {
-    let text = r#"
-        name = "tests-of-lag"
-        pins = { rows = 2, columns = 3, pitch_mm = 2.9 }
-        tick_hz = 85000
-        duty = { up = 0.2, down = 0.8 }
-        motor = { step_um = 0.1357142857142857, lag = { natural_hz = 120, damping = 0.7 }, travel_um = 400, most_pulses = 3000 }
-    "#;
-    Array::known(ArraySpec::parse(text, "test.toml").unwrap()).unwrap()
-}
-
-#[test]
-fn a_motor_that_lags_is_sampled_and_comes_back_to_rest() {
-    let array = lagging();
-    let of = Drive { stop_s: Some(0.31), ..drive(4, 61.0, 80.0) };
-    let scene =
-        Scene::new(array, 1.0, 0, vec![of], Vec::new(), AfferentModel::default_for(Rectify::Half, 0.0))
-            .unwrap();
-    for step_us in [10, 33, 200, 1000] {
-        let stepping = Stepping { step_us, integrator: Integrator::Propagator, precision: Precision::F64 };
-        let track = Track::new(&scene, Method::Stepped(stepping), 4).unwrap();
-        let mut sampler = track.sampler().unwrap();
-        let step = stepping.half_ticks(array.rate());
-        let mut means: Vec<f64> = Vec::new();
-        sampler.fill(0, sampler.steps(end(1.0, array.rate())) as usize, &mut means);
-        let motor = array.motor();
-        let um_per_mean = velocity_per_d(1.0, motor) * step;
-        let mut shaft = Shaft::new(motor);
-        let strokes = DriveStrokes::of(array, &of).unwrap();
-        let mut ramps = strokes.flat_map(|stroke| stroke.ramps(motor.um_per_pulse)).peekable();
-        let (mut at_um, mut highest_um) = (0.0_f64, 0.0_f64);
-        for (number, mean) in means.iter().enumerate() {
-            at_um += mean * um_per_mean;
-            highest_um = highest_um.max(at_um);
-            let at = HalfTick(((number + 1) as f64 * step).round() as u64);
-            while let Some(ramp) = ramps.next_if(|ramp| HalfTick::from(ramp.start) <= at) {
-                shaft.push(ramp);
-            }
-            // A shaft moves by less than a pulse in a half tick.
-            let expected_um = shaft.displacement_um(at);
-            assert!((at_um - expected_um).abs() < 0.1, "{step_us} us, step {number}: {at_um} {expected_um}");
-        }
-        assert!(highest_um > 60.0, "{highest_um}");
-        assert!(at_um.abs() < 1e-9, "{at_um}");
-        assert_eq!(means.last(), Some(&0.0));
-    }
-}
-
-#[test]
-fn of_motors_that_lag_the_finest_method_has_steps_and_the_exact_one_refuses() {
-    let array = lagging();
-    let afferents = population(3).into_iter().step_by(3).collect();
-    let drives = (0..6).map(|motor| drive(motor, 40.0 + 11.0 * f64::from(motor), 60.0)).collect();
-    let scene =
-        Scene::new(array, 0.5, 3, drives, afferents, AfferentModel::default_for(Rectify::Half, 0.0)).unwrap();
-    let counts = |method| simulate(&scene, &Options::rates(method), &|_| ()).map(|answer| answer.counts);
-    let refused = counts(Method::Exact).unwrap_err().to_string();
-    assert!(refused.starts_with("the motors of tests-of-lag follow their pulses as a lag"), "{refused}");
-    let finest = counts(Method::finest(array)).unwrap();
-    let stepping = Stepping { step_us: 2, integrator: Integrator::Propagator, precision: Precision::F64 };
-    let finer = counts(Method::Stepped(stepping)).unwrap();
-    let (all, differ) =
-        finest.iter().zip(&finer).fold((0, 0), |(all, differ), (&a, &b)| (all + a, differ + a.abs_diff(b)));
-    assert!(all > 1000 && 500 * differ <= all, "{differ} of {all}");
-    let choice = choose(&scene, 1.0).unwrap();
-    assert_ne!(choice.method, Method::Exact);
-    // By its ramps it is the same scene.
-    let of_drive = |of: &Drive| {
-        let (motor, um_per_pulse) = (of.motor, array.motor().um_per_pulse);
-        let strokes = DriveStrokes::of(array, of).unwrap().take_while(|stroke| stroke.up < 42_500);
-        strokes
-            .flat_map(move |stroke| stroke.ramps(um_per_pulse))
-            .map(move |ramp| (motor, ramp))
-            .collect::<Vec<_>>()
-    };
-    let ramps = Ramps::new(array, scene.drives().iter().flat_map(of_drive)).unwrap();
-    let mut by_ramps = vec![0; finest.len()];
-    simulate_ramps(&scene, &ramps, &mut |number, train| by_ramps[number as usize] = train.len() as u64)
-        .unwrap();
-    assert_eq!(by_ramps, finest);
+    shipped.filter(|array| *array != other).chain([other]).collect()
 }
 
 /// Afferents of a fingertip over motors with random drives.

@@ -92,7 +92,7 @@ impl PositionControl {
         let mut control = Self {
             array,
             times: Times::of(array),
-            limited: false,
+            limited: settings.is_limited(),
             end_stop_um: settings.end_stop_um,
             telemetry: true,
             account: Account::default(),
@@ -105,20 +105,14 @@ impl PositionControl {
             unseen_since: None,
             standing: Standing::none(array),
         };
-        control.configure(settings);
+        let has_stop = settings.lower_stop.is_some();
+        control.motors.iter_mut().for_each(|motor| motor.set_lower_stop(has_stop));
         control
     }
 
     /// The array whose motors it controls.
     pub(super) const fn array(&self) -> Array {
         self.array
-    }
-
-    /// Uses the site's limits and end stops.
-    pub(super) fn configure(&mut self, settings: &Settings) {
-        self.limited = settings.is_limited();
-        self.end_stop_um = settings.end_stop_um;
-        self.motors.iter_mut().for_each(|motor| motor.set_lower_stop(settings.lower_stop.is_some()));
     }
 
     /// The device has flushed the queue, and has begun nothing after `begun_by`. It returns the pins, so telemetry means nothing

@@ -7,7 +7,6 @@ use crate::queues::error::CommandError;
 use crate::queues::live::LiveUpdate;
 use crate::queues::outcome::{Onset, Outcome, Snapshot};
 use crate::queues::play::{At, Edge, Play};
-use crate::settings::Settings;
 use crate::time::HostInstant;
 use firmware_protocol::array::MotorSet;
 use firmware_protocol::limits::Refusal;
@@ -83,8 +82,6 @@ pub enum Command {
     WithdrawEdges(u64),
     /// Use these gains of the motors.
     SetGains(Box<PerMotor<Gains>>),
-    /// Use these settings from the next `arm` on, or at once while disarmed. Refused if they are for another array.
-    Configure(Settings),
     /// Return the pins and disable the motors.
     Disarm,
     /// Disarm and end the thread. The answer comes when the device is off, or after a second.
@@ -188,7 +185,7 @@ pub enum StreamEvent {
     },
     /// The device contradicted itself, in this way for the first time since it was connected. The link ignored the message.
     Contradiction(Contradiction),
-    /// The error of dead reckoning exceeds [`Settings::drift_warning_um`].
+    /// The error of dead reckoning exceeds [`crate::Settings::drift_warning_um`].
     DriftWarning {
         /// The largest of all motors, one standard deviation, µm.
         um: f32,

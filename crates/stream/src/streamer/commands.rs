@@ -112,15 +112,6 @@ impl Streamer {
                 emit.event(StreamEvent::GainsApplied(gains));
                 Ok(None)
             }
-            Command::Configure(settings) => self.check_array(settings.array).map(|()| {
-                self.next_settings = settings;
-                // An armed device keeps its settings until it is armed again.
-                if !self.operations.wants_armed() && !matches!(self.state(), State::Armed | State::Returning)
-                {
-                    self.apply_settings();
-                }
-                None
-            }),
             Command::Disarm => self.disarm(),
             Command::Shutdown => {
                 self.operations.shut_down(now, ticket);
@@ -381,7 +372,6 @@ impl Streamer {
         }
         self.take_rest(now, rest, is_known)?;
         self.operations.want_armed(true);
-        self.apply_settings();
         self.control.clear_faults();
         let seeks = !is_known || self.homing.needs_seek(now);
         Ok(Some(self.arm_op(assume_rest, seeks)))
@@ -429,12 +419,6 @@ impl Streamer {
             self.control.leave_standing();
         }
         Ok(())
-    }
-
-    /// Applies the settings configured last.
-    fn apply_settings(&mut self) {
-        self.settings = self.next_settings;
-        self.control.configure(&self.settings);
     }
 
     /// Overtakes all other operations.

@@ -57,8 +57,6 @@ type OpResult = Result<Option<Op>, CommandError>;
 #[derive(Debug)]
 pub struct Streamer {
     settings: Settings,
-    /// The settings from the next `arm` on.
-    next_settings: Settings,
     session: Option<Session>,
     events: VecDeque<Event>,
     known: Known,
@@ -84,7 +82,6 @@ impl Streamer {
     pub fn new(settings: Settings) -> Self {
         Self {
             settings,
-            next_settings: settings,
             session: None,
             events: VecDeque::with_capacity(4096),
             known: Known::default(),

@@ -18,10 +18,11 @@ use axum::http::{StatusCode, Uri};
 use axum::response::Response;
 use meissner_api::{Code, ImportedPattern, MAX_PACKED_BODY, Problem, RemovedPattern, is_sha256};
 use serde_json::json;
+use std::sync::Arc;
 
 pub(in crate::daemon::http) async fn list(State(app): State<App>) -> Answer<Response> {
     let _place = OTHERS.patterns.acquire().await;
-    let list = blocking(move || serde_json::to_vec(&app.store.get().list()).unwrap_or_default()).await?;
+    let list = blocking(move || serde_json::to_vec(&app.store.list()).unwrap_or_default()).await?;
     Ok(json_response(list))
 }
 
@@ -31,7 +32,7 @@ pub(in crate::daemon::http) async fn show(
     uri: Uri,
 ) -> Answer<Response> {
     let (stored, _place) =
-        find(app.store.get(), &app.engine, &OTHERS, &path(name)?, asked_text(&uri)?).await?;
+        find(Arc::clone(&app.store), &app.engine, &OTHERS, &path(name)?, asked_text(&uri)?).await?;
     let json = match stored.made_json() {
         Some(made) => made,
         None => computing(move || stored.json()).await?,
@@ -56,7 +57,7 @@ pub(in crate::daemon::http) async fn import(
         let (text, _places) = body::read_file(body, MAX_PACKED_BODY, &body::ORDERS).await?;
         let text = String::from_utf8(text)
             .map_err(|_| Problem::new(Code::BadPattern, "not UTF-8 text: write patterns as TOML in UTF-8"))?;
-        let store = app.store.get();
+        let store = Arc::clone(&app.store);
         let put = app.engine.changing(move || store.put(&name, &text, replace)).await??;
         let Put { stored, replaced: replaced_sha256 } = put;
         let sha256 = stored.sha256.clone();
@@ -107,7 +108,7 @@ pub(in crate::daemon::http) async fn remove(
         logged.set_title(format!("removal of {shown:?}"));
         logged.set_arguments(&json!({"name": shown}));
         let _place = body::file_place().await?;
-        let (store, asked) = (app.store.get(), name.clone());
+        let (store, asked) = (Arc::clone(&app.store), name.clone());
         let sha256 = app.engine.changing(move || store.remove(&asked)).await??;
         logged.set_arguments(&json!({"name": shown, "sha256": sha256}));
         Ok(Json(RemovedPattern { name, sha256 }))

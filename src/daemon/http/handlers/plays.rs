@@ -64,7 +64,7 @@ pub(in crate::daemon::http) async fn play(
             Some(stored) => (&PLAYS, (stored, None)),
             None => {
                 let (name, sha256) = (request.pattern.name(), request.pattern_sha256.as_deref());
-                (&STORED, find(app.store.get(), &app.engine, &STORED, name, sha256).await?)
+                (&STORED, find(Arc::clone(&app.store), &app.engine, &STORED, name, sha256).await?)
             }
         };
         let accepted = app.engine.play(&request, stored, peer, lane).await?;
@@ -77,7 +77,7 @@ pub(in crate::daemon::http) async fn play(
 
 /// The pattern that a request holds.
 async fn inline(app: &App, lane: &'static Lane, keys: Box<Map<String, Value>>) -> Result<Stored, Problem> {
-    let (store, array) = (app.store.get(), app.engine.lock().settings.array);
+    let (store, array) = (Arc::clone(&app.store), app.engine.lock().settings.array);
     Ok(lane.computing(move || store.inline(*keys, array)).await??)
 }
 
@@ -148,7 +148,7 @@ async fn find_for(
 ) -> Result<(Stored, Option<SemaphorePermit<'static>>), Problem> {
     match sha256.as_ref().and_then(|sha256| inlines.get(sha256)) {
         Some(stored) => Ok((stored.clone(), None)),
-        None => find(app.store.get(), &app.engine, lane, &name, sha256.as_deref()).await,
+        None => find(Arc::clone(&app.store), &app.engine, lane, &name, sha256.as_deref()).await,
     }
 }
 

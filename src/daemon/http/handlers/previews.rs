@@ -37,7 +37,7 @@ pub(in crate::daemon::http) async fn show(
     let (name, (from_s, seconds)) = (path(name)?, piece(uri.query().unwrap_or_default())?);
     let _waits = app.waiting_place(peer)?;
     let job = {
-        let (stored, _place) = find(app.store.get(), &app.engine, &OTHERS, &name, None).await?;
+        let (stored, _place) = find(Arc::clone(&app.store), &app.engine, &OTHERS, &name, None).await?;
         if stored.text.len() > MAX_PATTERN {
             let detail = format!(
                 "the pattern's file has more than {MAX_PATTERN} bytes: `meissner simulate` and `meissner displacement` take it"

@@ -164,7 +164,7 @@ pub(in crate::daemon::http) async fn plays(
     if id == "running" {
         return Err(no_session(&id).into());
     }
-    let (asked, store) = (id.clone(), app.store.get());
+    let (asked, store) = (id.clone(), Arc::clone(&app.store));
     let json = recorded(&app, move |dir, sessions, written| {
         let found = sessions.recorded.into_iter().find(|recorded| recorded.session.id == asked);
         let Some(found) = found else { return Ok(None) };

@@ -18,6 +18,7 @@ use meissner_api::{Code, Problem, RemovedTarget, StoredTarget, TargetDetails};
 use meissner_design::{MAX_BYTES, Target};
 use meissner_touch::{Object, Touch, no_files, surface_of};
 use serde_json::{Value, json};
+use std::sync::Arc;
 
 impl From<TargetStoreError> for Problem {
     fn from(error: TargetStoreError) -> Self {
@@ -36,7 +37,7 @@ pub(super) async fn find(app: &App, target: &Value) -> Answer<Target> {
     let array = app.engine.lock().settings.array;
     let bad = |error| Problem::new(Code::BadTarget, format!("the target is refused: {error}"));
     if let Some(name) = target.as_str() {
-        let (store, name) = (app.store.get(), name.to_owned());
+        let (store, name) = (Arc::clone(&app.store), name.to_owned());
         let stored = PLAYS.blocking(move || store.target(&name)).await??.target;
         return Ok(stored.with_array(array).map_err(bad)?);
     }
@@ -62,7 +63,7 @@ pub(super) async fn find_object(app: &App, object: &Value) -> Answer<Object> {
 
 pub(in crate::daemon::http) async fn list(State(app): State<App>) -> Answer<Response> {
     let _place = OTHERS.patterns.acquire().await;
-    let list = blocking(move || serde_json::to_vec(&app.store.get().targets()).unwrap_or_default()).await?;
+    let list = blocking(move || serde_json::to_vec(&app.store.targets()).unwrap_or_default()).await?;
     Ok(json_response(list))
 }
 
@@ -72,7 +73,7 @@ pub(in crate::daemon::http) async fn show(
 ) -> Answer<Json<TargetDetails>> {
     let _place = OTHERS.patterns.acquire().await;
     let name = path(name)?;
-    Ok(Json(blocking(move || app.store.get().target(&name).map(|stored| stored.details())).await??))
+    Ok(Json(blocking(move || app.store.target(&name).map(|stored| stored.details())).await??))
 }
 
 pub(in crate::daemon::http) async fn store(
@@ -92,7 +93,7 @@ pub(in crate::daemon::http) async fn store(
         let (text, _place) = body::read_file(body, MAX_BYTES, &body::ORDERS).await?;
         let text = String::from_utf8(text)
             .map_err(|_| Problem::new(Code::BadTarget, "not UTF-8 text: write targets as TOML in UTF-8"))?;
-        let store = app.store.get();
+        let store = Arc::clone(&app.store);
         let put = move || store.put_target(&name, &text, replace);
         let (stored, replaced_sha256) = app.engine.changing(put).await??;
         let status = if replaced_sha256.is_none() { StatusCode::CREATED } else { StatusCode::OK };
@@ -120,7 +121,7 @@ pub(in crate::daemon::http) async fn remove(
         logged.set_title(format!("removal of the target {shown:?}"));
         logged.set_arguments(&json!({"name": shown}));
         let _place = body::file_place().await?;
-        let (store, asked) = (app.store.get(), name.clone());
+        let (store, asked) = (Arc::clone(&app.store), name.clone());
         let sha256 = app.engine.changing(move || store.remove_target(&asked)).await??;
         logged.set_arguments(&json!({"name": shown, "sha256": sha256}));
         Ok(Json(RemovedTarget { name, sha256 }))

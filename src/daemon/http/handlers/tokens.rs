@@ -34,7 +34,6 @@ pub(in crate::daemon::http) async fn create(
 }
 
 pub(in crate::daemon::http) async fn list(State(app): State<App>) -> Json<TokenList> {
-    app.engine.gate.refresh_tokens().await;
     Json(TokenList { tokens: app.engine.gate.tokens.list() })
 }
 

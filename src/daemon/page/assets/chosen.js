@@ -6,7 +6,7 @@ import { call, DISK_MS, known, order, poll, put } from "./api.js";
 import { array } from "./array.js";
 import { element, facts, open, ordered, orders, refuse, restored, say } from "./control.js";
 import { Drives } from "./drives.js";
-import { isForeign, mapping } from "./foreign.js";
+import { checkArray, isForeign } from "./foreign.js";
 import { complain, forgive, number, optional, right } from "./number.js";
 import { figures, highest, preview } from "./preview.js";
 import { addItem } from "./sequence.js";
@@ -266,7 +266,8 @@ export class Chosen {
   async #play() {
     if (!right("chosen-count")) return undefined;
     const first = this.#first;
-    const body = { ...this.#what(), ...mapping(first) };
+    checkArray(first);
+    const body = this.#what();
     if (this.#isEdited()) return this.#order(body);
     await this.#check(first);
     return this.#order({ ...body, pattern_sha256: first.sha256 });
@@ -296,9 +297,10 @@ export class Chosen {
 
   async #add() {
     if (!right("chosen-count", "sequence-gap")) return undefined;
-    const [item, more] = [this.#what(), mapping(this.#first)];
+    checkArray(this.#first);
+    const item = this.#what();
     if (!this.#isEdited()) await this.#check(this.#first);
-    return addItem(item, more);
+    return addItem(item);
   }
 
   #askToRemove() {

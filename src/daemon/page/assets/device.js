@@ -7,7 +7,6 @@ import { part } from "./views.js";
 
 const $ = (id) => document.getElementById(id);
 const ROLES = { operate: "everything but tokens: role “operate”", observe: "only read: role “observe”" };
-const RESPONSES = { average: "a moving average over", lag: "a lag that has settled after" };
 
 // The link's counters by name, from the metrics; null until they are known, and when they are too old.
 let counters = null;
@@ -92,7 +91,7 @@ function showArray() {
     ["Pins", `${places.length}${grid ? `, ${grid.rows} rows of ${grid.columns}` : ""}, ${pitch.toFixed(1)} mm apart, ${(2 * radius).toFixed(1)} mm wide`],
     ["Travel", `${motor.travel_um.toFixed(0)} µm, ${motor.um_per_pulse.toFixed(3)} µm per pulse`],
     ["Speed", `${motor.speed_mm_s.toFixed(1)} mm/s; bursts of ${motor.least_pulses} to ${motor.most_pulses} pulses`],
-    ["A shaft follows", `${RESPONSES[motor.response] ?? motor.response} ${motor.window_ms} ms`],
+    ["A shaft follows", `a moving average over ${motor.window_ms} ms`],
     ["Rails", `${rails.length}, motors ${groups(rails).join("; ")}`],
     ["Driver chips", `${chips.length}, motors ${groups(chips).join("; ")}`],
     ["Carrier", `${(hz / 1000).toFixed(0)} kHz, high for ${duty.up} of a tick up, ${duty.down} down`],

@@ -21,7 +21,7 @@ const COLUMNS = [
   ["trigger_tick", ({ play }) => play.trigger?.tick],
   ["trigger_code", ({ play }) => play.trigger?.code],
   ["trigger_ms", ({ play }) => play.trigger?.width_ms],
-  ...["late_strokes", "refused_strokes", "fit", "estimated", "array", "tick_hz", "mapped_from", "first_pulse_tick"].map(of),
+  ...["late_strokes", "refused_strokes", "fit", "estimated", "array", "tick_hz", "first_pulse_tick"].map(of),
   ["response", ({ play }) => play.answer?.response],
   ["correct", ({ play }) => play.answer?.correct],
   ["response_time", ({ play }) => (typeof play.answer?.rt_ms === "number" ? play.answer.rt_ms / 1000 : null)],

@@ -7,7 +7,7 @@ import { call, order } from "./api.js";
 import { Chosen } from "./chosen.js";
 import { element, operates, ordered, orders, refuse } from "./control.js";
 import { thumbnail } from "./finger.js";
-import { isForeign, mapping } from "./foreign.js";
+import { checkArray, isForeign } from "./foreign.js";
 import { number, optional, right } from "./number.js";
 import { part } from "./views.js";
 
@@ -41,7 +41,6 @@ export class Patterns {
     this.refresh = part({ view: "play", at: "patterns-title", load: () => this.#load(), again: true });
     $("search").addEventListener("input", () => this.#list());
     document.addEventListener("array", () => {
-      $("nearest").checked = false;
       // What a pattern is for, and what it reaches, depends on the array.
       $("pattern-list").replaceChildren();
       this.#items.clear();
@@ -60,7 +59,6 @@ export class Patterns {
     for (const old of this.#details.keys()) if (!keys.has(old)) this.#details.delete(old);
     for (const old of this.#items.keys()) if (!this.#byName.has(old)) this.#items.delete(old);
     $("pattern-errors").textContent = errors.join(" · ");
-    $("nearest-label").hidden = !patterns.some(isForeign);
     this.#list();
     this.#chosen.renew(this.#byName);
     this.#mark();
@@ -165,7 +163,8 @@ export class Patterns {
 
   async #play(pattern) {
     if (!right("seconds", "scale")) return undefined;
-    const body = { pattern: pattern.name, pattern_sha256: pattern.sha256, seconds: optional("seconds"), scale: number("scale"), ...mapping(pattern) };
+    checkArray(pattern);
+    const body = { pattern: pattern.name, pattern_sha256: pattern.sha256, seconds: optional("seconds"), scale: number("scale") };
     try {
       await this.#check(pattern);
     } catch (error) {

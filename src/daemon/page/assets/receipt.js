@@ -27,7 +27,6 @@ function show(receipt) {
   const classes = response?.afferents ?? [];
   const what = response?.played_hz?.contrast === null ? "mean rate" : "on-target minus off-target";
   facts($("receipt-facts"), [
-    ...(receipt.mapped_from === null ? [] : [["Mapped by position", `from the array ${receipt.mapped_from} to ${receipt.array}`]]),
     ["Bursts played, late, dropped, refused", `${bursts.played}, ${bursts.late}, ${bursts.dropped}, ${bursts.refused}`],
     ...(receipt.items ? [["Items", states(receipt.items)]] : []),
     ["Corrected by feedback", bursts.amended],

@@ -78,12 +78,12 @@ export async function loadSequence(file, text) {
   await take(request, ` (${file})`);
 }
 
-// Adds an item at the end of the sequence, after the gap of the field, and says so. `item`: its keys. `more`: keys of the sequence.
-export async function addItem(item, more) {
+// Adds an item at the end of the sequence, after the gap of the field, and says so. `item`: its keys.
+export async function addItem(item) {
   const { request = { items: [] }, from = "" } = loaded ?? {};
   const gap = request.items.length ? { gap_ms: number("sequence-gap") } : {};
   const items = [...request.items, { ...item, ...gap }];
-  await take({ ...request, ...more, items }, from);
+  await take({ ...request, items }, from);
   return `It is item ${items.length} of the sequence.`;
 }
 

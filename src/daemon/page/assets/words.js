@@ -26,7 +26,6 @@ const OPTION = [/(^|[^\w-])--([a-z][a-z-]*)/g, "$1the option “$2”"];
 const WORDS = [
   [/: add `seconds` \(--seconds S\), or allow a play without end.*/, ": enter its seconds"],
   [/: `--replace`, or `\?replace=true`, stores/, ": “Replace older ones” stores"],
-  [/: `--map nearest`, or `"map": "nearest"`, plays/, ": “Play patterns for other arrays by position” plays"],
   [/, or use `?--replace`?/, ""],
   [/, or play (it|the sequence) without `strict`/, ""],
   [/`session` is not the running one, (\S+): name that, or leave the key out/, "the session that the page showed does not run any more, but $1 does: look who feels the pins, then order again"],

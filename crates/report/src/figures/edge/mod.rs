@@ -191,7 +191,7 @@ fn rates_hz(target: &Target, point: &Point, afferents: &[Position]) -> Result<Ve
     let drives = point.drives(target.amplitude_um(), None, None);
     let duration_s = Fidelity::FULL.duration_s;
     let scene = Scene::new(target.array(), duration_s, SEED, drives, afferents.to_vec(), *target.model())?;
-    let answer = simulate(&scene, &Options::rates(Method::finest(scene.array())), &|_| ())?;
+    let answer = simulate(&scene, &Options::rates(Method::Exact), &|_| ())?;
     Ok(answer.rates_hz(&scene))
 }
 
