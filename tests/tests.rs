@@ -39,7 +39,7 @@ mod edges;
 mod export;
 /// Scripted faults, in real time.
 mod faults;
-/// `report`: figures against the models, and the page.
+/// The data of figures: `motor --simulated` and `optimise --json` against the models.
 mod figures;
 /// A real daemon in its own directory, and helpers for the other tests.
 mod harness;
@@ -85,10 +85,6 @@ mod record;
 mod renderings;
 /// `session replay`: the same orders at the same gaps, the recorded texts, what differs, what is refused.
 mod replay;
-/// `simulate` and `tradeoff`: documents, mistakes, the comparison of methods and its plot; the shipped scenes.
-mod report;
-/// The command `report`: its files, the same bytes again, places that cannot be written to.
-mod report_command;
 /// Rights: a table of all routes, open requests when a right ends, silence that disarms, ended sessions.
 mod rights;
 /// Targets and searches: a search's process, its result and its end, and refusals.
@@ -99,5 +95,7 @@ mod sequences;
 mod service;
 /// Sessions: one at a time, exclusive sessions, their owner's silence, their record, and failing disks.
 mod sessions;
+/// `simulate` and `tradeoff`: documents, mistakes, the comparison of methods; the shipped scenes.
+mod simulate;
 /// Stimuli as ordered: empty, weak, whole strokes, replaced, removed; receipts of cut plays.
 mod stimuli;
