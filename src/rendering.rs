@@ -136,7 +136,7 @@ fn lines(object: &Object) -> Result<Vec<Vec<[f64; 2]>>, RenderingError> {
     object.lines_mm().ok_or(RenderingError::NoLines)
 }
 
-/// The keys of an object for the provenance; its name alone if it needs files, which a report has not.
+/// The keys of an object for the provenance; its name alone if it needs files.
 pub(crate) fn keys_or_name(text: &str, name: &str) -> toml::Value {
     let keys = Object::read(text, name, &mut no_files).ok().and_then(|_| text.parse::<Table>().ok());
     keys.map_or_else(|| name.into(), toml::Value::from)
@@ -151,7 +151,7 @@ pub(crate) fn provenance(
 ) -> Result<Table, toml::ser::Error> {
     let mut table = Table::new();
     let mut put = |key: &str, value: toml::Value| table.insert(key.to_owned(), value);
-    // The pattern holds its object, so that a report can draw both.
+    // The pattern holds its object, so that figures can show both.
     put("object", object);
     put("method", toml::Value::try_from(way)?);
     put("pitch_mm", pitch_mm.into());

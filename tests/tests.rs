@@ -39,7 +39,7 @@ mod edges;
 mod export;
 /// Scripted faults, in real time.
 mod faults;
-/// `report`: figures against the models, and the page.
+/// The data of figures: `motor --simulated` and `optimise --json` against the models.
 mod figures;
 /// A real daemon in its own directory, and helpers for the other tests.
 mod harness;
@@ -81,10 +81,6 @@ mod rails;
 mod record;
 /// Objects that are rendered over the API, and previews of patterns.
 mod renderings;
-/// `simulate` and `tradeoff`: documents, mistakes, the comparison of methods and its plot; the shipped scenes.
-mod report;
-/// The command `report`: its files, the same bytes again, places that cannot be written to.
-mod report_command;
 /// Rights: a table of all routes, open requests when a right ends, silence that disarms, ended sessions.
 mod rights;
 /// Targets and searches: a search's process, its result and its end, and refusals.
@@ -95,5 +91,7 @@ mod sequences;
 mod service;
 /// Sessions: one at a time, exclusive sessions, their owner's silence, their record, and failing disks.
 mod sessions;
+/// `simulate` and `tradeoff`: documents, mistakes, the comparison of methods; the shipped scenes.
+mod simulate;
 /// Stimuli as ordered: empty, weak, whole strokes, replaced, removed; receipts of cut plays.
 mod stimuli;

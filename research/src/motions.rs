@@ -8,6 +8,7 @@
 
 use anyhow::Result;
 use firmware_protocol::moves::Move;
+use meissner::cli::{FollowingError, steps_of};
 use meissner_array::motion::{
     Compiled, Envelope, MotionError, Noise, Path, RampHold, Shape, Strength, Tone, Waveform, compile,
 };
@@ -18,7 +19,6 @@ use meissner_array::reflected_walk::ReflectedWalk;
 use meissner_array::simulated::{LowerStop, Pin, SimulatedMotorsConfig};
 use meissner_array::spec::Array;
 use meissner_array::strokes::{Step, StrokeOptions, Strokes};
-use meissner_report::{FollowingError, steps_of};
 use meissner_stream::{Bandwidth, Gains, LowerStopSettings, Settings};
 use rayon::prelude::*;
 use serde::Serialize;

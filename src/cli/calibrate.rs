@@ -60,9 +60,6 @@ pub(super) struct Calibrate {
     /// Do not read the time: the recording has HZ rows per second
     #[arg(long, value_name = "HZ", requires = "from", conflicts_with_all = ["time_column", "time_unit"])]
     rate_hz: Option<f64>,
-    /// Draw the recording, the fit and the residuals to FILE (SVG)
-    #[arg(long, value_name = "FILE", requires = "from")]
-    plot: Option<PathBuf>,
     #[command(flatten)]
     array: ArrayOption,
     #[command(flatten)]
@@ -87,7 +84,6 @@ pub(super) fn run(asked: &Calibrate) -> Result<ExitCode> {
             recording,
             plan: plan.unwrap_or(Path::new(laser::DEFAULT_PLAN)),
             layout: &layout,
-            plot: asked.plot.as_deref(),
             out: asked.out.as_deref(),
             options: &asked.options,
         });

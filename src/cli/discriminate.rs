@@ -5,16 +5,14 @@
 
 use super::arguments::{ArrayOption, Output, choice};
 use super::output::give;
-use super::{files, pattern_file, progress, text};
+use super::{pattern_file, progress, text};
 use anyhow::{Result, anyhow, bail};
 use clap::Args;
 use meissner_array::pattern::Pattern;
 use meissner_design::{ClassReadings, Confusion, Plan, Reading, confusion, discriminate, efficiency};
-use meissner_report::figures::{confusion_csv, plot_confusion};
 use meissner_skin::membrane::{AfferentModel, POPULATION_NOISE_SD, Rectify};
 use meissner_skin::{ModelName, SkinModel};
 use serde::Serialize;
-use std::path::PathBuf;
 use std::process::ExitCode;
 
 /// The most patterns of a matrix.
@@ -59,12 +57,6 @@ pub(super) struct Discriminate {
     /// Seed of the noise
     #[arg(long, value_name = "N", default_value_t = 0)]
     seed: u64,
-    /// Write the matrix as CSV to FILE
-    #[arg(long, value_name = "FILE", requires = "matrix")]
-    csv: Option<PathBuf>,
-    /// Draw the matrix as SVG to FILE
-    #[arg(long, value_name = "FILE", requires = "matrix")]
-    plot: Option<PathBuf>,
     #[command(flatten)]
     array: ArrayOption,
     #[command(flatten)]
@@ -273,17 +265,8 @@ fn matrix(asked: &Discriminate, plan: &Plan, how: &How, patterns: &[Pattern]) ->
             bail!("two patterns are called `{}`: leave one out, or rename it", pattern.name());
         }
     }
-    // Check that the files can be written before the work.
-    let csv = asked.csv.as_deref().map(files::beside).transpose()?;
-    let plot = asked.plot.as_deref().map(files::beside).transpose()?;
     let all: Vec<&Pattern> = patterns.iter().collect();
     let found = progress::metered(|at| confusion(&all, plan, at))?;
-    if let Some(csv) = csv {
-        csv.write(&confusion_csv(&found))?;
-    }
-    if let Some(plot) = plot {
-        plot.write(&plot_confusion(&found))?;
-    }
     give(asked.output.json, &MatrixDocument { how, confusion: &found }, || {
         let head: Vec<&str> =
             std::iter::once("played").chain(found.names.iter().map(String::as_str)).collect();

@@ -8,6 +8,7 @@ mod robustness;
 
 use super::arguments::{ArrayOption, Output};
 use super::output::give;
+use super::simulate::Placed;
 use super::{object, pattern_file, progress};
 use crate::rendering::{AFTER_S, FIRST_FINGER, judged_s};
 use anyhow::{Result, bail};
@@ -87,6 +88,18 @@ struct Document {
     fingers: Vec<u64>,
     seconds: f64,
     lines: Vec<Line>,
+    felt: Felt,
+}
+
+/// The spikes of the first finger under the object and under the first pattern, which figures need.
+#[derive(Debug, Serialize)]
+struct Felt {
+    finger: u64,
+    pattern: String,
+    seconds: f64,
+    afferents: Vec<Placed>,
+    object_spikes_s: Vec<Vec<f64>>,
+    pattern_spikes_s: Vec<Vec<f64>>,
 }
 
 pub(super) fn run(asked: &Judge) -> Result<ExitCode> {
@@ -117,7 +130,8 @@ pub(super) fn run(asked: &Judge) -> Result<ExitCode> {
     let changes: &[Change] = if asked.robustness { &Change::ALL } else { &[] };
     let fingers: Vec<u64> = (FIRST_FINGER..FIRST_FINGER + asked.fingers).collect();
     // By line, by change after what is told, by finger.
-    let judged = progress::metered(|progress| -> Result<Vec<Vec<Vec<Judged>>>> {
+    let (judged, felt) = progress::metered(|progress| -> Result<(Vec<Vec<Vec<Judged>>>, Felt)> {
+        let mut of_first = None;
         let mut by_line = vec![vec![Vec::new(); changes.len() + 1]; patterns.len() + 1];
         for (index, &seed) in fingers.iter().enumerate() {
             let finger = Finger::new(SkinModel::AFFERENTS, seed);
@@ -138,6 +152,14 @@ pub(super) fn run(asked: &Judge) -> Result<ExitCode> {
                 let (seconds, noise) = (seconds_of(of), asked.seed.wrapping_add(2));
                 let felt = response_of(&finger, &of.pattern, seconds, noise)?;
                 line[0].push(compared(&felt, seconds));
+                of_first.get_or_insert_with(|| Felt {
+                    finger: seed,
+                    pattern: of.name.clone(),
+                    seconds,
+                    afferents: finger.afferents().iter().map(Placed::of).collect(),
+                    object_spikes_s: real.clone(),
+                    pattern_spikes_s: felt,
+                });
                 for (column, change) in changes.iter().enumerate() {
                     let felt = change.response(asked.seed, seed, &of.pattern, seconds, noise)?;
                     line[column + 1].push(compared(&felt, seconds));
@@ -145,11 +167,11 @@ pub(super) fn run(asked: &Judge) -> Result<ExitCode> {
             }
             progress((index + 1) as f64 / fingers.len() as f64);
         }
-        Ok(by_line)
+        Ok((by_line, of_first.expect("there are fingers, and the methods' patterns")))
     })?;
     let names = std::iter::once("the object again".to_owned()).chain(patterns.into_iter().map(|of| of.name));
     let lines = names.zip(&judged).map(|(name, of_fingers)| line(name, of_fingers, changes)).collect();
-    let document = Document { object: object.name().to_owned(), fingers, seconds, lines };
+    let document = Document { object: object.name().to_owned(), fingers, seconds, lines, felt };
     give(asked.output.json, &document, || table(&document) + &robustness::table(&document.lines, changes))
 }
 

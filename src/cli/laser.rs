@@ -15,7 +15,6 @@ use crate::session_record::utc_now;
 use anyhow::{Result, anyhow, bail};
 use firmware_protocol::tick::Tick;
 use meissner_api::{CalibrateRequest, CalibrationReport, PlayAccepted, Status};
-use meissner_report::plot_laser;
 use meissner_stream::calibrate::{
     Calibration, Figure, LaserFit, Layout, MAX_BYTES, MAX_PLAN_BYTES, MAX_RECORDING_BYTES, PlayedOn,
     PlayedPlan, Recording, fit_recording,
@@ -76,7 +75,6 @@ pub(super) struct Fit<'a> {
     pub(super) recording: &'a Path,
     pub(super) plan: &'a Path,
     pub(super) layout: &'a Layout,
-    pub(super) plot: Option<&'a Path>,
     pub(super) out: Option<&'a Path>,
     pub(super) options: &'a ClientOptions,
 }
@@ -96,14 +94,10 @@ pub(super) fn fit(asked: &Fit<'_>) -> Result<ExitCode> {
     let plan = files::text(asked.plan, MAX_PLAN_BYTES as u64, "plan")?;
     let plan = PlayedPlan::parse(&plan).map_err(|error| at(asked.plan, &error))?;
     let bytes = files::bytes(asked.recording, MAX_RECORDING_BYTES as u64, "CSV")?;
-    let plot = asked.plot.map(files::beside).transpose()?;
     let recording = Recording::read(&bytes, asked.layout).map_err(|error| at(asked.recording, &error))?;
     drop(bytes);
     let found = fit_recording(&plan, &recording).map_err(|error| at(asked.recording, &error))?;
     let new = found.calibration(&plan).map_err(|error| at(asked.plan, &error))?;
-    if let Some(plot) = plot {
-        plot.write(&plot_laser(&found))?;
-    }
     let file = match asked.out {
         Some(out) => add_to(out, new)?,
         None => asked.options.client()?.put::<CalibrationReport>("/v1/calibration", new.to_toml())?.file,

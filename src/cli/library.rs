@@ -1,22 +1,18 @@
-//! Commands about patterns and motors: list, show, import, remove, motor.
+//! Commands about stored patterns: list, show, import, remove.
 //!
-//! `import` checks the file before it sends it, so that errors name the file and line; the daemon checks again. `motor`
-//! needs no daemon.
+//! `import` checks the file before it sends it, so that errors name the file and line; the daemon checks again.
 
 use super::arguments::ClientOptions;
+use super::motions::{MotionOptions, Motions};
 use super::output::give;
 use super::pattern_file::{self, Found};
 use super::text;
 use crate::array::details;
 use anyhow::Result;
 use meissner_api::{ImportedPattern, RemovedPattern};
-use meissner_array::motor::SteadyState;
-use meissner_array::motor::hand_vibration::{daily_exposure_m_s2, weighted_acceleration_m_s2};
 use meissner_array::pattern::Pattern;
 use meissner_array::spec::Array;
 use meissner_client::escape;
-use meissner_report::{MotionOptions, Motions};
-use serde::Serialize;
 use serde_json::Value;
 use std::path::Path;
 use std::process::ExitCode;
@@ -117,40 +113,4 @@ pub(super) fn import(options: &ClientOptions, file: &Path, replace: bool) -> Res
 pub(super) fn remove(options: &ClientOptions, name: &str) -> Result<ExitCode> {
     let removed: RemovedPattern = options.client()?.delete(&format!("/v1/patterns/{}", escape(name)))?;
     give(options.output.json, &removed, || format!("removed {} (sha256 {})", removed.name, removed.sha256))
-}
-
-/// The figures of a drive that `motor` shows.
-#[derive(Serialize)]
-struct MotorReport {
-    #[serde(flatten)]
-    steady: SteadyState,
-    /// Acceleration, weighted by ISO 5349-1, which is about tools.
-    weighted_acceleration_m_s2: f64,
-    hours: f64,
-    /// A(8) for the given hours a day.
-    daily_exposure_m_s2: f64,
-}
-
-pub(super) fn motor(
-    array: Array,
-    frequency_hz: f64,
-    amplitude_um: f64,
-    hours: f64,
-    json: bool,
-) -> Result<ExitCode> {
-    let steady = SteadyState::of(array, frequency_hz, amplitude_um)?;
-    let weighted = weighted_acceleration_m_s2(array, frequency_hz, amplitude_um)?;
-    let daily = daily_exposure_m_s2(weighted, hours);
-    let saturated = if steady.saturated { ", saturated: a period is too short for more" } else { "" };
-    let report =
-        MotorReport { steady, weighted_acceleration_m_s2: weighted, hours, daily_exposure_m_s2: daily };
-    give(json, &report, || {
-        text::pairs(&[
-            ("peak to peak", format!("{:.2} um (ideal)", steady.peak_to_peak_um)),
-            ("as played", format!("{:.2} um", steady.played_peak_to_peak_um)),
-            ("pulses", format!("{} each way{saturated}", steady.pulses)),
-            ("acceleration", format!("{weighted:.2} m/s2, weighted as of a tool (ISO 5349-1)")),
-            ("A(8)", format!("{daily:.2} m/s2 for {hours} h a day; see docs/explanation/participants.md")),
-        ])
-    })
 }

@@ -25,6 +25,8 @@ mod judge;
 mod laser;
 mod library;
 mod manual;
+mod motions;
+mod motor;
 mod object;
 mod optimise;
 mod output;
@@ -33,7 +35,6 @@ mod pattern_file;
 mod plan;
 mod progress;
 mod render;
-mod report;
 mod sequence;
 mod session;
 mod session_token;
@@ -45,6 +46,7 @@ mod validate;
 mod watch;
 
 pub use files::text as text_of_file;
+pub use motions::{FollowingError, steps_of};
 pub use output::give;
 pub use text::{columns, number};
 
@@ -52,7 +54,7 @@ use crate::config::Source;
 use crate::daemon::{self, Daemon, DaemonError, Signals};
 use crate::{log, search};
 use anyhow::{Result, anyhow};
-use arguments::{ClientOptions, Output, PaperArrayOption, hours, measured, positive};
+use arguments::{ClientOptions, Output, PaperArrayOption, measured, positive};
 use clap::{CommandFactory, Parser, Subcommand};
 use meissner_api::ArmRequest;
 use meissner_stream::device::Spec;
@@ -232,21 +234,7 @@ enum Command {
     #[command(subcommand)]
     Token(token::Token),
     /// Compute the steady state of a drive by the motor model, and its daily exposure
-    Motor {
-        #[command(flatten)]
-        array: PaperArrayOption,
-        /// Drive with F Hz
-        #[arg(long, value_name = "F", allow_negative_numbers = true)]
-        frequency_hz: f64,
-        /// Drive with A um, peak to peak
-        #[arg(long, value_name = "A", allow_negative_numbers = true)]
-        amplitude_um: f64,
-        /// Compute the daily exposure of H hours, 0 to 24
-        #[arg(long, value_name = "H", default_value_t = 2.0, allow_negative_numbers = true, value_parser = hours)]
-        hours: f64,
-        #[command(flatten)]
-        output: Output,
-    },
+    Motor(motor::Motor),
     /// Pack a pattern with its sample files; compute what motors will do with its motions
     #[command(subcommand)]
     Pattern(pattern::Pattern),
@@ -261,8 +249,7 @@ enum Command {
     /// Compare what fingers feel of a pattern with what they feel of the real object
     Judge(judge::Judge),
     /// Compare simulation methods on this machine: time against error
-    #[command(name = "tradeoff")]
-    MethodTradeoff(tradeoff::MethodTradeoff),
+    Tradeoff(tradeoff::Tradeoff),
     /// Predict whether a finger can tell patterns apart: d', per cent correct, confusion matrix
     Discriminate(discriminate::Discriminate),
     /// Compare both models of skin and afferents with published figures
@@ -273,8 +260,6 @@ enum Command {
         /// The folder
         folder: PathBuf,
     },
-    /// Draw figures of the models and of patterns, as SVG and CSV, and a page that shows them
-    Report(report::Report),
     /// Draw an array, or write the description of a new one
     #[command(subcommand)]
     Array(array::Array),
@@ -361,21 +346,18 @@ fn run(command: Command) -> Result<ExitCode> {
         Command::Answer(asked) => answer::run(asked),
         Command::Session(asked) => session::run(&asked),
         Command::Token(asked) => token::run(&asked),
-        Command::Motor { array, frequency_hz, amplitude_um, hours, output } => {
-            library::motor(array.find()?, frequency_hz, amplitude_um, hours, output.json)
-        }
+        Command::Motor(asked) => motor::run(&asked),
         Command::Array(asked) => array::run(asked),
         Command::Pattern(asked) => pattern::run(&asked),
         Command::Displacement(asked) => displacement::run(&asked),
         Command::Simulate(asked) => simulate::run(&asked),
         Command::Optimise(asked) => optimise::run(&asked),
-        Command::MethodTradeoff(asked) => tradeoff::run(&asked),
+        Command::Tradeoff(asked) => tradeoff::run(&asked),
         Command::Render(asked) => render::run(&asked),
         Command::Judge(asked) => judge::run(&asked),
         Command::Discriminate(asked) => discriminate::run(&asked),
         Command::Validate(asked) => validate::run(&asked),
         Command::Manual { folder } => manual::manual(&folder).map(|()| ExitCode::SUCCESS),
-        Command::Report(asked) => report::run(&asked),
         Command::Doctor { device, array, board, seconds, options } => {
             doctor::run(device, array.find()?, board, Duration::from_secs_f64(seconds), &options)
         }

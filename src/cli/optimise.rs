@@ -13,9 +13,10 @@ use super::progress::Search;
 use super::{files, pattern_file, text};
 use anyhow::{Result, anyhow, bail};
 use clap::Args;
+use meissner_array::pattern::Pattern;
 use meissner_design::{
-    Baseline, Budget, ByModel, Ended, Goal, MAX_BYTES, Made, Models, Request, Robustness, Setting, Target,
-    Verdict, make, populations, shipped, shipped_names,
+    Baseline, Budget, ByModel, Ended, Found, Goal, MAX_BYTES, Made, Models, Request, Robustness, Setting,
+    Step, Target, Verdict, make, populations, shipped, shipped_names,
 };
 use meissner_input::message::nearest;
 use meissner_skin::ModelName;
@@ -112,9 +113,51 @@ struct Document<'a> {
     pulses_per_s: f64,
     robustness: &'a Robustness,
     warnings: Vec<String>,
+    /// The points that the search went through, each better than those before it in its stage.
+    trace: Vec<Traced>,
+    /// The first of them as the text of a pattern file; none for a moving target.
+    start: Option<String>,
     /// The pattern file's text.
     pattern: String,
     wall_s: f64,
+}
+
+/// A point that the search went through, simulated for `duration_s`.
+#[derive(Debug, Serialize)]
+struct Traced {
+    frame: usize,
+    evaluations: u64,
+    duration_s: f64,
+    on_hz: f64,
+    off_hz: f64,
+    cost_hz: f64,
+}
+
+/// The points of all frames.
+fn trace_of(made: &Made) -> Vec<Traced> {
+    let of = |(frame, found): (usize, &Found)| {
+        let traced = |step: &Step| Traced {
+            frame,
+            evaluations: step.spent.evaluations,
+            duration_s: step.duration_s,
+            on_hz: step.score.on_hz,
+            off_hz: step.score.off_hz,
+            cost_hz: step.score.cost_hz(),
+        };
+        found.trace.iter().map(traced).collect::<Vec<_>>()
+    };
+    made.found.iter().enumerate().flat_map(of).collect()
+}
+
+/// The pattern that the search of a target at rest began with.
+fn start_of(target: &Target, made: &Made) -> Result<Option<String>> {
+    let [found] = &made.found[..] else { return Ok(None) };
+    let Some(first) = found.trace.first() else { return Ok(None) };
+    let drives = first.point.drives(target.amplitude_um(), None, None);
+    let pattern = &made.pattern;
+    let start =
+        Pattern::new(pattern.array(), pattern.name(), pattern.duration_s(), drives, toml::Table::new())?;
+    Ok(Some(start.to_toml()))
 }
 
 /// What the array that was asked for has changed of the target.
@@ -212,6 +255,8 @@ pub(super) fn run(asked: &Optimise) -> Result<ExitCode> {
         pulses_per_s: made.pulses_per_s,
         robustness: &made.robustness,
         warnings: lowered(&of_file, &target).into_iter().chain(target.warnings()).collect(),
+        trace: trace_of(&made),
+        start: start_of(&target, &made)?,
         pattern: text,
         wall_s: begun.elapsed().as_secs_f64(),
     };

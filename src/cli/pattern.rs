@@ -1,6 +1,7 @@
 //! `pattern`: packs a pattern with its sample files, and says what motors will do with its motions. It needs no daemon.
 
 use super::arguments::{ArrayOption, Output, positive};
+use super::motions::{GridRow, MotionOptions, MotionTradeoff, Motions, motion_tradeoff};
 use super::output::{give, say_file, tell};
 use super::{files, pattern_file, progress, text};
 use crate::receipts::Order;
@@ -9,7 +10,6 @@ use anyhow::{Result, bail};
 use clap::{Args, Subcommand};
 use meissner_array::pattern::{Form, Motion, Pattern as Played};
 use meissner_array::strokes::StrokeOptions;
-use meissner_report::{GridRow, MotionOptions, MotionTradeoff, Motions, motion_tradeoff};
 use serde::Serialize;
 use std::fs;
 use std::path::{Path, PathBuf};

@@ -4,6 +4,7 @@
 
 mod motions;
 mod receipt;
+mod segments;
 
 pub(super) use motions::{measured, motions};
 pub(super) use receipt::{
@@ -21,7 +22,7 @@ use meissner_api::{
 };
 use meissner_array::pattern::Drive;
 use meissner_array::units::TickRate;
-use meissner_report::figures::segments;
+use segments::segments;
 use serde_json::Value;
 use std::fmt::Write;
 

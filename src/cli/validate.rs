@@ -5,8 +5,8 @@ use super::output::give;
 use super::{progress, text};
 use anyhow::Result;
 use clap::Args;
-use meissner_report::{Case, Finding, Published, Validation, ValidationVerdict, validate};
 use meissner_skin::ModelName;
+use meissner_skin::validate::{Case, Finding, Published, Validation, ValidationVerdict, validate};
 use std::process::ExitCode;
 
 #[derive(Debug, Args)]

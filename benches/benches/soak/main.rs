@@ -10,14 +10,14 @@
 //! the host's since the first onset. A real-time thread of the highest priority measures how long the machine itself stands still.
 //! A play that such a stall ends is counted, and the next one begins.
 //!
-//! It prints a row for each phase, and writes all samples to `soak.csv`, a drawing to `soak.svg`, and the daemon's log to `soak.log` in the
+//! It prints a row for each phase, and writes all samples to `soak.csv`, and the daemon's log to `soak.log` in the
 //! folder `OUT` [.]. It asserts nothing, but it ends with an error if the daemon does.
 //!
 //! - [`loads`]: what runs beside it.
-//! - [`drawing`]: the samples as files.
+//! - [`table`]: the samples as a file.
 
-mod drawing;
 mod loads;
+mod table;
 
 use firmware_protocol::tick::Tick;
 use loads::{PHASES, Place, repeat};
@@ -188,7 +188,7 @@ fn run() -> Done {
             if let Some(last) = samples.last() {
                 row(name, &first, last);
                 // Write the files after each phase, in case a later one never ends.
-                drawing::keep(&out, &samples, &bounds)?;
+                table::keep(&out, &samples, &bounds)?;
             }
             if ended.load(Ordering::Relaxed) || sampled.is_err() {
                 break;

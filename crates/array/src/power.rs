@@ -13,7 +13,7 @@ use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 
 /// The supply of a rail, V.
-pub const RAIL_V: f64 = 30.0;
+const RAIL_V: f64 = 30.0;
 /// Default capacitance of a motor, nF. It yields the 50 mA that the LT3572's typical application needs at 30 V for two motors at 70
 /// kHz.
 pub const CAPACITANCE_NF: f64 = 3.0;

@@ -31,7 +31,7 @@ struct Document<'a> {
 
 /// An afferent.
 #[derive(Debug, Serialize)]
-pub(super) struct Placed {
+pub(in crate::cli) struct Placed {
     class: Class,
     row: u8,
     x_mm: f64,
@@ -39,7 +39,7 @@ pub(super) struct Placed {
 }
 
 impl Placed {
-    pub(super) fn of(&Afferent { class, row, at }: &Afferent) -> Self {
+    pub(in crate::cli) fn of(&Afferent { class, row, at }: &Afferent) -> Self {
         Self { class, row, x_mm: at.x_mm, y_mm: at.y_mm }
     }
 }

@@ -1,11 +1,17 @@
 //! `simulate`: simulates the afferents of a scene, by the model it names, or those of a fingertip on a pattern. It needs no daemon.
 //!
-//! Scenes of the first model are here, of the second in `afferents`; `pattern` has patterns.
+//! Scenes of the first model are here, of the second in `afferents`; `pattern` has patterns. `label` names a method, `skipped` the work
+//! that was not needed.
 //!
 //! Invariant: a scene that is too large is not read into memory.
 
 mod afferents;
+mod label;
 mod pattern;
+mod skipped;
+
+pub(super) use afferents::Placed;
+pub(super) use label::MethodLabel;
 
 use crate::cli::arguments::{ArrayOption, FITS, Output, choice, positive};
 use crate::cli::output::give;
@@ -14,13 +20,13 @@ use anyhow::Result;
 use clap::error::ErrorKind;
 use clap::{Args, ValueEnum};
 use meissner_api::Fit;
-use meissner_report::{Count, MethodLabel, Reason};
 use meissner_skin::membrane::Position;
 use meissner_skin::{
     Answer, AnyScene, Integrator, Keep, MAX_JSON_BYTES, Method, ModelName, Options, Precision, Scene,
     Stepping, choose, simulate,
 };
 use serde::Serialize;
+use skipped::{Count, Reason, reasons};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -170,7 +176,7 @@ pub(super) fn run(asked: &Simulate) -> Result<ExitCode> {
         chosen,
         spikes_s: answer.spikes_s.as_deref(),
         rates_hz: answer.rates_hz(&scene),
-        skipped: meissner_report::reasons(&answer.skipped),
+        skipped: reasons(&answer.skipped),
         wall_s: begun.elapsed().as_secs_f64(),
     };
     give(asked.output.json, &document, || summary(&scene, &answer, &document))

@@ -1,7 +1,7 @@
 //! What motors do with the motions of a pattern, as text.
 
 use super::{columns, number};
-use meissner_report::{FollowedMotor, Motions};
+use crate::cli::motions::{FollowedMotor, Motions};
 
 /// A row per motor, and what all of them need.
 pub(in crate::cli) fn motions(found: &Motions) -> String {

@@ -87,13 +87,6 @@ impl Array {
         Ok(array)
     }
 
-    /// Whether the program has its description.
-    #[must_use]
-    pub fn is_shipped(self) -> bool {
-        let known = KNOWN.read().unwrap_or_else(PoisonError::into_inner);
-        known.iter().take(SHIPPED.len()).any(|shipped| *shipped == self)
-    }
-
     /// Its description, for the rest of the program.
     #[must_use]
     pub const fn spec(self) -> &'static ArraySpec {

@@ -128,12 +128,6 @@ impl Scene {
         self.seed
     }
 
-    /// The scene with noise of another seed.
-    #[must_use]
-    pub fn with_seed(&self, seed: u64) -> Self {
-        Self { seed, ..self.clone() }
-    }
-
     /// The drives of the motors; none if something else moves the pins.
     #[must_use]
     pub fn drives(&self) -> Option<&[Drive]> {
