@@ -97,7 +97,7 @@ impl Daemon {
         record.add(Note::DaemonStarted { version, pid, wanted });
         let mut account = Account::new(config.participant);
         if let Some(location) = &config.logbook {
-            sums::restore(&mut account, sums::read(&location.dir));
+            sums::restore(&mut account, &sums::read(&location.dir));
         }
         engine.lock().exposure = Exposure::new(account);
         engine.lock().sessions.set_silence(Duration::from_secs_f64(config.session_silence_s));

@@ -27,6 +27,7 @@ mod writer;
 pub use budget::BYTES_PER_DAY;
 pub use entry::{CommandEntry, Entry, NetworkPeer, Note, Peer, TokenId};
 pub use ledger::SessionLosses;
+pub use days::has_plays;
 pub use lines::RecordError;
 pub use texts::{keeps_text, read_text};
 pub use users::Users;

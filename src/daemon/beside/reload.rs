@@ -56,7 +56,7 @@ fn reload(source: &Source, running: &mut Config, engine: &Engine, store: &Shared
         && engine.lock().exposure.unknown().is_some()
     {
         let read = sums::read(&location.dir);
-        sums::restore(&mut engine.lock().exposure, read);
+        sums::restore(&mut engine.lock().exposure, &read);
     }
     let problem = apply(source, running, engine, store, &mut applied).err();
     engine.session_record().add(Note::Reloaded { changed: applied.clone(), problem: problem.clone() });
