@@ -39,6 +39,8 @@ use std::time::Duration;
 use tokio::sync::{oneshot, watch};
 use tracing::{info, warn};
 
+/// How long reading the session record after the start may take.
+const RECORD_TIMEOUT: Duration = Duration::from_secs(60);
 /// How long closing the session record may take; a service manager waits longer.
 const CLOSE_TIMEOUT: Duration = Duration::from_secs(6);
 /// How long the streamer may take to end after its answer to the shutdown.
@@ -170,6 +172,8 @@ impl Daemon {
         // A client's first command may have started the daemon: give the device time to connect.
         engine.first_device().await;
         let router = http::router(App::new(Arc::clone(&engine), store.clone(), &bounds, Arc::clone(&counts)));
+        let looking = Arc::clone(&engine);
+        tokio::spawn(async move { http::look_for_losses(&looking, RECORD_TIMEOUT).await });
         let server = Server::new(Arc::clone(&engine), router, bounds, counts);
         let server = tokio::spawn(server.serve(handovers, closing));
         let reloads =
