@@ -4,7 +4,7 @@ use crate::harness::{
     Daemon, PATIENT, complaint, document, ended, printed, problem, refusal, wait_until, write_pattern,
 };
 use crate::live::{Lines, start};
-use meissner_api::{EndCause, PlayState, Status};
+use meissner_api::{DoctorReport, EndCause, PlayState, Status};
 use rustix::process::Signal;
 use serde_json::{Value, json};
 use std::fs;
@@ -162,8 +162,15 @@ fn a_restart_and_a_kill_keep_the_days_sum() {
         assert!(daemon.end().success());
         assert_eq!(fs::read_to_string(&file).unwrap(), *bad, "it stays for who looks");
     }
+    // Nor does one that is missing although there were plays go unsaid.
     fs::remove_file(&file).unwrap();
-    assert_eq!(used(&launch()), 0.0);
+    let daemon = launch();
+    let says = "`exposure.json` is missing, but the session record has plays of today";
+    daemon.wait_for_log(says);
+    assert_eq!(used(&daemon), 0.0);
+    assert!(printed(daemon.meissner().arg("status")).contains(says));
+    let doctor: DoctorReport = daemon.client().get("/v1/doctor").unwrap();
+    assert!(doctor.findings.iter().any(|finding| finding.found.contains(says)), "{doctor:?}");
 }
 
 /// Plays a little shorter than the limit, each at a fixed time a moment after the one before was stopped.

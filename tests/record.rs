@@ -1,8 +1,6 @@
 //! The session record under faults: full and read-only disks, kills, clock jumps, and the messages of commands.
 
-use crate::harness::{
-    Daemon, PATIENT, TIMEOUT, complaint, document, ended, next, printed, problem, wait_until,
-};
+use crate::harness::{Daemon, TIMEOUT, complaint, document, ended, next, printed, problem, wait_until};
 use crate::sessions::{exported, owner};
 use meissner_api::{DoctorReport, Event, Level, Receipt, Session, SessionList, Status};
 use meissner_client::{Client, Events};
@@ -36,11 +34,11 @@ fn a_session_on_a_full_disk_is_told_at_once_and_after_a_restart() {
     let mut events = client.events().unwrap();
     play(&mut client, &mut events, 2);
     end(&mut client);
+    let (mut client, second) = owner(&daemon, "P08", false);
     let _: SessionList = client.get("/v1/sessions").unwrap();
     let full = fs::metadata(&days(&daemon)[0]).unwrap().len();
     daemon.limit_files(Some(full));
-    // Nothing of this session is written, from its start to its end.
-    let (mut client, second) = owner(&daemon, "P08", false);
+    // Nothing of this session is written after its start.
     play(&mut client, &mut events, 4);
     let _: SessionList = client.get("/v1/sessions").unwrap();
     let status: Status = client.get("/v1/status").unwrap();
@@ -119,19 +117,7 @@ fn a_session_that_still_runs_is_not_whole() {
 }
 
 #[test]
-fn a_read_only_directory_and_a_killed_daemon_are_told() {
-    // No file can be made in this place.
-    let daemon = Daemon::with("mock", &format!("{PATIENT}logbook_dir = \"/sys/kernel/logbook\"\n"));
-    let (mut client, started) = owner(&daemon, "P07", false);
-    let mut events = client.events().unwrap();
-    play(&mut client, &mut events, 1);
-    let session = end(&mut client);
-    assert_eq!((session.plays, session.plays_lost), (1, 1));
-    let (listed, warning) = list(&daemon, 1);
-    assert!(listed.contains("1 of 1 plays") && warning.contains("cannot be written"), "{listed}{warning}");
-    let line = complaint(daemon.meissner().args(["session", "export", &started.id]));
-    assert!(line.contains("1 of 1 plays are missing"), "{line}");
-
+fn a_killed_daemon_is_told() {
     let mut daemon = Daemon::start();
     let (mut client, started) = owner(&daemon, "P07", false);
     let mut events = client.events().unwrap();
@@ -237,38 +223,69 @@ fn warnings(client: &mut Client) -> String {
 /// Something that happens to the record's directory, or to the file of the day.
 type Damage = fn(&Daemon, &Path, &Path);
 
+/// What makes the record unwritable, and what ends that.
+const UNWRITABLE: [(Damage, Damage); 3] = [
+    // A file in the directory's place.
+    (
+        |_, folder, _| {
+            fs::rename(folder, folder.with_extension("away")).unwrap();
+            fs::write(folder, "").unwrap();
+        },
+        |_, folder, _| {
+            fs::remove_file(folder).unwrap();
+            fs::rename(folder.with_extension("away"), folder).unwrap();
+        },
+    ),
+    // A directory in the file's place.
+    (
+        |_, _, day| {
+            fs::rename(day, day.with_extension("away")).unwrap();
+            fs::create_dir(day).unwrap();
+        },
+        |_, _, day| {
+            fs::remove_dir(day).unwrap();
+            fs::rename(day.with_extension("away"), day).unwrap();
+        },
+    ),
+    // A full disk.
+    (
+        |daemon, _, day| daemon.limit_files(Some(fs::metadata(day).unwrap().len())),
+        |daemon, _, _| daemon.limit_files(None),
+    ),
+];
+
+#[test]
+fn no_session_starts_while_its_start_cannot_be_recorded() {
+    let daemon = Daemon::start();
+    let mut client = daemon.armed();
+    for (damage, repair) in UNWRITABLE {
+        daemon.wait_for_record();
+        let day = days(&daemon).remove(0);
+        let folder = day.parent().unwrap();
+        let before = client.get::<SessionList>("/v1/sessions").unwrap().sessions.len();
+        damage(&daemon, folder, &day);
+        let start =
+            |client: &mut Client| client.post::<Value>("/v1/sessions", &json!({"participant": "P07"}));
+        for _ in 0..2 {
+            let refused = problem(start(&mut client));
+            let says = "no session was started: the session record cannot be written: ";
+            assert!(refused.code == "store" && refused.detail.starts_with(says), "{refused:?}");
+            assert_eq!(status(&mut client).session, None);
+        }
+        let line = complaint(daemon.meissner().args(["session", "start", "--participant", "P07"]));
+        assert!(line.contains("no session was started"), "{line}");
+        repair(&daemon, folder, &day);
+        wait_until(|| start(&mut client).is_ok());
+        let over = end(&mut client);
+        assert_eq!((over.lost, over.plays_lost), (0, 0));
+        let list: SessionList = client.get("/v1/sessions").unwrap();
+        assert_eq!(list.sessions.len(), before + 1, "{list:?}");
+    }
+}
+
 #[test]
 fn an_answer_that_cannot_be_recorded_is_refused_and_everybody_is_told() {
-    let kinds: [(Damage, Damage); 3] = [
-        // A file in the directory's place.
-        (
-            |_, folder, _| {
-                fs::rename(folder, folder.with_extension("away")).unwrap();
-                fs::write(folder, "").unwrap();
-            },
-            |_, folder, _| {
-                fs::remove_file(folder).unwrap();
-                fs::rename(folder.with_extension("away"), folder).unwrap();
-            },
-        ),
-        // A directory in the file's place.
-        (
-            |_, _, day| {
-                fs::rename(day, day.with_extension("away")).unwrap();
-                fs::create_dir(day).unwrap();
-            },
-            |_, _, day| {
-                fs::remove_dir(day).unwrap();
-                fs::rename(day.with_extension("away"), day).unwrap();
-            },
-        ),
-        // A full disk.
-        (
-            |daemon, _, day| daemon.limit_files(Some(fs::metadata(day).unwrap().len())),
-            |daemon, _, _| daemon.limit_files(None),
-        ),
-    ];
-    for (damage, repair) in kinds {
+    for (damage, repair) in UNWRITABLE {
         let daemon = Daemon::start();
         let (mut client, started) = owner(&daemon, "P07", false);
         let mut events = client.events().unwrap();
@@ -376,6 +393,66 @@ fn lines_that_somebody_takes_away_are_told_at_the_next_call() {
     all_told(&daemon);
 }
 
+/// Nobody writes after the damage, and what stays has the newest entry: list, status and doctor look by themselves.
+#[test]
+fn acknowledged_answers_that_somebody_takes_away_are_told_without_a_further_entry() {
+    fn without_answer(day: &Path) -> String {
+        let text = fs::read_to_string(day).unwrap();
+        text.split_inclusive('\n').filter(|line| !line.contains("\"answered\"")).collect()
+    }
+    let kinds: [(&str, fn(&Path)); 6] = [
+        ("status", |day| fs::remove_file(day).unwrap()),
+        ("doctor", |day| fs::rename(day, day.with_extension("away")).unwrap()),
+        ("list", |day| drop(File::create(day).unwrap())),
+        // As an editor saves it, and as `sed -i` does.
+        ("status", |day| fs::write(day, without_answer(day)).unwrap()),
+        ("doctor", |day| {
+            fs::write(day.with_extension("other"), without_answer(day)).unwrap();
+            fs::rename(day.with_extension("other"), day).unwrap();
+        }),
+        ("list", |day| {
+            let file = File::options().write(true).open(day).unwrap();
+            file.set_len(file.metadata().unwrap().len() / 2).unwrap();
+        }),
+    ];
+    let doctor = |daemon: &Daemon| {
+        let report: DoctorReport = daemon.client().get("/v1/doctor").unwrap();
+        report.findings.iter().any(|finding| finding.what == "logbook" && finding.level == Level::Warn)
+    };
+    let is_told = |status: &Status| status.logbook_problem.is_some() || status.logbook_lost > 0;
+    for (kind, (first, damage)) in kinds.into_iter().enumerate() {
+        let mut daemon = Daemon::start();
+        let (mut client, started) = owner(&daemon, "P07", false);
+        let mut events = client.events().unwrap();
+        play(&mut client, &mut events, 1);
+        daemon.wait_for_prediction();
+        let _: Value = client.post("/v1/plays/1/answer", &json!({"response": "left"})).unwrap();
+        // The entry of the command, too.
+        list(&daemon, 0);
+        assert!(!is_told(&status(&mut client)) && !doctor(&daemon));
+        damage(&days(&daemon).remove(0));
+        match first {
+            // The disk may take longer than a status waits.
+            "status" => wait_until(|| is_told(&status(&mut daemon.client()))),
+            "doctor" => wait_until(|| doctor(&daemon)),
+            _ => drop(list(&daemon, 1)),
+        }
+        assert!(doctor(&daemon), "{kind} {first}");
+        list(&daemon, 1);
+        let now = status(&mut client);
+        assert!(now.session.as_ref().is_some_and(|session| session.lost > 0), "{kind} {first}: {now:?}");
+        assert!(end(&mut client).lost > 0, "{kind} {first}");
+        let line = complaint(daemon.meissner().args(["session", "export", &started.id]));
+        assert!(line.contains("is not whole in the record"), "{kind} {first}: {line}");
+        // The next daemon tells it, too.
+        daemon.end();
+        let daemon = daemon.again();
+        wait_until(|| status(&mut daemon.client()).logbook_problem.is_some());
+        assert!(doctor(&daemon), "{kind} {first}");
+        list(&daemon, 1);
+    }
+}
+
 /// Others send bad requests while the disk is full: their entries are lost, but the session lacks nothing.
 #[test]
 fn lost_requests_of_others_do_not_count_against_a_session() {
@@ -467,6 +544,22 @@ fn sessions_that_vanish_with_their_file_are_told() {
             fs::write(path, &before).unwrap();
         }
     }
+    // Lines inside the file of an old day, while the daemon runs and while none does.
+    let inside = second + 2;
+    for stops in [false, true] {
+        whole(&daemon);
+        if stops {
+            daemon.end();
+        }
+        write(&parts[1], &[&lines[second..inside - 1], &lines[inside..third]].concat());
+        if stops {
+            daemon = daemon.again();
+            wait_until(|| status(&mut daemon.client()).logbook_problem.is_some());
+        }
+        told(&daemon, &format!("entries {inside} to {inside} of the session record are missing"));
+        write(&parts[1], &lines[second..third]);
+    }
+    whole(&daemon);
     // The newest file, while no daemon runs: the next one knows its last number.
     daemon.end();
     fs::write(&today, "").unwrap();

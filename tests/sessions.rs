@@ -307,23 +307,26 @@ fn a_session_ends_with_its_daemon_and_the_record_says_how() {
     start(&mut daemon.client(), "P08", true);
 }
 
-/// The disk takes nothing: the session goes on, and a line reports what is missing.
+/// The disk takes nothing: no session starts, for its answers would be lost; plays without a session go on.
 #[test]
-fn a_session_survives_a_disk_that_takes_nothing() {
+fn no_session_starts_on_a_disk_that_takes_nothing() {
     let daemon = Daemon::with("mock", &format!("{PATIENT}logbook_dir = \"/sys/kernel/logbook\"\n"));
-    let (mut client, started) = owner(&daemon, "P07", true);
-    let why = started.record_problem.unwrap();
-    assert!(why.starts_with("the session record cannot be written: /sys/kernel/logbook"), "{why}");
+    let mut client = daemon.armed();
+    for _ in 0..2 {
+        let refused = problem(client.post("/v1/sessions", &json!({"participant": "P07", "exclusive": true})));
+        let says = "no session was started: the session record cannot be written: /sys/kernel/logbook";
+        assert!(refused.code == "store" && refused.detail.starts_with(says), "{refused:?}");
+    }
+    let line = complaint(daemon.meissner().args(["session", "start", "--participant", "P07"]));
+    assert!(line.contains("no session was started"), "{line}");
     let mut events = client.events().unwrap();
     let _: Value = client.post("/v1/play", &json!({"pattern": "pin-60", "seconds": 0.1})).unwrap();
-    assert_eq!(ended(&mut events).state, PlayState::Done);
+    let receipt = ended(&mut events);
+    assert_eq!((receipt.state, receipt.session), (PlayState::Done, None));
     let list: SessionList = client.get("/v1/sessions").unwrap();
-    assert_eq!(list.sessions.len(), 1, "the running one");
+    assert_eq!(list.sessions, []);
     let status: Status = client.get("/v1/status").unwrap();
-    assert!(status.logbook_problem.is_some());
-    let session: Session = client.post("/v1/sessions/running/end", &json!({})).unwrap();
-    assert_eq!(session.plays, 1);
-    assert!(events.next(Some(TIMEOUT)).unwrap().is_some());
+    assert!(status.logbook_problem.is_some() && status.session.is_none());
 }
 
 /// The disk gets full during the session, and later has space again. The system refuses the bytes in the middle of a line.
@@ -384,7 +387,8 @@ fn a_daemon_that_keeps_no_record_has_sessions_too() {
     });
     let mut daemon = daemon;
     daemon.wait_for_device();
-    let (mut client, _) = owner(&daemon, "P07", false);
+    let (mut client, started) = owner(&daemon, "P07", false);
+    assert!(started.record_problem.unwrap().contains("keeps no session record"));
     let _: Session = client.post("/v1/sessions/running/end", &json!({})).unwrap();
     let list: SessionList = client.get("/v1/sessions").unwrap();
     assert_eq!(list, SessionList::default());

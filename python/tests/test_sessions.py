@@ -352,8 +352,13 @@ def test_an_answer_that_is_not_recorded_is_an_error_and_so_is_the_end_of_its_ses
                 play.wait()
         assert m.status().raw["session"] is None
         assert m.play("pin-60", 0.05).wait().raw["session"] is None
-        # An error of the block goes first.
+        # Now none starts.
+        with pytest.raises(errors.StoreError, match="no session was started: the session record cannot"), m.session("P08"):
+            pass
+    # An error of the block goes first.
+    with unrecorded() as (daemon, damage), meissner.connect(daemon.socket) as m:
         with pytest.warns(UserWarning, match="its record has lost"), pytest.raises(ZeroDivisionError), m.session("P08"):
+            damage()
             _ = 1 / 0
 
 

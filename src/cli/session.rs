@@ -193,5 +193,6 @@ fn list(options: &ClientOptions) -> Result<ExitCode> {
             }
         }
     })?;
-    Ok(if list.unreadable > 0 { ExitCode::FAILURE } else { given })
+    let lacks = |session: &api::Session| session.lost > 0 || session.plays_lost > 0;
+    Ok(if list.unreadable > 0 || list.sessions.iter().any(lacks) { ExitCode::FAILURE } else { given })
 }

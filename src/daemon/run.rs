@@ -38,6 +38,8 @@ use std::time::Duration;
 use tokio::sync::{oneshot, watch};
 use tracing::{info, warn};
 
+/// How long reading the session record after the start may take.
+const RECORD_TIMEOUT: Duration = Duration::from_secs(60);
 /// How long closing the session record may take; a service manager waits longer.
 const CLOSE_TIMEOUT: Duration = Duration::from_secs(6);
 /// How long the streamer may take to end after its answer to the shutdown.
@@ -86,7 +88,7 @@ impl Daemon {
         record.add(Note::DaemonStarted { version, pid, wanted });
         let mut account = Account::new(config.participant);
         if let Some(location) = &config.logbook {
-            sums::restore(&mut account, sums::read(&location.dir));
+            sums::restore(&mut account, &sums::read(&location.dir));
         }
         engine.lock().exposure = Exposure::new(account);
         engine.lock().sessions.set_silence(Duration::from_secs_f64(config.session_silence_s));
@@ -151,6 +153,8 @@ impl Daemon {
         // A client's first command may have started the daemon: give the device time to connect.
         engine.first_device().await;
         let router = http::router(App::new(Arc::clone(&engine), store, &bounds, Arc::clone(&counts)));
+        let looking = Arc::clone(&engine);
+        tokio::spawn(async move { http::look_for_losses(&looking, RECORD_TIMEOUT).await });
         let server = Server::new(Arc::clone(&engine), router, bounds, counts);
         let server = tokio::spawn(server.serve(handovers, closing));
         manager.notify(Notification::Ready);

@@ -81,6 +81,11 @@ impl Account {
         self.try_restore(text, now).map_err(|why| self.lose(&why))
     }
 
+    /// Starts from 0, because there is no file. `vanished`: the date, if plays of that day must have been in it.
+    pub fn restore_none(&mut self, vanished: Option<Date>) {
+        (self.unknown, self.vanished) = (None, vanished);
+    }
+
     /// Notes that the sums are unknown. Returns why, and what to do.
     pub fn lose(&mut self, why: &str) -> Unreadable {
         let text = format!(
@@ -121,7 +126,7 @@ impl Account {
                 Stretch { used_s: used_s + longer_s, until_s: seconds(now.at) - rested_s }
             }
         };
-        (self.dates, self.stretch, self.unknown) = (dates, stretch, None);
+        (self.dates, self.stretch, self.unknown, self.vanished) = (dates, stretch, None, None);
         self.keep_few_dates();
         Ok(())
     }

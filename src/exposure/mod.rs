@@ -155,6 +155,8 @@ pub struct Account {
     last_held: u64,
     /// Why the sums are unknown: the daemon plays nothing until a person has checked the file.
     unknown: Option<String>,
+    /// The date on which there was no file, although there had been plays.
+    vanished: Option<Date>,
 }
 
 /// The name under which a participant's vibration is counted. It ignores spaces at the ends, repeated spaces, case and the width of
@@ -419,7 +421,14 @@ impl Account {
                  the file and start the daemon again"
             ))
         };
-        self.unknown.clone().or_else(later)
+        let vanished = || {
+            self.vanished.filter(|date| *date == now.date)?;
+            Some(format!(
+                "`{FILE}` is missing, but the session record has plays of today: their vibration is not in today's sums, which began \
+                 at 0 with this daemon; add it by hand before a participant goes on"
+            ))
+        };
+        self.unknown.clone().or_else(vanished).or_else(later)
     }
 
     /// Why the sums are not known.

@@ -100,9 +100,9 @@ impl Account {
         self.missing.add(tag, 1);
     }
 
-    /// Notes that an earlier daemon left a torn line, or that the record moves away from one.
-    pub(super) const fn set_torn(&mut self, is_torn: bool) {
-        self.torn = is_torn as u64;
+    /// Notes that an earlier daemon left a torn line.
+    pub(super) const fn set_torn(&mut self) {
+        self.torn = 1;
     }
 
     /// The entry that reports those missing up to this one, if there are any.
@@ -133,13 +133,32 @@ impl Account {
 
     /// Notes that the lines after this entry are gone, because somebody removed, cut or replaced their file.
     pub(super) fn lines_gone(&mut self, kept: u64) {
-        let lost = self.lock_ledger().lose_lines(kept + 1, self.settled(), self.gone);
+        let mut ledger = self.lock_ledger();
+        let lost = ledger.lose_lines(kept + 1, self.settled(), self.gone);
+        ledger.take_back(&lost);
+        drop(ledger);
         self.gone = self.settled();
         self.missing.merge(lost);
         self.next = kept + 1;
         self.durable = self.durable.min(self.next);
         self.unsynced.clear();
         self.told = Default::default();
+    }
+
+    /// Notes that the lines of these entries are gone, but not those after them: a gap in the numbers tells it. Returns whether that
+    /// is new.
+    pub(super) fn lines_missing(&mut self, first: u64, last: u64) -> bool {
+        let is_new = last > self.gone;
+        if is_new {
+            self.lock_ledger().lose_lines(first, last, self.gone);
+            self.gone = last;
+        }
+        is_new
+    }
+
+    /// Notes that the record moves: the lines so far stay elsewhere.
+    pub(super) const fn moved(&mut self) {
+        (self.torn, self.gone) = (0, self.settled());
     }
 
     /// Sets what the numbers of the lines say is missing.

@@ -89,6 +89,8 @@ pub(super) struct Ledger {
     sessions: VecDeque<SessionLosses>,
     /// What the numbers of the lines say is missing, in one line.
     pub(super) gaps: Option<String>,
+    /// What a reader of all lines has found missing, in one line.
+    pub(super) found: Option<String>,
 }
 
 impl Ledger {
@@ -128,6 +130,11 @@ impl Ledger {
         }
     }
 
+    /// Forgets a session that was not started, because its start has no line.
+    pub(super) fn forget(&mut self, id: &str) {
+        self.sessions.retain(|known| known.session.id != id);
+    }
+
     fn of(&mut self, id: &str) -> Option<&mut SessionLosses> {
         self.sessions.iter_mut().rev().find(|known| known.session.id == id)
     }
@@ -142,8 +149,8 @@ impl Ledger {
         self.pend(tag, 1);
     }
 
-    /// Counts the entries `first` to `last`, which had lines or were reported by lines, and are not any more. Those up to `known` are
-    /// counted as lost already.
+    /// Counts the entries `first` to `last` as lost, which had lines or were reported by lines, and are not any more. Those up to
+    /// `known` are counted already.
     pub(super) fn lose_lines(&mut self, first: u64, last: u64, known: u64) -> Counts {
         let mut counts = Counts::default();
         let mut rest = (last + 1).saturating_sub(first);
@@ -161,7 +168,6 @@ impl Ledger {
         if rest > 0 {
             counts.add(Tag { session: None, name: OTHERS }, rest);
         }
-        self.take_back(&counts);
         counts
     }
 

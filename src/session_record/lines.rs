@@ -160,7 +160,7 @@ impl Source {
 }
 
 /// Reads a line without its end into `line`. Returns whether it is complete and short enough; none at the end of the file.
-fn read_line(file: &mut impl BufRead, line: &mut Vec<u8>) -> io::Result<Option<bool>> {
+pub(super) fn read_line(file: &mut impl BufRead, line: &mut Vec<u8>) -> io::Result<Option<bool>> {
     line.clear();
     let (mut fits, mut any) = (true, false);
     loop {

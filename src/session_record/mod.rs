@@ -25,6 +25,7 @@ mod users;
 mod writer;
 
 pub use budget::BYTES_PER_DAY;
+pub use days::has_plays;
 pub use entry::{CommandEntry, Entry, NetworkPeer, Note, Peer, TokenId};
 pub use ledger::SessionLosses;
 pub use lines::RecordError;
@@ -53,6 +54,9 @@ const NAME_TIMEOUT: Duration = Duration::from_millis(200);
 /// Entries that may wait for the disk: more than a session has in a minute.
 pub const WAITING: usize = 1024;
 
+/// How long [`SessionRecord::look`] waits for the disk.
+const LOOK: Duration = Duration::from_millis(20);
+
 /// A message to the thread.
 #[derive(Debug)]
 enum Message {
@@ -63,6 +67,8 @@ enum Message {
     Exposure(String, oneshot::Sender<bool>),
     /// Keep a pattern's text under its SHA-256.
     Text(String, Arc<[u8]>),
+    /// Look whether the file of the day is as the daemon left it, and drop this sender.
+    Look(oneshot::Sender<()>),
     /// Drop this sender when all messages before it are written.
     Written(Sender<()>),
     /// Entries are left out: report that after [`REPORT_AFTER`].
@@ -273,15 +279,46 @@ impl SessionRecord {
         queue.as_ref().and_then(|queue| queue.problem.lock().unwrap_or_else(PoisonError::into_inner).clone())
     }
 
+    /// Forgets a session that was not started, because its start has no line.
+    pub fn forget_session(&self, id: &str) {
+        if let Some(queue) = self.lock().as_mut() {
+            queue.session.take_if(|session| **session == *id);
+            queue.lock_ledger().forget(id);
+        }
+    }
+
+    /// Finds out whether somebody has removed, cut or replaced the file of the day. Waits for at most [`LOOK`], and not at all while
+    /// the thread is busy.
+    pub(crate) async fn look(&self) {
+        let (looked, answer) = oneshot::channel();
+        let is_asked = self.lock().as_ref().is_some_and(|queue| {
+            queue.messages.is_empty() && queue.messages.try_send(Message::Look(looked)).is_ok()
+        });
+        if is_asked {
+            let _ = tokio::time::timeout(LOOK, answer).await;
+        }
+    }
+
+    /// Sets what a reader of all lines has found missing.
+    pub(crate) fn set_found(&self, missing: Option<String>) {
+        if let Some(queue) = self.lock().as_ref() {
+            queue.lock_ledger().found = missing;
+            queue.changed.notify_one();
+        }
+    }
+
     /// Notified when its problem changes, or when it loses entries; none: nothing is recorded.
     pub(crate) fn changed(&self) -> Option<Arc<Notify>> {
         self.lock().as_ref().map(|queue| Arc::clone(&queue.changed))
     }
 
-    /// What the numbers of its lines say is missing, as far as that is known without reading all of them; none if nothing.
+    /// What is missing in its files, as far as that is known without reading all of them again; none if nothing.
     #[must_use]
     pub fn gaps(&self) -> Option<String> {
-        self.lock().as_ref().and_then(|queue| queue.lock_ledger().gaps.clone())
+        self.lock().as_ref().and_then(|queue| {
+            let ledger = queue.lock_ledger();
+            ledger.gaps.clone().or_else(|| ledger.found.clone())
+        })
     }
 
     /// The entries that the record lost since it was started.
@@ -421,6 +458,10 @@ fn write_all(
             Ok(Message::Written(waiting)) => {
                 writer.check();
                 drop(waiting);
+            }
+            Ok(Message::Look(looked)) => {
+                writer.look();
+                drop(looked);
             }
             Ok(Message::LeftOut) => report = Some(Instant::now() + REPORT_AFTER),
             Ok(Message::Missed(number, missed)) => writer.miss(number, missed),

@@ -10,9 +10,10 @@
 use super::days;
 use super::lines::{self, MAX_LINE, MAX_NUMBER};
 use crate::file::open_regular;
+use jiff::civil::Date;
 use rustix::fs::OFlags;
 use std::fs::{self, OpenOptions};
-use std::io::{self, Read};
+use std::io::{self, BufReader, Read};
 use std::os::unix::fs::{FileExt, OpenOptionsExt};
 use std::path::Path;
 
@@ -32,21 +33,24 @@ pub(super) struct Found {
     pub(super) counted: u64,
     /// Gaps up to this number are files that the daemon has removed, because they were old.
     pub(super) removed: u64,
-    /// The first and the last number of each file.
+    /// The first and the last number of each file, or of each stretch of a file that was read whole.
     spans: Vec<(u64, u64)>,
 }
 
 impl Found {
-    /// Looks into a directory.
+    /// Looks into a directory. Reads the file of the day `whole`, and of the others the first and last lines.
     ///
     /// # Errors
     /// If the directory cannot be listed.
-    pub(super) fn in_dir(dir: &Path) -> io::Result<Self> {
+    pub(super) fn in_dir(dir: &Path, whole: Option<Date>) -> io::Result<Self> {
         let (counted, removed) = counted(dir);
         let mut spans = Vec::new();
         for entry in fs::read_dir(dir)? {
             let entry = entry?;
-            if entry.file_name().to_str().and_then(days::day).is_some()
+            let day = entry.file_name().to_str().and_then(days::day);
+            if day.is_some() && day == whole {
+                spans.extend(stretches(&entry.path()).unwrap_or_default());
+            } else if day.is_some()
                 && let Some(last) = last(&entry.path()).ok().flatten()
             {
                 spans.push((first(&entry.path()).ok().flatten().unwrap_or(last), last));
@@ -56,22 +60,29 @@ impl Found {
         Ok(Self { written, counted, removed, spans })
     }
 
-    /// The numbers up to `upto` that are in no file, in one line. Files that overlap, because a clock was set, count as whole.
-    pub(super) fn gaps(mut self, upto: u64) -> Option<String> {
-        self.spans.sort_unstable();
-        self.spans.push((upto + 1, upto));
+    /// The stretches of numbers that are in no file, up to the last that is, or to `upto`. Files that overlap, because a clock was
+    /// set, count as whole.
+    pub(super) fn gaps(&self, upto: u64) -> Vec<(u64, u64)> {
+        let mut spans = self.spans.clone();
+        spans.sort_unstable();
+        spans.push((upto + 1, upto));
         let mut covered = self.removed;
         let mut gaps = Vec::new();
-        for (first, last) in self.spans {
+        for (first, last) in spans {
             if first > covered + 1 {
                 gaps.push((covered + 1, first - 1));
             }
             covered = covered.max(last);
         }
-        let (first, more) = (gaps.first()?, gaps.len() - 1);
-        let more = if more == 0 { String::new() } else { format!("; so are {more} more stretches") };
-        Some(format!("{}{more}; `meissner session list` lists what is there", gap(first.0, first.1)))
+        gaps
     }
+}
+
+/// Says that these stretches of numbers are missing, in one line.
+pub(super) fn told(gaps: &[(u64, u64)]) -> Option<String> {
+    let (first, more) = (gaps.first()?, gaps.len() - 1);
+    let more = if more == 0 { String::new() } else { format!("; so are {more} more stretches") };
+    Some(format!("{}{more}; `meissner session list` lists what is there", gap(first.0, first.1)))
 }
 
 /// Says that these numbers are missing.
@@ -91,6 +102,21 @@ pub(super) fn counted(dir: &Path) -> (u64, u64) {
         text.lines().map(|line| line.trim().parse().ok().filter(|&number| number <= MAX_NUMBER));
     let mut next = || read.as_ref().ok().and_then(|_| numbers.next().flatten()).unwrap_or(0);
     (next(), next())
+}
+
+/// The stretches of numbers that a file's lines hold or report as missing.
+fn stretches(path: &Path) -> io::Result<Vec<(u64, u64)>> {
+    let (mut file, mut line) = (BufReader::new(open_regular(path)?), Vec::new());
+    let mut stretches: Vec<(u64, u64)> = Vec::new();
+    while let Some(is_whole) = lines::read_line(&mut file, &mut line)? {
+        let head = lines::head(&line).filter(|_| is_whole);
+        let numbers = head.and_then(|head| lines::first_number(&head, &line).zip(head.number));
+        match (numbers, stretches.last_mut()) {
+            (Some((first, last)), Some((_, end))) if first <= *end + 1 => *end = last.max(*end),
+            (numbers, _) => stretches.extend(numbers),
+        }
+    }
+    Ok(stretches)
 }
 
 /// The number of the first entry that a file's numbered lines hold or report as missing; none if they have no numbers.
@@ -148,7 +174,7 @@ mod tests {
     fn the_newest_number_is_that_of_any_line_or_of_the_file() {
         let dir = tempfile::tempdir().unwrap();
         let newest = |dir: &Path| {
-            let Found { written, counted, removed, .. } = Found::in_dir(dir).unwrap();
+            let Found { written, counted, removed, .. } = Found::in_dir(dir, None).unwrap();
             (written, counted, removed)
         };
         assert_eq!(newest(dir.path()), (0, 0, 0));
@@ -178,7 +204,7 @@ mod tests {
     #[test]
     fn numbers_that_are_in_no_file_are_told() {
         let gaps = |removed, spans: &[(u64, u64)], upto| {
-            Found { removed, spans: spans.to_vec(), ..Found::default() }.gaps(upto)
+            told(&Found { removed, spans: spans.to_vec(), ..Found::default() }.gaps(upto))
         };
         for (removed, spans, upto) in [
             (0, &[][..], 0),

@@ -40,6 +40,22 @@ pub struct Sessions {
     pub problems: Vec<String>,
 }
 
+impl Sessions {
+    /// What is missing, in one line; none if nothing.
+    #[must_use]
+    pub fn missing(&self) -> Option<String> {
+        let lacks = |recorded: &&Recorded| recorded.session.lost > 0 || recorded.session.plays_lost > 0;
+        let lacking = || {
+            let Session { id, lost, plays_lost, .. } = &self.recorded.iter().rfind(lacks)?.session;
+            Some(format!(
+                "session {id} lacks {lost} entries in the session record, and the ends of {plays_lost} plays"
+            ))
+        };
+        let first = self.problems.first().cloned().or_else(lacking)?;
+        Some(format!("{first}; `meissner session list` lists what is there"))
+    }
+}
+
 /// A session, and what of it is in the record.
 #[derive(Clone, Debug, Default)]
 pub struct Recorded {

@@ -17,6 +17,20 @@ mod whole;
 
 const REAL: Disk = Disk { append: |file, bytes| file.write(bytes), sync: File::sync_data };
 
+/// A disk that takes nothing while a test has the guard of [`hold`].
+const STUCK: Disk = Disk {
+    append: |file, bytes| {
+        drop(hold());
+        file.write(bytes)
+    },
+    sync: File::sync_data,
+};
+
+fn hold() -> MutexGuard<'static, ()> {
+    static HELD: Mutex<()> = Mutex::new(());
+    HELD.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
 thread_local! {
     /// The free bytes of this thread's simulated disk, and how often it was synced.
     static ROOM: Cell<usize> = const { Cell::new(usize::MAX) };
@@ -282,16 +296,8 @@ fn lines_are_synced_once_for_many_and_never_for_none() {
 /// The thread is blocked in its first line; the next line that fits counts the entries that did not.
 #[test]
 fn a_full_queue_does_not_wait_and_is_told() {
-    static HELD: Mutex<()> = Mutex::new(());
-    const STUCK: Disk = Disk {
-        append: |file, bytes| {
-            drop(HELD.lock());
-            file.write(bytes)
-        },
-        sync: File::sync_data,
-    };
     let dir = tempfile::tempdir().unwrap();
-    let held = HELD.lock().unwrap();
+    let held = hold();
     let log = SessionRecord::with(writer(dir.path(), STUCK), Arc::new(Users::default()), 8).unwrap();
     // The disk is stuck until the end of this test: an `add` that waited for it would never return.
     for entries in 100..120 {

@@ -261,21 +261,36 @@ impl Writer {
         }
     }
 
-    /// Finds out whether somebody has removed, cut or replaced files.
-    pub(super) fn check(&mut self) {
-        if !self.open.as_ref().is_some_and(Open::is_as_left) {
-            if self.open.is_some() && !self.waits_for_retry() {
-                self.tell();
-            }
-        } else if let Ok(found) = Found::in_dir(&self.location.dir) {
-            self.look_for_gaps(found);
+    /// Finds out whether somebody has removed, cut or replaced the file of the day.
+    pub(super) fn look(&mut self) {
+        if self.open.as_ref().is_some_and(|open| !open.is_as_left()) && !self.waits_for_retry() {
+            self.tell();
         }
     }
 
-    /// Looks for gaps in the numbers before those of this daemon.
-    fn look_for_gaps(&self, found: Found) {
-        let newest = self.newest();
-        self.account.set_gaps(found.gaps(newest.saturating_sub(self.account.settled())));
+    /// As [`Self::look`], and looks for gaps in the numbers.
+    pub(super) fn check(&mut self) {
+        self.look();
+        if let Some(open) = &self.open
+            && let Ok(found) = Found::in_dir(&self.location.dir, Some(open.day))
+        {
+            self.look_for_gaps(&found);
+        }
+    }
+
+    /// Looks for gaps in the numbers. Those of this daemon's own lines are losses; those after the last line are told by the next.
+    fn look_for_gaps(&mut self, found: &Found) {
+        let before = self.newest().saturating_sub(self.account.settled());
+        let (gaps, ahead) = (found.gaps(before), self.ahead.unwrap_or(0));
+        for &(first, last) in gaps.iter().filter(|(_, last)| *last > before) {
+            let first = first.max(before + 1);
+            if self.account.lines_missing(first.wrapping_sub(ahead), last.wrapping_sub(ahead)) {
+                let (dir, gap) = (self.location.dir.display(), numbers::gap(first, last));
+                warn!("{dir}: {gap}");
+                self.changed.notify_one();
+            }
+        }
+        self.account.set_gaps(numbers::told(&gaps));
     }
 
     /// The number of the newest line.
@@ -300,11 +315,12 @@ impl Writer {
             self.held = Some(BTreeSet::new());
         }
         let written = if self.waits_for_retry() { Ok(false) } else { self.try_write(stamp, number, &entry) };
-        if session == Some(false) {
+        if session == Some(false) || session.is_some() && !matches!(written, Ok(true)) {
             self.held = None;
         }
         match written {
-            Ok(true) => {
+            // Without its file, the line is lost.
+            Ok(true) if told.is_none() || self.open.as_ref().is_some_and(Open::is_as_left) => {
                 self.account.written(number, tag);
                 // Perhaps nothing waits for it any more.
                 let _ = told.map(|told| told.send(()));
@@ -499,12 +515,13 @@ impl Writer {
         let lock = lock(dir)?;
         let is_first = self.ahead.is_none();
         let (open, cut) = open(dir, &lock, day)?;
-        let found = Found::in_dir(dir).map_err(at(dir))?;
+        let found = Found::in_dir(dir, Some(day).filter(|_| !is_first)).map_err(at(dir))?;
         let Found { written, counted, removed, .. } = found;
         let settled = self.account.settled();
         if !is_first {
             let newest = self.newest();
-            self.look_for_gaps(found);
+            self.look_for_gaps(&found);
+            let dir = &self.location.dir;
             if let gone @ 1.. = newest.saturating_sub(written).min(settled) {
                 let dir = dir.display();
                 warn!("{dir}: {gone} entries are gone: somebody has removed, cut or replaced a file");
@@ -515,7 +532,7 @@ impl Writer {
             // An earlier daemon may have lost its last entries, which leaves a gap.
             self.ahead = Some(written.max(counted).wrapping_sub(settled));
             self.removal.removed = removed;
-            self.account.set_gaps(found.gaps(counted));
+            self.account.set_gaps(numbers::told(&found.gaps(counted)));
         }
         self.lock = Some(lock);
         if cut > 0 {
@@ -523,7 +540,7 @@ impl Writer {
         }
         if is_first && cut > 0 && counted <= written {
             // The content of the torn line is lost.
-            self.account.set_torn(true);
+            self.account.set_torn();
             self.ahead = self.ahead.map(|ahead| ahead.wrapping_add(1));
         }
         self.open = Some(open);

@@ -265,13 +265,13 @@ pub enum Event {
         /// The session.
         session: Box<Session>,
     },
-    /// The session record cannot be written, can again, or has lost entries.
+    /// The session record has a problem, has it no more, or has lost entries.
     #[schema(examples(json!({
         "event": "record-problem",
         "problem": "the session record cannot be written: /var/lib/meissner/logbook: No space left on device (os error 28)", "lost": 3
     })))]
     RecordProblem {
-        /// Why it cannot be written; null if it can.
+        /// Why it cannot be written, or what is missing there; null if all is well.
         #[schema(required)]
         problem: Option<String>,
         /// Entries that it lost since the daemon started.

@@ -75,7 +75,8 @@ pub struct SessionStarted {
     /// The owner's secret for `Authorization: Bearer TOKEN`. Every request with it shows that the owner is there. Once the session is
     /// over, the daemon refuses changes with it.
     pub token: String,
-    /// Why the daemon does not record the session now; null if it does.
+    /// Why the daemon does not record the session: it keeps no session record. Null if it records it; if it cannot, no session
+    /// starts.
     #[schema(required)]
     pub record_problem: Option<String>,
 }

@@ -7,6 +7,7 @@
 use crate::daemon::beside::predictor::Predictor;
 use crate::daemon::beside::service::StatusReporter;
 use crate::daemon::engine::Engine;
+use crate::exposure::{Account, Now};
 use crate::receipts::counts_until;
 use meissner_api::Event;
 use meissner_design::MOST_OBSERVED_S;
@@ -116,13 +117,15 @@ impl Engine {
         }
     }
 
-    /// Publishes that the session record cannot be written, can again, or has lost entries: what was `told` last, and when it may be
+    /// Publishes a new problem of the session record, its end, and that it has lost entries: what was `told` last, and when it may be
     /// told again that more are lost. Returns that instant if there is more to tell.
     fn tell_record(&self, told: &mut (Option<String>, u64, Instant)) -> Option<Instant> {
         let mut state = self.lock();
         let record = &state.publisher.session_record;
-        let (problem, lost) = (record.problem(), record.lost());
-        let is_more = problem.is_none() && lost > told.1;
+        let (is_written, lost) = (record.problem().is_none(), record.lost());
+        let sums = || Account::problem(&state.exposure, Now::read());
+        let problem = record.problem().or_else(sums).or_else(|| record.gaps());
+        let is_more = is_written && lost > told.1;
         if problem == told.0 && !(is_more && Instant::now() >= told.2) {
             return is_more.then_some(told.2);
         }

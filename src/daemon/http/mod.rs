@@ -16,6 +16,7 @@ mod compress;
 mod doctor;
 mod guard;
 mod handlers;
+pub(in crate::daemon) use handlers::sessions::look_for_losses;
 mod request_log;
 pub(in crate::daemon) mod server;
 

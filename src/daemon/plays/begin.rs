@@ -259,7 +259,7 @@ mod tests {
             None,
         );
         let session = SessionRequest { participant: "P07".to_owned(), ..SessionRequest::default() };
-        let id = engine.lock().start_session(session, None).unwrap().id;
+        let id = engine.lock().start_session(session, None).unwrap().0.id;
         let (request, stored) = pin(Some(id));
         let played = engine.play(&request, stored, Peer::local(1, 0), &STORED);
         assert_eq!(runtime().unwrap().block_on(played).unwrap_err().code, "timeout");

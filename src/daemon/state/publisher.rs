@@ -40,6 +40,11 @@ impl Publisher {
         if let Some(entry) = Entry::of(event, client) {
             self.session_record.add(entry);
         }
+        self.announce(event);
+    }
+
+    /// Publishes an event to the listeners alone.
+    pub(super) fn announce(&self, event: &Event) {
         if let Some(listeners) = self.listeners.as_ref().filter(|listeners| listeners.receiver_count() > 0) {
             // An error means that the last listener has gone.
             let _ = listeners.send(frame(event));

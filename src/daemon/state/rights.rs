@@ -242,7 +242,7 @@ mod tests {
     fn exclusive(engine: &Engine) -> String {
         let request =
             SessionRequest { participant: "P07".to_owned(), exclusive: true, ..SessionRequest::default() };
-        engine.lock().start_session(request, None).unwrap().token
+        engine.lock().start_session(request, None).unwrap().0.token
     }
 
     fn commands(port: &mut ThreadQueues) -> Vec<String> {

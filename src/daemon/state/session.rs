@@ -8,7 +8,7 @@
 
 use crate::daemon::state::State;
 use crate::receipts::KEPT;
-use crate::session_record::{Note, local_time};
+use crate::session_record::{Entry, Note, local_time};
 use crate::store::hexadecimal;
 use jiff::Timestamp;
 use meissner_api::{
@@ -122,12 +122,13 @@ impl Sessions {
 }
 
 impl State {
-    /// Starts a session. `owner`: the user's name.
+    /// Starts a session. `owner`: the user's name. If there is a record, the receiver gets its value when the start has a line, and
+    /// fails if it has none; then call [`Self::session_recorded`].
     pub(in crate::daemon) fn start_session(
         &mut self,
         request: SessionRequest,
         owner: Option<String>,
-    ) -> Result<SessionStarted, Problem> {
+    ) -> Result<(SessionStarted, Option<oneshot::Receiver<()>>), Problem> {
         self.check_asker()?;
         if self.commands.is_closing() {
             return Err(Problem::new(Code::ShuttingDown, "the daemon is ending: start it again"));
@@ -162,16 +163,47 @@ impl State {
         let started = SessionStarted {
             id: session.id.clone(),
             token: token.clone(),
-            record_problem: self.record_problem(),
+            record_problem: self.record_problem().filter(|_| self.publisher.session_record.dir().is_none()),
         };
         self.exposure.start_session(&session.participant);
         self.sessions.running =
             Some(Running { session, token, heard: HostInstant::now(), answered: BTreeSet::new() });
         self.rights_changed();
-        if let Some(session) = self.session().map(Box::new) {
-            self.publish(&Event::SessionStarted { session });
+        let event = self.session().map(|session| Event::SessionStarted { session: Box::new(session) });
+        let entry = event.as_ref().and_then(|event| Entry::of(event, None));
+        let record = &self.publisher.session_record;
+        let recorded = entry.filter(|_| record.dir().is_some()).map(|entry| record.add_told(entry));
+        Ok((started, recorded))
+    }
+
+    /// Announces a session whose start has a line, or that is not recorded at all (`Some(true)`). Otherwise ends it: as if it had
+    /// never begun if the start has no line, with an end in the record if the line may yet come (`None`).
+    pub(in crate::daemon) fn session_recorded(
+        &mut self,
+        id: &str,
+        is_recorded: Option<bool>,
+    ) -> Result<(), Problem> {
+        let session = self.session().filter(|session| session.id == id);
+        if is_recorded == Some(true) {
+            if let Some(session) = session.map(Box::new) {
+                self.publisher.announce(&Event::SessionStarted { session });
+            }
+            return Ok(());
         }
-        Ok(started)
+        let why =
+            self.record_problem().unwrap_or_else(|| "the disk of the session record is too slow".to_owned());
+        if session.is_some() && is_recorded.is_none() {
+            self.close_session("not-recorded");
+        } else if session.is_some() {
+            self.exposure.end_session();
+            self.sessions.running = None;
+            self.rights_changed();
+            self.publisher.session_record.forget_session(id);
+        }
+        let detail = format!(
+            "no session was started: {why}; let the daemon write there, or start it with --no-record to play without a record"
+        );
+        Err(Problem::new(Code::Store, detail))
     }
 
     /// Ends the running session, which a client named by its id or as `running`.

@@ -316,16 +316,8 @@ fn entries_that_were_left_out_are_told_with_the_session() {
 /// Others send requests faster than the disk takes them. The queue keeps room for the session's own entries.
 #[test]
 fn requests_that_find_the_queue_full_count_against_no_session() {
-    static HELD: Mutex<()> = Mutex::new(());
-    const STUCK: Disk = Disk {
-        append: |file, bytes| {
-            drop(HELD.lock());
-            file.write(bytes)
-        },
-        sync: File::sync_data,
-    };
     let dir = tempfile::tempdir().unwrap();
-    let held = HELD.lock().unwrap();
+    let held = hold();
     let log = SessionRecord::with(writer(dir.path(), STUCK), Arc::default(), 16).unwrap();
     log.add(begins());
     for _ in 0..100 {

@@ -29,7 +29,7 @@ use std::time::Duration;
 use tokio::sync::SemaphorePermit;
 
 /// How long an answer waits until the disk has its line: the client waits for 5 s.
-const RECORDED: Duration = Duration::from_secs(4);
+pub(super) const RECORDED: Duration = Duration::from_secs(4);
 
 pub(in crate::daemon::http) async fn play(
     State(app): State<App>,

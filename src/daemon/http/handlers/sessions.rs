@@ -4,6 +4,7 @@ use crate::daemon::engine::Engine;
 use crate::daemon::http::answer::{Answer, json_response, path};
 use crate::daemon::http::app::App;
 use crate::daemon::http::body;
+use crate::daemon::http::handlers::plays::RECORDED;
 use crate::daemon::http::request_log::LoggedRequest;
 use crate::daemon::state::no_session;
 use crate::daemon::system::runtime::{blocking, reading};
@@ -42,7 +43,19 @@ pub(in crate::daemon::http) async fn start(
         logged.set_arguments(&request);
         let exclusive = request.exclusive;
         let owner = app.engine.names.users.known(peer.uid).flatten();
-        let started = app.engine.lock().start_session(request, owner)?;
+        let (started, recorded) = app.engine.lock().start_session(request, owner)?;
+        let (engine, id) = (Arc::clone(&app.engine), started.id.clone());
+        // Goes on if the client hangs up.
+        let known = tokio::spawn(async move {
+            let recorded = match recorded {
+                Some(recorded) => {
+                    tokio::time::timeout(RECORDED, recorded).await.ok().map(|told| told.is_ok())
+                }
+                None => Some(true),
+            };
+            engine.lock().session_recorded(&id, recorded)
+        });
+        known.await.unwrap_or(Ok(()))?;
         if exclusive {
             tokio::spawn(release_in_time(Arc::clone(&app.engine), started.id.clone()));
         }
@@ -92,18 +105,28 @@ pub(in crate::daemon::http) async fn end(
     logged.result(result)
 }
 
+/// Reads the whole record, so that the status says what is missing. Waits for the disk for at most `within`.
+pub(in crate::daemon) async fn look_for_losses(engine: &Engine, within: Duration) {
+    // Without an answer of the disk the status has its problem already.
+    let _ = tokio::time::timeout(within, recorded(engine, within, |_, _, _| Ok(()))).await;
+}
+
 /// Calls `make` on the reader's thread, and returns its result. `make` gets the record's directory, the recorded sessions with the
-/// running one, and whether the disk has taken the newest entries. None: nothing is recorded.
+/// running one, and whether the disk has taken the newest entries `within` this time. None: nothing is recorded.
 async fn recorded<T: Send + 'static>(
-    app: &App,
+    engine: &Engine,
+    within: Duration,
     make: impl FnOnce(&FilePath, Sessions, bool) -> Result<T, RecordError> + Send + 'static,
 ) -> Answer<Option<T>> {
-    let running = app.engine.lock().session();
-    let record = app.engine.session_record();
+    let running = engine.lock().session();
+    let record = engine.session_record();
     let Some(dir) = record.dir() else { return Ok(None) };
     let read = move || {
-        let written = record.wait_until_written(WRITTEN);
+        let written = record.wait_until_written(within);
         let mut sessions = reader::sessions(&dir, &record.known(), running)?;
+        if written && record.problem().is_none() {
+            record.set_found(sessions.missing());
+        }
         let slow = (!written).then(slow_disk);
         for problem in slow.into_iter().chain(record.problem()) {
             sessions.problems.insert(0, problem);
@@ -119,7 +142,7 @@ pub(in crate::daemon::http) async fn list(State(app): State<App>) -> Answer<Resp
     // Serialize here: ten thousand sessions would take milliseconds of the runtime's only thread.
     let json = |list: &SessionList| serde_json::to_vec(list).unwrap_or_default();
     let running = app.engine.lock().session();
-    let made = recorded(&app, move |_, Sessions { recorded, unreadable, problems }, _| {
+    let made = recorded(&app.engine, WRITTEN, move |_, Sessions { recorded, unreadable, problems }, _| {
         let sessions = recorded.into_iter().map(|recorded| recorded.session).collect();
         Ok(json(&SessionList { sessions, unreadable, problems }))
     });
@@ -141,7 +164,7 @@ pub(in crate::daemon::http) async fn show(
         return Err(no_session(&id).into());
     }
     let asked = id.clone();
-    let found = recorded(&app, move |_, sessions, _| {
+    let found = recorded(&app.engine, WRITTEN, move |_, sessions, _| {
         Ok(sessions.recorded.into_iter().find(|recorded| recorded.session.id == asked))
     });
     let found = found.await?.flatten().ok_or_else(|| not_recorded(&id))?;
@@ -165,7 +188,7 @@ pub(in crate::daemon::http) async fn plays(
         return Err(no_session(&id).into());
     }
     let (asked, store) = (id.clone(), Arc::clone(&app.store));
-    let json = recorded(&app, move |dir, sessions, written| {
+    let json = recorded(&app.engine, WRITTEN, move |dir, sessions, written| {
         let found = sessions.recorded.into_iter().find(|recorded| recorded.session.id == asked);
         let Some(found) = found else { return Ok(None) };
         let mut plays = reader::plays(dir, found, from)?;

@@ -3,6 +3,7 @@
 use crate::array::details;
 use crate::daemon::http::answer::Answer;
 use crate::daemon::http::app::App;
+use crate::daemon::http::handlers::sessions::look_for_losses;
 use crate::doctor::check;
 use crate::session_record::Peer;
 use axum::Json;
@@ -12,8 +13,13 @@ use axum::response::{IntoResponse, Response};
 use meissner_api::{ArrayDetails, DoctorReport, Status};
 use std::path::Path;
 use std::sync::{Arc, LazyLock};
+use std::time::Duration;
+
+/// How long the doctor reads the session record; the status of a later report has what is found after that.
+const READ: Duration = Duration::from_secs(3);
 
 pub(in crate::daemon::http) async fn status(State(app): State<App>) -> Json<Status> {
+    app.engine.session_record().look().await;
     Json(app.engine.status())
 }
 
@@ -27,6 +33,7 @@ pub(in crate::daemon::http) async fn doctor(
 ) -> Answer<Json<DoctorReport>> {
     let _place = app.waiting_place(peer)?;
     let engine = Arc::clone(&app.engine);
+    look_for_losses(&engine, READ).await;
     let checks = move || check(Path::new("/"), &engine.status());
     Ok(Json(app.doctor.report(checks).await?))
 }
