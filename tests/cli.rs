@@ -292,6 +292,41 @@ fn without_a_daemon_both_places_are_named() {
     assert!(own["realtime"]["fifo"].is_boolean() && own["realtime"]["mlock"].is_boolean(), "{own}");
 }
 
+/// A daemon that answers emergency stops, and no other request.
+#[test]
+fn an_emergency_stop_without_a_status_succeeds_and_warns() {
+    let dir = tempfile::tempdir().unwrap();
+    let socket = dir.path().join("m.sock");
+    let listener = UnixListener::bind(meissner_client::estop_socket(&socket)).unwrap();
+    for (answer, flags, said) in [
+        ("stopped: lines off within 1.5 ms", &[][..], "the emergency stop is confirmed\n"),
+        ("stopped: lines off within 1.5 ms", &["--json"], "null\n"),
+        (
+            "no-device: no device is connected",
+            &[],
+            "the emergency stop is latched\nno device is connected, so no line was",
+        ),
+    ] {
+        let mut command = meissner();
+        command.env("MEISSNER_SOCKET", &socket).arg("estop").args(flags);
+        let (asked, answers) = (listener.try_clone().unwrap(), format!("{answer}\n"));
+        std::thread::spawn(move || {
+            let mut order = asked.accept().unwrap().0;
+            order.read_exact(&mut [0]).unwrap();
+            order.write_all(answers.as_bytes()).unwrap();
+        });
+        let output = command.output().unwrap();
+        let told = String::from_utf8(output.stderr).unwrap();
+        assert!(output.status.success(), "{answer}: {told}");
+        assert!(
+            told.starts_with("warning: ") && told.contains(", but no status came: no daemon answers"),
+            "{told}"
+        );
+        assert_eq!(told.lines().count(), 1, "{told}");
+        assert!(String::from_utf8(output.stdout).unwrap().starts_with(said), "{answer} {flags:?}");
+    }
+}
+
 #[test]
 fn a_denied_socket_is_reported_with_the_remedy() {
     let dir = tempfile::tempdir().unwrap();

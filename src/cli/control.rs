@@ -7,7 +7,7 @@
 
 use super::arguments::{ClientOptions, EdgeOptions, FITS, Onset, PlayOptions, choice, positive};
 use super::ending::Ending;
-use super::output::{give, say, shown};
+use super::output::{give, say, shown, tell};
 use super::progress::Progress;
 use super::text;
 use anyhow::{Result, bail};
@@ -78,19 +78,24 @@ pub(super) fn withdraw(options: &ClientOptions, id: u64) -> Result<ExitCode> {
     give(options.output.json, &receipt, || text::receipt(&receipt))
 }
 
-/// Sends an e-stop to this place, then reads the status.
-fn stop_at(endpoint: Endpoint) -> Result<Status, ClientError> {
+/// Sends an e-stop to this place. Returns whether a device has confirmed it, and the status, which on a busy daemon may not come.
+fn stop_at(endpoint: Endpoint) -> Result<(bool, Option<Status>), ClientError> {
     let place = endpoint.place.clone();
-    match meissner_client::estop_at(&place) {
-        // The emergency stop is latched; the status says that there is no device.
-        Err(ClientError::Problem(problem)) if problem.code == Code::NoDevice.parts().0 => {}
-        stopped => stopped?,
-    }
-    // The emergency stop is confirmed. On a busy daemon the status may take long.
-    Client::at(endpoint)?.get("/v1/status").inspect_err(|_| {
-        // If stderr is closed, no one can read the message.
-        let _ = writeln!(io::stderr(), "{place}: the emergency stop is confirmed; no status came:");
-    })
+    let is_confirmed = match meissner_client::estop_at(&place) {
+        // The daemon has latched the emergency stop.
+        Err(ClientError::Problem(problem)) if problem.code == Code::NoDevice.parts().0 => false,
+        stopped => stopped.map(|()| true)?,
+    };
+    let status = Client::at(endpoint).and_then(|mut client| client.get("/v1/status"));
+    let status = status.map_err(|error| {
+        tell(&format!("warning: {place}: {}, but no status came: {error}", done(is_confirmed)))
+    });
+    Ok((is_confirmed, status.ok()))
+}
+
+/// What an e-stop has done.
+const fn done(is_confirmed: bool) -> &'static str {
+    if is_confirmed { "the emergency stop is confirmed" } else { "the emergency stop is latched" }
 }
 
 /// Sends the e-stop to both possible daemons at once: there is no time to choose. Prints each answer as it comes; the
@@ -111,28 +116,33 @@ pub(super) fn estop(options: &ClientOptions) -> Result<ExitCode> {
         }
     }
     drop(tell);
-    let (mut stopped, mut failed): (Vec<Status>, Vec<ClientError>) = (Vec::new(), Vec::new());
+    let (mut stopped, mut failed) = (Vec::new(), Vec::new());
     // Wait for every answer even if stdout is closed: this process must not end before it has sent each request.
     let mut said = Ok(ExitCode::SUCCESS);
     for (place, answer) in answers {
         match answer {
-            Ok(status) => {
-                let state = match status.estop_off_ms.filter(|_| status.is_connected()) {
-                    Some(ms) => format!("{}: lines off within {ms:.1} ms of the order", text::state(&status)),
-                    None => text::state(&status),
+            Ok((is_confirmed, status)) => {
+                let state = match &status {
+                    None => done(is_confirmed).to_owned(),
+                    Some(status) => match status.estop_off_ms.filter(|_| status.is_connected()) {
+                        Some(ms) => {
+                            format!("{}: lines off within {ms:.1} ms of the order", text::state(status))
+                        }
+                        None => text::state(status),
+                    },
                 };
                 said = said.and(match stopped.is_empty() {
                     true => give(json, &status, || state),
                     false if json => Ok(ExitCode::SUCCESS),
                     false => say(&format!("{place}: {state}")).map(|()| ExitCode::SUCCESS),
                 });
-                stopped.push(status);
+                stopped.push(is_confirmed || status.is_some_and(|status| status.is_connected()));
             }
             Err(error) => failed.push(error),
         }
     }
     said?;
-    if !stopped.is_empty() && !json && !stopped.iter().any(Status::is_connected) {
+    if !stopped.is_empty() && !json && !stopped.contains(&true) {
         say(
             "no device is connected, so no line was turned off: cut the supply if pins move, and see `meissner status`",
         )?;

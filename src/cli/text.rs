@@ -71,12 +71,28 @@ pub(super) fn state(status: &Status) -> String {
 
 /// How far pins may be from rest by dead reckoning: the largest estimate, and the number of motors that have one.
 pub(super) fn drift(status: &Status) -> Option<String> {
-    let reckoned = || status.motors.iter().filter(|motor| motor.source == ErrorSource::DeadReckoning);
-    let um = reckoned().map(|motor| motor.rest_error_um).reduce(f32::max)?;
-    let (count, all) = (reckoned().count(), status.motors.len());
+    let (um, count) = largest_offset(status, ErrorSource::DeadReckoning)?;
     let limit_um = status.drift_limit_um;
     let full = if um > limit_um { ": no play drives such a pin until it is home or level" } else { "" };
-    Some(format!("up to {um:.0} um from rest (estimated), {count} of {all} pins; limit {limit_um} um{full}"))
+    Some(format!("up to {um:.0} um from rest (estimated), {count}; limit {limit_um} um{full}"))
+}
+
+/// How far pins are from rest by telemetry and by the lower stop.
+fn offset(status: &Status) -> Option<String> {
+    let offsets: Vec<_> = [ErrorSource::Telemetry, ErrorSource::LowerStop]
+        .into_iter()
+        .filter_map(|source| Some((source.name(), largest_offset(status, source)?)))
+        .map(|(source, (um, count))| format!("up to {um:.1} um from rest ({source}), {count}"))
+        .collect();
+    (!offsets.is_empty()).then(|| offsets.join("; "))
+}
+
+/// The largest offset from rest that comes from `source`, um, and how many pins have one.
+fn largest_offset(status: &Status, source: ErrorSource) -> Option<(f32, String)> {
+    let offsets =
+        || status.motors.iter().filter(|motor| motor.source == source).map(|motor| motor.rest_error_um.abs());
+    let um = offsets().reduce(f32::max)?;
+    Some((um, format!("{} of {} pins", offsets().count(), status.motors.len())))
 }
 
 /// The motors whose telemetry is not trusted, each with its reason.
@@ -130,6 +146,7 @@ pub(super) fn status(status: &Status) -> String {
     if status.device.as_ref().is_some_and(|device| device.trigger_input) {
         lines.push(("input", "edges of the trigger input can start and stop plays".to_owned()));
     }
+    lines.extend(offset(status).map(|offset| ("offset", offset)));
     lines.extend(drift(status).map(|drift| ("drift", drift)));
     lines.extend(sensor_faults(status).map(|faults| ("sensor faults", faults)));
     if status.realtime.is_some_and(|has| !has.fifo) {
@@ -458,6 +475,7 @@ fn figure(value: &Value) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use meissner_api::MotorStatus;
     use serde_json::json;
 
     fn shown(drives: &Value) -> String {
@@ -479,6 +497,31 @@ mod tests {
         assert_eq!((count("60.0 Hz"), count("80.0 um"), count(" . ")), (2, 2, 22), "{text}");
         let at = |what: &str| text.find(what).unwrap();
         assert!(at(" 0 ") < at(" 23 ") && at(" 23 ") < at("0.25"), "the map, then the drives: {text}");
+    }
+
+    #[test]
+    fn a_status_shows_the_offsets_of_each_source() {
+        let document = meissner_api::openapi::document();
+        let example = document["components"]["schemas"]["Status"]["examples"][0].clone();
+        let mut status: Status = serde_json::from_value(example).unwrap();
+        let motor = status.motors[0].clone();
+        let mut shown = |sources: &[(f32, ErrorSource)]| {
+            status.motors = sources
+                .iter()
+                .map(|&(rest_error_um, source)| MotorStatus { rest_error_um, source, ..motor })
+                .collect();
+            let text = super::status(&status);
+            text.lines().filter(|line| line.contains("um from rest")).map(str::to_owned).collect::<Vec<_>>()
+        };
+        let (seen, stop, reckoned) =
+            (ErrorSource::Telemetry, ErrorSource::LowerStop, ErrorSource::DeadReckoning);
+        assert_eq!(shown(&[(0.0, ErrorSource::None)]), [""; 0]);
+        let lines = shown(&[(0.4, seen), (-15.38, seen), (2.0, stop), (30.2, reckoned)]);
+        let [offset, drift] = &lines[..] else { panic!("{lines:?}") };
+        assert!(offset.starts_with("offset "), "{offset}");
+        let found = "  up to 15.4 um from rest (telemetry), 2 of 4 pins; up to 2.0 um from rest (lower-stop), 1 of 4 pins";
+        assert!(offset.ends_with(found), "{offset}");
+        assert!(drift.ends_with("  up to 30 um from rest (estimated), 1 of 4 pins; limit 150 um"), "{drift}");
     }
 
     #[test]

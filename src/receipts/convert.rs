@@ -183,7 +183,11 @@ mod tests {
             (CommandError::NoDevice, "no-device", 503),
             (CommandError::Timeout, "timeout", 504),
             (CommandError::Device(Refusal::PositionUnknown), "position-unknown", 409),
-            (CommandError::LineTooSlow { needs: 41_200, carries: 11_300 }, "line-too-slow", 409),
+            (
+                CommandError::LineTooSlow { needs: 41_200, frames: 160, carries: 11_300, waits: 4 },
+                "line-too-slow",
+                409,
+            ),
         ] {
             let problem = refusal(refused);
             assert_eq!((problem.code.as_str(), problem.status), (code, status));

@@ -8,8 +8,8 @@
 use crate::client::Client;
 use crate::endpoint::{Endpoint, Place, estop_socket};
 use crate::error::ClientError;
-use meissner_api::{Code, Problem, Status};
-use serde_json::json;
+use meissner_api::{Code, Problem};
+use serde_json::{Value, json};
 use std::io::{self, Read, Write};
 use std::os::unix::net::UnixStream;
 use std::path::Path;
@@ -40,7 +40,7 @@ pub fn estop_at(place: &Place) -> Result<(), ClientError> {
 }
 
 fn by_api(endpoint: Endpoint) -> Result<(), ClientError> {
-    Client::at(endpoint)?.post::<Status>("/v1/estop", &json!({})).map(drop)
+    Client::at(endpoint)?.post::<Value>("/v1/estop", &json!({})).map(drop)
 }
 
 /// [`estop_at`] a socket.

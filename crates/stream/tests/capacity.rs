@@ -50,14 +50,15 @@ fn a_line_plays_up_to_its_capacity_and_refuses_more_with_numbers() {
         loop {
             match try_on(line, pattern, open_loop) {
                 Ok(()) => break,
-                Err(CommandError::LineTooSlow { needs, carries }) => {
-                    assert_eq!(needs, wanted);
+                Err(CommandError::LineTooSlow { needs, frames, carries, waits }) => {
+                    assert_eq!((needs, frames), (wanted, required.frames));
+                    let left = f64::from(carries) * (1.0 - f64::from(waits) / 100.0);
                     // Full frames wait for an answer, a millisecond or two; the simulation steps by 0.5 ms.
                     let waits = f64::from(required.frames) / f64::from((line / 500 / 256).max(1));
                     let bounds = [0.0022, 0.0006].map(|wait_s| f64::from(line) * (1.0 - waits * wait_s));
                     assert!(
-                        bounds[0] * 0.95 < f64::from(carries) && f64::from(carries) < bounds[1] * 1.05,
-                        "{carries} of {line}, {bounds:?}"
+                        bounds[0] * 0.95 < left && left < bounds[1] * 1.05,
+                        "{left} of {line}, {bounds:?}"
                     );
                     line += line / 20;
                 }
@@ -121,9 +122,12 @@ fn on_a_link_that_jitters_a_play_is_in_time_or_refused_with_numbers() {
                     );
                     played.push((delay, lead_ms));
                 }
-                Err(CommandError::LineTooSlow { needs, carries }) => {
-                    println!("{what}: needs {needs}, carries {carries}");
-                    assert!(needs > carries, "{what}");
+                Err(refused @ CommandError::LineTooSlow { needs, carries, waits, .. }) => {
+                    println!("{what}: {refused}");
+                    assert!(
+                        u64::from(needs) * 100 > u64::from(carries) * u64::from(99_u32.saturating_sub(waits)),
+                        "{what}"
+                    );
                     refusals.push((delay, lead_ms));
                 }
                 Err(other) => panic!("{what}: {other}"),

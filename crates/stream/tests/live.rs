@@ -307,7 +307,9 @@ fn a_line_that_does_not_carry_the_updates_is_refused_beforehand() {
     }
     // 24 motors at 60 Hz, 100 ms ahead: 7 strokes of each, at 6 bytes and their part of a frame.
     assert!((1_000..1_300).contains(&update(60.0)));
-    for (hz, updates_hz, fits) in [(30.0, 5.0, true), (30.0, 50.0, false), (60.0, 5.0, false)] {
+    for (hz, updates_hz, fits) in
+        [(30.0, 5.0, true), (30.0, 50.0, false), (60.0, 5.0, false), (60.0, 1000.0, false)]
+    {
         let mut rig = Rig::with(settings, slow, 1);
         rig.run_ms(3_000);
         rig.send(Command::Arm { assume_rest: true });
@@ -320,7 +322,12 @@ fn a_line_that_does_not_carry_the_updates_is_refused_beforehand() {
         let answer = answer(&rig.take_events(), ticket);
         match answer {
             Some(Ok(())) => assert!(fits, "{hz} Hz, {updates_hz}"),
-            Some(Err(CommandError::LineTooSlow { needs, carries })) => assert!(!fits && needs > carries),
+            Some(Err(refused @ CommandError::LineTooSlow { needs, frames, carries, .. })) => {
+                assert!(!fits, "{refused}");
+                assert_eq!((needs, frames), (bandwidth.open.rate, bandwidth.open.frames));
+                // What the line carries, whatever the play needs of it.
+                assert!((10_500..=11_520).contains(&carries), "{refused}");
+            }
             other => panic!("{other:?}"),
         }
     }

@@ -119,12 +119,19 @@ pub enum CommandError {
     )]
     Overlaps,
     /// The play requires more bandwidth than the line has.
-    #[error("the pattern needs {:.1} kB/s at its peak, the line carries {:.1}: lower frequencies, fewer pins, or USB", kilo(*.needs), kilo(*.carries))]
+    #[error(
+        "the pattern needs {:.1} kB/s at its peak, the line carries {:.1}, and waiting for answers to {frames} frames a second takes \
+         {waits} % of its time: lower frequencies, fewer pins or updates, or USB", kilo(*.needs), kilo(*.carries)
+    )]
     LineTooSlow {
         /// Bytes per second required.
         needs: u32,
-        /// Bytes per second measured.
+        /// Frames per second required.
+        frames: u32,
+        /// Bytes per second that the line carries while nothing waits.
         carries: u32,
+        /// What the frames take of the line's time to wait for answers, percent.
+        waits: u32,
     },
     /// The device refused the command.
     #[error("the device refused: {}", refusal_text(*.0))]

@@ -190,17 +190,16 @@ impl Streamer {
     pub(super) fn margin(&self, session: &Session, play: &Play) -> Result<Duration, CommandError> {
         let closed_loop = !play.open_loop && self.control.corrects(self.known.sends_telemetry());
         let required = if closed_loop { play.bandwidth.closed } else { play.bandwidth.open };
-        match session.rate_left(required.frames) {
-            Some(carries) if required.rate > carries => {
-                Err(CommandError::LineTooSlow { needs: required.rate, carries })
-            }
-            Some(carries) => {
-                // There is no lead yet: two slow answers in a row must not delay what follows the first frame.
-                let waiting = 2 * session.ack_wait().unwrap_or_default();
-                Ok(FIRST_MARGIN.max(WAKE_UP + waiting + required.ahead(carries)))
-            }
-            None => Ok(FIRST_MARGIN),
+        let (needs, frames) = (required.rate, required.frames);
+        let Some((carries, waits)) = session.rate_beside(frames) else { return Ok(FIRST_MARGIN) };
+        let left = (f64::from(carries) * (1.0 - waits)) as u32;
+        if needs > left {
+            let waits = (100.0 * waits).round() as u32;
+            return Err(CommandError::LineTooSlow { needs, frames, carries, waits });
         }
+        // There is no lead yet: two slow answers in a row must not delay what follows the first frame.
+        let waiting = 2 * session.ack_wait().unwrap_or_default();
+        Ok(FIRST_MARGIN.max(WAKE_UP + waiting + required.ahead(left)))
     }
 
     /// Decides whether a play can be queued; returns the present tick, the onset it asks for and its first margin.

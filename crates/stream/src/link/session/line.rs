@@ -1,6 +1,6 @@
 //! What the line carries: its rate, as the probe measured it, and the share of it that gets through.
 //!
-//! It answers how much a play may need ([`Line::capacity`], [`Line::rate_left`]) and how long the session waits before it sends
+//! It answers how much a play may need ([`Line::capacity`], [`Line::rate_beside`]) and how long the session waits before it sends
 //! again. It counts no traffic: [`Wire`](super::wire::Wire) does.
 //!
 //! Invariant: what may be unacknowledged follows from the measured rate, or the nominal one until a probe has measured.
@@ -143,11 +143,11 @@ impl Line {
         Some((waiting.min(rate.0.into()) * self.quality.share()) as u32)
     }
 
-    /// See [`Session::rate_left`](super::Session::rate_left).
-    pub(super) fn rate_left(&self, frames_per_s: u32) -> Option<u32> {
+    /// See [`Session::rate_beside`](super::Session::rate_beside).
+    pub(super) fn rate_beside(&self, frames_per_s: u32) -> Option<(u32, f64)> {
         let share = self.quality.share();
         let waiting = f64::from(frames_per_s) * self.ack_wait()?.as_secs_f64() / share;
-        Some((f64::from(self.measured?.rate.0) * share * (1.0 - waiting)) as u32)
+        Some(((f64::from(self.measured?.rate.0) * share) as u32, waiting))
     }
 
     /// How long a frame that is sent now takes to the device behind so many bytes; `shortest` is the shortest round trip.

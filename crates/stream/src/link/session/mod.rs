@@ -160,11 +160,11 @@ impl Session {
         self.line.capacity()
     }
 
-    /// Bytes per second left on the line while so many frames a second, however short, wait for acknowledgements.
-    /// `None` until measured.
+    /// Bytes per second that the line carries while nothing waits, and the part of its time in which so many frames a second,
+    /// however short, wait for acknowledgements: more than 1 if it does not carry them. `None` until measured.
     #[must_use]
-    pub fn rate_left(&self, frames_per_s: u32) -> Option<u32> {
-        self.line.rate_left(frames_per_s)
+    pub fn rate_beside(&self, frames_per_s: u32) -> Option<(u32, f64)> {
+        self.line.rate_beside(frames_per_s)
     }
 
     /// How long a frame that is sent now takes to the device, with those that are not acknowledged before it.
