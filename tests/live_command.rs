@@ -104,63 +104,24 @@ fn drive(frequency_hz: f64, amplitude_um: f64) -> String {
 }
 
 #[test]
-fn a_file_of_poses_moves_a_target_line_by_line() {
-    let daemon = Daemon::start();
-    daemon.armed();
-    let mut lines: Vec<String> = (0..20).map(|n| format!("{} 0 {}", 0.1 * f64::from(n), 3 * n)).collect();
-    lines.push("1.5, -2, 45".to_owned());
-    lines.push(json!({"pose": {"x_mm": -1.0}, "scale": 0.5}).to_string());
-    let args =
-        ["edge-45", "--model", "membrane", "--json", "--trial", "7", "--label", "what=file", "--code", "9"];
-    let (code, out, err) = follow_file(&daemon, &args, &lines);
-    assert_eq!((code, err.as_str()), (0, ""), "{out}");
-    let shown: Receipt = serde_json::from_str(&out).unwrap();
-    // The play begins with the first line; the first message is empty.
-    let updates = shown.live.unwrap();
-    assert_eq!((updates.updates, updates.applied + updates.merged), (22, 22), "{updates:?}");
-    assert!(updates.applied > 1);
-    assert_eq!((shown.trial, shown.labels["what"].as_str()), (Some(7), "file"));
-    assert_eq!((shown.trigger.unwrap().code, shown.cause.as_ref()), (Some(9), Some(&EndCause::Stop)));
-    assert_eq!(receipt(&daemon, shown.id).live, shown.live);
-}
-
-#[test]
-fn a_target_of_a_file_is_moved_as_one_of_a_name() {
-    let daemon = Daemon::start();
-    daemon.armed();
-    let text = fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/targets/edge-45.toml")).unwrap();
-    fs::write(daemon.path("mine.toml"), text).unwrap();
-    let lines =
-        ["0 0".to_owned(), "1 0 10".to_owned(), json!({"end": true}).to_string(), "no pose".to_owned()];
-    let (code, out, err) = follow_file(&daemon, &["mine.toml", "--model", "membrane"], &lines);
-    assert_eq!((code, err.as_str()), (0, ""), "what follows the end is not read");
-    assert!(out.starts_with("play 1: mine.toml follows stdin; Ctrl-C ends it\nplay "), "{out}");
-    let words = out.split_whitespace().collect::<Vec<_>>().join(" ");
-    assert!(words.contains(" updates 2: 2 applied, 0 merged"), "{out}");
-    fs::write(daemon.path("bad.toml"), "name = \"bad\"\nshpae = 1\n").unwrap();
-    let bad = complaint(daemon.meissner().args(["live", "./bad.toml", "--follow", "stdin"]));
-    assert!(bad.contains("bad.toml") && bad.contains("shpae"), "{bad}");
-    let moving =
-        complaint(daemon.meissner().args(["live", "moving-edge", "--follow", "stdin"]).write_stdin("0 0\n"));
-    assert!(moving.contains("at rest"), "{moving}");
-}
-
-#[test]
 fn a_file_of_poses_presses_an_object() {
     let daemon = Daemon::start();
     daemon.armed();
     let text = "kind = \"object\"\nname = \"bar\"\nshape = \"bar\"\nlength_mm = 12\nwidth_mm = 0.8\n\
                 [touch]\npress = { depth_um = 500 }\n";
     fs::write(daemon.path("bar.toml"), text).unwrap();
-    let lines = ["0 0", "0 2.9 10", "0 2.9 10 300", "0 2.9 10 0"].map(str::to_owned);
-    let (code, out, err) = follow_file(&daemon, &["--object", "bar.toml"], &lines);
+    let mut lines = ["0 0", "0 2.9 10", "0 2.9 10 300", "0 2.9 10 0"].map(str::to_owned).to_vec();
+    lines.extend([json!({"end": true}).to_string(), "what follows the end is not read".to_owned()]);
+    let args = ["--object", "bar.toml", "--trial", "7", "--label", "what=file", "--code", "9"];
+    let (code, out, err) = follow_file(&daemon, &args, &lines);
     assert_eq!((code, err.as_str()), (0, ""), "{out}");
     assert!(out.starts_with("play 1: bar.toml follows stdin; Ctrl-C ends it\nplay "), "{out}");
-    let live = receipt(&daemon, 1).live.unwrap();
+    let shown = receipt(&daemon, 1);
+    let live = shown.live.unwrap();
     // The first line is a message, too.
     assert_eq!((live.updates, live.applied, live.merged), (4, 4, 0));
-    let target = complaint(daemon.meissner().args(["live", "./bar.toml", "--follow", "stdin"]));
-    assert!(target.contains("name it by --object"), "{target}");
+    assert_eq!((shown.trial, shown.labels["what"].as_str()), (Some(7), "file"));
+    assert_eq!((shown.trigger.unwrap().code, shown.cause.as_ref()), (Some(9), Some(&EndCause::Stop)));
     fs::write(daemon.path("bad.toml"), text.replace("length_mm", "lenght_mm")).unwrap();
     for (object, says) in [
         ("./bad.toml", "lenght_mm"),
@@ -175,7 +136,7 @@ fn a_file_of_poses_presses_an_object() {
 }
 
 #[test]
-fn lines_of_drives_play_without_a_target_and_refused_ones_are_counted() {
+fn lines_of_drives_play_without_an_object_and_refused_ones_are_counted() {
     let daemon = Daemon::start();
     daemon.armed();
     // The first line allows 100 Hz.
@@ -187,12 +148,9 @@ fn lines_of_drives_play_without_a_target_and_refused_ones_are_counted() {
     let lines: Vec<&str> = err.lines().collect();
     assert!(lines[0].starts_with("update 3 was refused: ") && lines[0].contains("at most 100 Hz"), "{err}");
     assert_eq!(lines[1..], ["one more update was refused"]);
-    // Lines are poses with TARGET, and drives without it.
+    // Lines are poses with --object, and drives without it.
     let (code, _, err) = follow_file(&daemon, &[], &["0 0".to_owned()]);
-    assert_eq!(
-        (code, err.contains("stdin: line 1: a pose moves the shape of a target: name a TARGET")),
-        (1, true)
-    );
+    assert_eq!((code, err.contains("stdin: line 1: a pose moves an object: name an --object")), (1, true));
 }
 
 #[test]
@@ -272,11 +230,13 @@ fn a_bad_line_ends_the_play_and_says_where() {
     assert!(out.contains("state") && out.contains("updates"), "the receipt: {out}");
     assert_eq!((receipt(&daemon, id).cause.as_ref(), is_playing(&daemon)), (Some(&EndCause::Stop), false));
     // After a bad first line nothing was played.
-    let first =
-        complaint(daemon.meissner().args(["live", "edge-45", "--follow", "stdin"]).write_stdin("x,y\n"));
+    let first = complaint(
+        daemon.meissner().args(["live", "--object", "edge-45", "--follow", "stdin"]).write_stdin("x,y\n"),
+    );
     assert!(first.contains("stdin: line 1: `x,y` is not a pose"), "{first}");
-    let none =
-        complaint(daemon.meissner().args(["live", "edge-45", "--follow", "stdin"]).write_stdin("\n\n"));
+    let none = complaint(
+        daemon.meissner().args(["live", "--object", "edge-45", "--follow", "stdin"]).write_stdin("\n\n"),
+    );
     assert!(none.contains("stdin: ends before its first line"), "{none}");
     assert_eq!(daemon.client().get::<Receipt>("/v1/plays/last").unwrap().id, id);
 }
@@ -423,12 +383,14 @@ fn mistakes_are_refused_before_anything_moves() {
     refused(&["stdin"], "no daemon answers");
     refused(&["stdin", "--updates-hz", "0"], "`updates_hz` is 0: must be 1 to 1000 Hz");
     refused(&["stdin", "--timeout-ms", "10"], "`timeout_ms` is 10");
-    refused(&["evdev:/nonexistent", "edge-45"], "/nonexistent: cannot be opened as an input device");
-    refused(&["evdev:/dev/null", "edge-45"], "/dev/null: cannot be opened as an input device");
+    refused(
+        &["evdev:/nonexistent", "--object", "edge-45"],
+        "/nonexistent: cannot be opened as an input device",
+    );
+    refused(&["evdev:/dev/null", "--object", "edge-45"], "/dev/null: cannot be opened as an input device");
     for (args, says) in [
-        (&["mouse"][..], "name a TARGET"),
-        (&["trackball", "edge-45"], "must be stdin, mouse, or evdev:"),
-        (&["stdin", "--budget-ms", "10"], "TARGET"),
+        (&["mouse"][..], "name an --object"),
+        (&["trackball", "--object", "edge-45"], "must be stdin, mouse, or evdev:"),
     ] {
         let output = live(args).assert().code(2).get_output().clone();
         let err = String::from_utf8(output.stderr).unwrap();

@@ -283,7 +283,7 @@ impl Entry {
             | Event::Refused { .. }
             | Event::Lagged { .. }
             | Event::RecordProblem { .. }
-            | Event::Search { .. } => None,
+            | Event::Rendering { .. } => None,
             &Event::Edge { edge, play, effect } => Some(Note::Edge { edge, play, effect }.into()),
             event => Some(Self::Event {
                 event: Box::new(event.clone()),
@@ -334,7 +334,6 @@ impl Entry {
                 | Event::Items { .. }
                 | Event::Ended { .. }
                 | Event::PredictedResponse { .. }
-                | Event::LiveContrast { .. }
                 | Event::SessionStarted { .. }
                 | Event::SessionReleased { .. }
                 | Event::SessionEnded { .. }

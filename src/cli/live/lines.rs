@@ -21,10 +21,8 @@ const QUOTED: usize = 60;
 /// What lines give.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) enum Give {
-    /// Poses of a target's shape.
+    /// Poses of an object.
     Poses,
-    /// Poses of an object, with depths.
-    Touches,
     /// Drives.
     Drives,
     /// Levels of the pins of these motors, in this order. Pins take so many ms to get there, unless a line says otherwise.
@@ -110,8 +108,8 @@ impl AsFd for Lines {
 impl Give {
     fn wanted(&self) -> String {
         match self {
-            Self::Poses | Self::Drives => "write X_MM Y_MM [DEGREES], or a JSON object".to_owned(),
-            Self::Touches => "write X_MM Y_MM [DEGREES [DEPTH_UM]], or a JSON object".to_owned(),
+            Self::Drives => "write a JSON object".to_owned(),
+            Self::Poses => "write X_MM Y_MM [DEGREES [DEPTH_UM]], or a JSON object".to_owned(),
             Self::Levels { motors, .. } => {
                 let numbers: Vec<String> = motors.iter().map(u8::to_string).collect();
                 format!("write a level in um for each of the motors {}, or a JSON object", numbers.join(","))
@@ -123,14 +121,11 @@ impl Give {
     fn keys_of(&self, text: &str) -> Option<Map<String, Value>> {
         let numbers = numbers(text)?;
         match self {
-            Self::Poses | Self::Touches | Self::Drives => {
+            Self::Poses | Self::Drives => {
                 let pose = ["x_mm", "y_mm", "angle_deg", "depth_um"].into_iter().zip(&numbers);
                 let pose: Map<String, Value> =
                     pose.map(|(key, value)| (key.to_owned(), json!(value))).collect();
-                let most = if *self == Self::Touches { 4 } else { 3 };
-                (2..=most)
-                    .contains(&numbers.len())
-                    .then(|| Map::from_iter([("pose".to_owned(), pose.into())]))
+                (2..=4).contains(&numbers.len()).then(|| Map::from_iter([("pose".to_owned(), pose.into())]))
             }
             Self::Levels { motors, .. } => {
                 let um: BTreeMap<u8, f64> = motors.iter().copied().zip(numbers.iter().copied()).collect();
@@ -143,15 +138,12 @@ impl Give {
     fn fitted(&self, message: LiveMessage) -> Result<LiveMessage, String> {
         let refused = match self {
             Self::Poses if message.drives.is_some() => {
-                "the poses of TARGET decide its drives: send a pose, or leave TARGET out"
-            }
-            Self::Touches if message.drives.is_some() => {
                 "the poses of the object decide: send a pose, or leave --object out"
             }
             Self::Drives | Self::Levels { .. } if message.pose.is_some() => {
-                "a pose moves the shape of a target: name a TARGET or an --object, or send `drives`"
+                "a pose moves an object: name an --object, or send `drives`"
             }
-            Self::Poses | Self::Touches | Self::Drives if !message.um.is_empty() => {
+            Self::Poses | Self::Drives if !message.um.is_empty() => {
                 "`um` gives levels: name the motors with --levels, or send `drives`"
             }
             Self::Levels { glide_ms, .. } if !message.um.is_empty() => {
@@ -235,8 +227,9 @@ mod tests {
     #[test]
     fn a_bad_line_says_what_to_do() {
         for (line, says) in [
-            ("1", "`1` is not a pose: write X_MM Y_MM [DEGREES], or a JSON object"),
-            ("1 2 3 4", "`1 2 3 4` is not a pose"),
+            ("1", "`1` is not a pose: write X_MM Y_MM [DEGREES [DEPTH_UM]], or a JSON object"),
+            ("1 2 3 400 5", "`1 2 3 400 5` is not a pose"),
+            ("0 0 0 2500", "`pose.depth_um` is 2500: must be 0 to 2000 um"),
             ("1,,2", "`1,,2` is not a pose"),
             ("1 2, 3", "is not a pose"),
             ("x y", "`x y` is not a pose"),
@@ -247,22 +240,14 @@ mod tests {
             ("{\"seq\":3}", "leave `seq` out"),
             ("{\"psoe\":{}}", "did you mean `pose`?"),
             ("{\"scale\":2}", "`scale`"),
-            ("{\"drives\":[]}", "leave TARGET out"),
+            ("{\"drives\":[]}", "leave --object out"),
         ] {
             let error = message(line.as_bytes(), &Give::Poses).unwrap_err();
             assert!(error.contains(says) && !error.contains('\n'), "{line}: {error}");
         }
-        let touch = |line: &str| message(line.as_bytes(), &Give::Touches);
-        assert_eq!(touch("1 2 3 400").unwrap().pose.unwrap().depth_um, Some(400.0));
-        for (line, says) in [
-            ("1 2 3 400 5", "write X_MM Y_MM [DEGREES [DEPTH_UM]], or a JSON object"),
-            ("0 0 0 nan", "is not a pose"),
-            ("0 0 0 2500", "`pose.depth_um` is 2500: must be 0 to 2000 um"),
-            ("{\"drives\":[]}", "leave --object out"),
-        ] {
-            assert!(touch(line).unwrap_err().contains(says), "{line}");
-        }
-        assert!(message(b"1 2", &Give::Drives).unwrap_err().contains("name a TARGET"));
+        let deep = message(b"1 2 3 400", &Give::Poses).unwrap();
+        assert_eq!(deep.pose.unwrap().depth_um, Some(400.0));
+        assert!(message(b"1 2", &Give::Drives).unwrap_err().contains("name an --object"));
         assert!(message(b"\xff", &Give::Poses).unwrap_err().contains("UTF-8"));
         assert!(message(&[b'1'; MAX_LIVE_MESSAGE + 1], &Give::Poses).unwrap_err().contains("write less"));
     }
@@ -288,7 +273,7 @@ mod tests {
             ("1 2 3", "`1 2 3` is not levels"),
             ("1,", "is not levels"),
             ("1 -2", "`um.9` is -2: must be 0 um or more"),
-            ("{\"pose\":{}}", "name a TARGET"),
+            ("{\"pose\":{}}", "name an --object"),
         ] {
             let error = read(line).unwrap_err();
             assert!(error.contains(says), "{line}: {error}");

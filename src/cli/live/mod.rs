@@ -13,7 +13,7 @@ mod lines;
 mod pace;
 mod signals;
 
-use super::arguments::{ClientOptions, MODELS, OBJECTIVES, PlayOptions, choice, positive};
+use super::arguments::{ClientOptions, PlayOptions, positive};
 use super::output::{give, is_broken_pipe, say};
 use super::{files, text};
 use crate::receipts::end_text;
@@ -25,11 +25,9 @@ use following::{End, Following, Source};
 use lines::{Give, Lines};
 use meissner_api::{
     ArrayDetails, EndCause, LIVE_TIMEOUT_MS, LIVE_UPDATES_HZ, LiveMessage, LiveRequest, PlayState, Receipt,
-    SearchModel, SearchObjective, SearchSetting,
 };
 use meissner_array::units::TickRate;
 use meissner_client::Client;
-use meissner_design::{MAX_BYTES, Target};
 use meissner_touch::{Object, no_files};
 use pace::Pace;
 use serde_json::Value;
@@ -44,16 +42,15 @@ const RECEIPT_S: u8 = 2;
 
 #[derive(Debug, Args)]
 pub(super) struct Live {
-    /// Move the shape of this target: its name, or a file (TOML). Without it the lines of stdin give drives
-    target: Option<String>,
-    /// Press and move this object: a file (TOML with kind = "object") without files of its own, or the name of a target at rest
-    #[arg(long, conflicts_with = "target")]
+    /// Press and move this object: a file (TOML with kind = "object") without files of its own, or the name of a shipped one. Without it the
+    /// lines of stdin give drives
+    #[arg(long)]
     object: Option<String>,
     /// Follow this source: stdin (a line: X_MM Y_MM [DEGREES [DEPTH_UM]], levels, or a JSON object), mouse (the first one), or an input device
     #[arg(long, value_name = "stdin|mouse|evdev:PATH")]
     follow: Follow,
     /// Have the pins of these motors follow levels: each line of stdin has one for each, in this order, um above rest
-    #[arg(long, value_name = "N,N,...", value_delimiter = ',', conflicts_with_all = ["target", "object"])]
+    #[arg(long, value_name = "N,N,...", value_delimiter = ',', conflicts_with = "object")]
     levels: Vec<u8>,
     /// Let pins take MS milliseconds to get to a level; 0: at full speed [default: 20]
     #[arg(long, value_name = "MS", requires = "levels", allow_negative_numbers = true, value_parser = glide)]
@@ -70,30 +67,14 @@ pub(super) struct Live {
     /// Go on while stdin is silent. Without it only a line of a pipe or terminal shows that the source works
     #[arg(long)]
     keep_alive: bool,
-    /// Allow frequencies up to F Hz [default: the highest of the first line, at least 60; with TARGET that of --setting]
+    /// Allow frequencies up to F Hz [default: the highest of the first line, at least 60]
     #[arg(long, value_name = "F", allow_negative_numbers = true, value_parser = positive)]
     max_frequency_hz: Option<f64>,
-    /// Search for the drives of a pose for MS milliseconds [default: 15]
-    #[arg(long, value_name = "MS", requires = "target", allow_negative_numbers = true, value_parser = positive)]
-    budget_ms: Option<f64>,
-    /// Choose what the drives of a pose maximise: ON afferents lie within reach of the target, OFF are all others
-    #[arg(long, value_name = "NAME", requires = "target", default_value = "off-rms-twice", value_parser = choice::<SearchObjective>(OBJECTIVES))]
-    objective: SearchObjective,
-    /// Choose the models whose RA afferents are ON or OFF
-    #[arg(long, value_name = "MODEL", requires = "target", default_value = "both", value_parser = choice::<SearchModel>(MODELS))]
-    model: SearchModel,
-    /// Choose the search space
-    #[arg(long, requires = "target", default_value = "default", value_parser = choice::<SearchSetting>(LIVE_SETTINGS))]
-    setting: SearchSetting,
     #[command(flatten)]
     play: PlayOptions,
     #[command(flatten)]
     options: ClientOptions,
 }
-
-/// `--setting`: as for other searches, except that live drives have at least 40 Hz.
-const LIVE_SETTINGS: &[(&str, &str)] =
-    &[("default", "Motors may be off; 40 to 150 Hz"), ("always_on", "All motors vibrate; 40 to 300 Hz")];
 
 /// `--follow`.
 #[derive(Clone, Debug, PartialEq)]
@@ -120,13 +101,7 @@ impl Live {
     fn request(&self) -> Result<LiveRequest> {
         let request = LiveRequest {
             drives: Vec::new(),
-            target: self.target.as_deref().map(target).transpose()?,
             object: self.object.as_deref().map(object).transpose()?,
-            pose: None,
-            objective: self.objective,
-            model: self.model,
-            setting: self.setting,
-            budget_ms: self.budget_ms,
             scale: self.play.scale,
             timeout_ms: self.timeout_ms,
             max_frequency_hz: self.max_frequency_hz,
@@ -146,8 +121,8 @@ impl Live {
 
     /// Opens the input device, if it is to follow one.
     fn device(&self) -> Result<Option<Opened>> {
-        if self.target.is_none() && self.object.is_none() && self.follow != Follow::Stdin {
-            let message = "name a TARGET, or an --object: an input device moves it. Only the lines of stdin can give drives or levels\n";
+        if self.object.is_none() && self.follow != Follow::Stdin {
+            let message = "name an --object: an input device moves it. Only the lines of stdin can give drives or levels\n";
             return Err(clap::Error::raw(ErrorKind::MissingRequiredArgument, message).into());
         }
         match &self.follow {
@@ -178,8 +153,7 @@ impl Live {
                 );
             }
         }
-        Ok(match self.target {
-            _ if self.object.is_some() => Give::Touches,
+        Ok(match self.object {
             Some(_) => Give::Poses,
             None if motors.is_empty() => Give::Drives,
             None => Give::Levels { motors, glide_ms: self.glide_ms },
@@ -197,27 +171,13 @@ fn glide(text: &str) -> Result<f64, &'static str> {
     ms.ok_or("must be 0 to 1000 ms")
 }
 
-/// A target's name, or the document in a target file.
-fn target(argument: &str) -> Result<Value> {
-    if !files::is_file(argument) {
-        return Ok(argument.into());
-    }
-    let text = files::text(Path::new(argument), MAX_BYTES as u64, "target")?;
-    if text.parse::<toml::Table>().is_ok_and(|keys| keys.contains_key("kind")) {
-        bail!("{argument}: this is an object, not a target: name it by --object");
-    }
-    // Check it here, because this reader's errors name the line of the file.
-    Target::read(&text, argument)?;
-    Ok(toml::from_str(&text)?)
-}
-
-/// A target's name, or the document in an object file.
+/// An object's name, or the document in an object file.
 fn object(argument: &str) -> Result<Value> {
     if !files::is_file(argument) {
         return Ok(argument.into());
     }
     let text = files::text(Path::new(argument), meissner_touch::MAX_FILE_BYTES as u64, "object")?;
-    // As for a target.
+    // Check it here, because this reader's errors name the line of the file.
     Object::read(&text, argument, &mut no_files)?;
     Ok(toml::from_str(&text)?)
 }
@@ -240,7 +200,7 @@ pub(super) fn run(asked: &Live) -> Result<ExitCode> {
     let id = play.id();
     let json = asked.options.output.json;
     if !json {
-        let what = asked.target.as_ref().or(asked.object.as_ref()).map_or("the array", String::as_str);
+        let what = asked.object.as_ref().map_or("the array", String::as_str);
         let said = say(&format!("play {id}: {what} follows {}; Ctrl-C ends it", source.shown()));
         // The reader of stdout has closed it; the play goes on, and its result counts.
         said.or_else(|error| if is_broken_pipe(&error) { Ok(()) } else { Err(error) })?;
@@ -284,9 +244,8 @@ fn begin_with(request: &mut LiveRequest, first: LiveMessage) -> LiveMessage {
     if request.object.is_some() {
         return first;
     }
-    let LiveMessage { drives, pose, um, glide_ms, scale, .. } = first;
+    let LiveMessage { drives, um, glide_ms, scale, .. } = first;
     request.drives = drives.unwrap_or_default();
-    request.pose = pose;
     request.scale = scale.or(request.scale);
     LiveMessage { um, glide_ms, ..LiveMessage::default() }
 }

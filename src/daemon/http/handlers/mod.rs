@@ -8,8 +8,6 @@ pub(super) mod motors;
 pub(super) mod patterns;
 pub(super) mod plays;
 pub(super) mod previews;
-pub(super) mod searches;
 pub(super) mod sessions;
 pub(super) mod status;
-pub(super) mod targets;
 pub(super) mod tokens;
