@@ -27,7 +27,6 @@ const OTHERS: &[(&str, &str, &str)] = &[
     ),
     ("crates/api/src/receipt.rs", "11.5", "bytes per burst in the example"),
     ("crates/api/src/receipt.rs", "24", "drives and strokes that a receipt lists"),
-    ("crates/design/src/render/climb.rs", "24", "points of a batch"),
     ("crates/api/src/live.rs", "24", "the length of the finger's pad, mm"),
     ("crates/design/src/search.rs", "24", "candidates that are confirmed"),
     ("crates/design/src/target/checked.rs", "24", "the length of the finger's pad, mm"),

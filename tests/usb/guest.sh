@@ -193,7 +193,7 @@ over() {
 mouse() {
     local line code moved pid live
     modprobe -a uinput evdev || fail "mouse: no modules"
-    meissner live edge-45 --follow mouse >out.log 2>&1
+    meissner live --object edge-45 --follow mouse >out.log 2>&1
     line=$(<out.log)
     [[ $line == *'no mouse in /dev/input'* ]] || fail "mouse: without one: $line"
     mkfifo moves
@@ -203,7 +203,7 @@ mouse() {
     exec 3>moves
     within 5 grep -q 'plugged in' mouse.log || fail "mouse: $(<mouse.log)"
     udevadm settle --timeout 10
-    setpriv --reuid nobody --regid nogroup --clear-groups meissner live edge-45 --follow mouse >out.log 2>&1
+    setpriv --reuid nobody --regid nogroup --clear-groups meissner live --object edge-45 --follow mouse >out.log 2>&1
     line=$(<out.log)
     [[ $line == *'no mouse that you may read'*input* ]] || fail "mouse: as a user who may not: $line"
     meissner daemon --config meissner.toml --device mock 2>daemon.log 3>&- &
@@ -211,7 +211,7 @@ mouse() {
     within 20 state_is disarmed || fail "mouse: no daemon"
     arm mouse
     # With this lead an update is large: fewer fit.
-    meissner live edge-45 --follow mouse --updates-hz 10 --timeout-ms 5000 --json >live.json 2>live.log 3>&- &
+    meissner live --object edge-45 --follow mouse --updates-hz 10 --timeout-ms 5000 --json >live.json 2>live.log 3>&- &
     live=$!
     within 20 json status .play || fail "mouse: $(<live.log)"
     for ((moved = 0; moved < 20; moved++)); do
@@ -227,7 +227,7 @@ mouse() {
     line=$(jq -er '.live | select(.applied > 1 and .applied + .merged == .updates) | "\(.updates) updates, \(.applied) applied"' live.json) ||
         fail "mouse: $(jq -c .live live.json)"
     ok "mouse: $line"
-    meissner live edge-45 --follow mouse --updates-hz 10 --timeout-ms 5000 >out.log 2>live.log 3>&- &
+    meissner live --object edge-45 --follow mouse --updates-hz 10 --timeout-ms 5000 >out.log 2>live.log 3>&- &
     live=$!
     within 20 json status .play || fail "mouse: again: $(<live.log)"
     exec 3>&-
