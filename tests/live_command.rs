@@ -126,7 +126,7 @@ fn a_file_of_poses_presses_an_object() {
     for (object, says) in [
         ("./bad.toml", "lenght_mm"),
         ("nothing", "nothing"),
-        ("moving-edge", "an object at rest is moved by poses"),
+        ("moving-edge", "moves by itself: poses move a live object"),
     ] {
         let mut command = daemon.meissner();
         let bad =
