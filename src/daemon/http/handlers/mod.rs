@@ -8,6 +8,7 @@ pub(super) mod motors;
 pub(super) mod patterns;
 pub(super) mod plays;
 pub(super) mod previews;
+pub(super) mod renderings;
 pub(super) mod sessions;
 pub(super) mod status;
 pub(super) mod tokens;
