@@ -1,7 +1,7 @@
 //! Live plays on a real daemon: lines of JSON over the Unix socket, a WebSocket over TCP, and clients that vanish.
 
-use crate::harness::{Daemon, PATIENT, TIMEOUT, assert_accounts, ended, next, problem, wait_until};
-use meissner_api::{EndCause, Event, LiveAccepted, LiveAnswer, LiveApplied, Receipt, Status};
+use crate::harness::{Daemon, PATIENT, TIMEOUT, assert_accounts, ended, problem};
+use meissner_api::{EndCause, LiveAccepted, LiveAnswer, LiveApplied, Status};
 use serde_json::{Value, json};
 use std::io::{BufRead, BufReader, Write};
 use std::net::TcpStream;

@@ -28,8 +28,8 @@ use firmware_protocol::message::{DeviceHello, State};
 use firmware_protocol::tick::Tick;
 use live::LiveAccount;
 use meissner_api::{
-    BurstCounts, DeviceInfo, EdgeEffect, Event, LateCounts, LateStroke, LinkTraffic,
-    LoweredPin, LoweredReason, MAX_LISTED, MotorRestError, MovedPin, NO_DEVICE, OrderedCounts, PlayState,
+    BurstCounts, DeviceInfo, EdgeEffect, Event, LateCounts, LateStroke, LinkTraffic, LoweredPin,
+    LoweredReason, MAX_LISTED, MotorRestError, MovedPin, NO_DEVICE, OrderedCounts, PlayState,
     PredictedResponse, Prediction, PulseCounts, Receipt, RefusedStroke, RunningPlay,
 };
 use meissner_array::spec::Array;
