@@ -44,7 +44,7 @@
 //!
 //! `docs/explanation/architecture.md` says which file to open for which change.
 //! The modules of this crate: [`log`](mod@log), `file`, [`mod@array`], [`exposure`], [`session_record`],
-//! [`receipts`], [`store`], `rendering`, [`search`], [`config`], `doctor`, [`daemon`], [`cli`]. Tests run streamer, link,
+//! [`receipts`], [`store`], `rendering`, [`render_process`], [`config`], `doctor`, [`daemon`], [`cli`]. Tests run streamer, link,
 //! controller and simulated motors in virtual time ([`meissner_stream::Simulation`]): the same code without a clock.
 //!
 //! # Example
@@ -68,7 +68,7 @@ pub mod exposure;
 mod file;
 pub mod log;
 pub mod receipts;
+pub mod render_process;
 mod rendering;
-pub mod search;
 pub mod session_record;
 pub mod store;

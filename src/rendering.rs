@@ -1,6 +1,6 @@
 //! Renderings of objects: what the command `render` and the daemon's process for them share.
 //!
-//! An object is shipped ([`shipped`]), read by its user, or made of a target at rest ([`keys_of`]). [`contact`] presses it on the finger, [`levels`] finds
+//! An object is shipped ([`shipped`]), or read by its user. [`contact`] presses it on the finger, [`levels`] finds
 //! the heights of the pins by one [`Way`], and [`pattern`] makes the pattern that plays them, with its [`provenance`].
 //!
 //! Invariant: equal keys, files, array and way give the same bytes. An error is one line without the object's name.
@@ -8,19 +8,15 @@
 use include_dir::{Dir, File, include_dir};
 use meissner_array::pattern::{Pattern, PatternError};
 use meissner_array::spec::Array;
-use meissner_design::Shape;
 use meissner_render::{LONGEST_S, Levels, Method, STEP_S, TRACE_MM_S, TraceError, render, trace};
-use meissner_touch::{Contact, ContactError, DOT_MM, LINE_MM, Object, Touch, no_files};
+use meissner_touch::{Contact, ContactError, Object, Touch, no_files};
 use serde::{Deserialize, Serialize};
-use serde_json::{Map, Value, json};
+use serde_json::{Map, Value};
 use toml::Table;
 
 static SHIPPED: Dir<'_> = include_dir!("$CARGO_MANIFEST_DIR/objects");
 
-/// The depth of the press of a target that is made an object, µm.
-const DEPTH_UM: f64 = 500.0;
-
-/// The first finger that judges a pattern: no search and no table of rates was made with it and those after it.
+/// The first finger that judges a pattern: no table of rates was made with it and those after it.
 pub(crate) const FIRST_FINGER: u64 = 5000;
 /// After the object has left, afferents are counted for so long, s.
 pub(crate) const AFTER_S: f64 = 0.1;
@@ -75,29 +71,6 @@ pub(crate) fn shipped_keys(name: &str) -> Option<Map<String, Value>> {
 /// The names of the shipped objects.
 pub(crate) fn shipped_names() -> impl Iterator<Item = &'static str> {
     SHIPPED.files().filter_map(|file| file.path().file_stem()?.to_str())
-}
-
-/// The keys of the object that has a target's shape: lines are 0.8 mm wide, dots have a diameter of 2 mm. It is pressed by 500 µm.
-pub(crate) fn keys_of(name: &str, shape: &Shape) -> Map<String, Value> {
-    let of_shape = match shape {
-        Shape::Polyline(points) => json!({"shape": "lines", "lines": [points], "width_mm": LINE_MM}),
-        Shape::Dots(points) => json!({"shape": "dots", "points": points, "diameter_mm": DOT_MM}),
-        // A disc without radius is a dot.
-        Shape::Disc { center_mm, radius_mm } => {
-            json!({"shape": "dots", "points": [center_mm], "diameter_mm": (2.0 * radius_mm).max(DOT_MM)})
-        }
-        Shape::Grating { period_mm, angle_deg, offset_mm } => {
-            let angle = angle_deg.to_radians();
-            // Without a negative zero.
-            let center_mm = [0.0 - offset_mm * angle.sin(), offset_mm * angle.cos()];
-            json!({
-                "shape": "grating", "period_mm": period_mm, "ridge_mm": LINE_MM, "angle_deg": angle_deg,
-                "center_mm": center_mm
-            })
-        }
-    };
-    let about = json!({"kind": "object", "name": name, "touch": {"press": {"depth_um": DEPTH_UM}}});
-    [about, of_shape].into_iter().filter_map(|keys| keys.as_object().cloned()).flatten().collect()
 }
 
 /// The contact of an object with the finger. Of rough objects it takes some seconds; `progress` is called with the completed share.
@@ -176,37 +149,4 @@ pub(crate) fn pattern(
 /// How long fingers feel patterns of these durations in s, s: until the last has ended, but not much longer than the touch.
 pub(crate) fn judged_s(touch: &Touch, durations_s: impl Iterator<Item = f64>) -> f64 {
     durations_s.fold(touch.duration_s(), f64::max).min(2.0 * touch.duration_s()) + AFTER_S
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use meissner_design::{shipped as target, shipped_names as targets};
-    use meissner_touch::surface_of;
-
-    /// The keys of a target's shape give the surface that a live play of the target has.
-    #[test]
-    fn a_target_at_rest_is_the_object_that_a_live_play_presses() {
-        let (mut compared, grid) = (0, [-7.3, -4.1, -1.2, -0.3, 0.0, 0.2, 0.9, 2.4, 5.2, 8.8]);
-        for name in targets() {
-            let shape = target(name).unwrap().shape().clone();
-            let keys = Value::Object(keys_of(name, &shape)).to_string();
-            let object = Object::read_json(&keys, &mut no_files).unwrap();
-            let other = Object::new(name, surface_of(&shape), Touch::default());
-            let times = |object: &Object| (object.touch().duration_s(), object.touch().most_depth_mm());
-            assert_eq!((object.name(), times(&object)), (name, times(&other)));
-            // Grains are cut in the frame of the surface, so their heights are compared on the skin.
-            let touches = |object: &Object, at: [f64; 2]| {
-                let pose = object.touch().pose(0.0);
-                let (sin, cos) = pose.angle_deg.to_radians().sin_cos();
-                let [x, y] = [at[0] - pose.x_mm, at[1] - pose.y_mm];
-                object.surface().height_mm([x * cos + y * sin, y * cos - x * sin]).is_some()
-            };
-            for at in grid.iter().flat_map(|x| grid.map(|y| [*x, y])) {
-                assert_eq!(touches(&object, at), touches(&other, at), "{name} at {at:?}");
-                compared += usize::from(touches(&object, at));
-            }
-        }
-        assert!(compared > 50, "{compared}");
-    }
 }

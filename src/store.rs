@@ -1,6 +1,6 @@
 //! The pattern store: the built-in library, and a directory of the site's own patterns. The library has the patterns of `patterns`,
 //! those of motions in `patterns/motions`, those rendered from `objects` in `patterns/rendered`, and those of the paper's setting in
-//! `patterns/paper`. `targets` keeps the site's targets in a folder of the directory.
+//! `patterns/paper`.
 //!
 //! The store reads the directory at every request, so it finds manually added files at once. [`Store::get`] reads one file,
 //! [`Store::list`] at most [`MAX_FILES`]. Callers that hold the same file share one pattern. Patterns of the library cannot be
@@ -10,14 +10,12 @@
 
 mod folder;
 mod in_use;
-mod targets;
 
 pub use folder::{FileError, MAX_FILES};
 pub(crate) use folder::{hash, hexadecimal};
-pub use targets::{StoredTarget, TargetStoreError, target_json};
 
 use crate::receipts::Order;
-use folder::{Folder, Make, check_name, check_new_name};
+use folder::{Folder, check_name, check_new_name};
 use in_use::InUse;
 use include_dir::{Dir, include_dir};
 use meissner_api::pattern_choice::INLINE;
@@ -36,8 +34,6 @@ use std::sync::{Arc, OnceLock};
 
 static LIBRARY: Dir<'_> = include_dir!("$CARGO_MANIFEST_DIR/patterns");
 
-/// The folder of the pattern directory for targets.
-const FOLDER: &str = "targets";
 /// The most names offered for an unknown one.
 const OFFERED: usize = 3;
 
@@ -150,7 +146,6 @@ pub struct Store {
     library: BTreeMap<String, Stored>,
     in_use: InUse,
     folder: Folder,
-    targets: Folder,
 }
 
 /// A pattern that was stored.
@@ -168,22 +163,19 @@ impl Store {
     /// # Errors
     /// If a file of the library does not parse, which a test excludes.
     pub fn new(dir: Option<PathBuf>, make_dir: bool) -> Result<Self, StoreError> {
-        let make = |make_not| if make_dir { Make::All } else { make_not };
-        // A configured directory must exist; only the folder of targets in it is made.
-        let targets = Folder::new(dir.as_ref().map(|dir| dir.join(FOLDER)), make(Make::Folder), "targets");
-        let folder = Folder::new(dir, make(Make::Nothing), "patterns");
+        let folder = Folder::new(dir, make_dir);
         let mut library = BTreeMap::new();
         let inner = LIBRARY.dirs().flat_map(Dir::files);
         for file in LIBRARY.files().chain(inner) {
             let path = file.path();
             if path.extension().is_some_and(|extension| extension == "toml") {
                 let contents = file.contents();
-                let pattern = Arc::new(parse(folder.text(contents, path)?, path)?);
+                let pattern = Arc::new(parse(folder::text(contents, path)?, path)?);
                 let stored = Stored::new(pattern, contents, true);
                 library.insert(stored.pattern.name().to_owned(), stored);
             }
         }
-        Ok(Self { library, in_use: InUse::default(), folder, targets })
+        Ok(Self { library, in_use: InUse::default(), folder })
     }
 
     /// Checks that the directory can be read.
@@ -255,7 +247,7 @@ impl Store {
         let sha256 = hash(bytes);
         let pattern = self
             .in_use
-            .get(&sha256, || Ok::<_, StoreError>(Arc::new(parse(self.folder.text(bytes, path)?, path)?)))?;
+            .get(&sha256, || Ok::<_, StoreError>(Arc::new(parse(folder::text(bytes, path)?, path)?)))?;
         Ok(Stored::new(pattern, bytes, false))
     }
 
@@ -287,7 +279,7 @@ impl Store {
                 Err(error) => list.errors.push(error.to_string()),
             }
         }
-        list.errors = first(list.errors, "files cannot be read as patterns");
+        list.errors = first(list.errors);
         list.patterns.sort_by(|a, b| a.name.cmp(&b.name));
         list
     }
@@ -434,11 +426,11 @@ fn parse(text: &str, path: &Path) -> Result<Pattern, StoreError> {
 }
 
 /// The first [`MAX_LISTED`] lines, and how many more there are.
-fn first(mut lines: Vec<String>, of_what: &str) -> Vec<String> {
+fn first(mut lines: Vec<String>) -> Vec<String> {
     let more = lines.len().saturating_sub(MAX_LISTED);
     lines.truncate(MAX_LISTED);
     if more > 0 {
-        lines.push(format!("{more} more {of_what}"));
+        lines.push(format!("{more} more files cannot be read as patterns"));
     }
     lines
 }

@@ -20,7 +20,7 @@ use tempfile::TempDir;
 pub(crate) const TIMEOUT: Duration = Duration::from_secs(300);
 
 /// A configuration with which a stall of a busy machine neither makes strokes late nor disarms the motors: nearly the longest lead. With
-/// a longer one, the line of the mock carries no live target.
+/// a longer one, the line of the mock carries no live object.
 pub(crate) const PATIENT: &str = "lead_ms = 900\nlease_ms = 10000\n";
 
 /// The highest limits of a participant, for tests that are not about them.

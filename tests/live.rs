@@ -1,10 +1,7 @@
 //! Live plays on a real daemon: lines of JSON over the Unix socket, a WebSocket over TCP, and clients that vanish.
 
-use crate::harness::{Daemon, PATIENT, TIMEOUT, assert_accounts, ended, next, problem, wait_until};
-use crate::searches::children;
-use meissner_api::{
-    EndCause, Event, LiveAccepted, LiveAnswer, LiveApplied, LiveContrast, ReachedContrast, Receipt, Status,
-};
+use crate::harness::{Daemon, PATIENT, TIMEOUT, assert_accounts, ended, problem};
+use meissner_api::{EndCause, LiveAccepted, LiveAnswer, LiveApplied, Status};
 use serde_json::{Value, json};
 use std::io::{BufRead, BufReader, Write};
 use std::net::TcpStream;
@@ -201,7 +198,7 @@ fn a_bad_object_or_pose_is_refused_in_a_line() {
             "nothing within 25 mm of its origin",
         ),
         (json!({"object": "nothing"}), "nothing"),
-        (json!({"object": bar(), "drives": [drive(9, 80.0)]}), "`object` excludes `target` and `drives`"),
+        (json!({"object": bar(), "drives": [drive(9, 80.0)]}), "`object` and `drives` exclude each other"),
     ] {
         let refused = problem(client.post("/v1/live", &request));
         assert!(refused.detail.contains(says) && !refused.detail.contains('\n'), "{request}: {refused:?}");
@@ -333,123 +330,6 @@ fn updates_over_tcp_come_through_a_websocket() {
     while socket.read().is_ok() {}
     let receipt = ended(&mut events);
     assert_eq!((receipt.cause.as_ref(), receipt.live.unwrap().applied), (Some(&EndCause::Stop), 20));
-}
-
-/// An edge that moves and turns: each pose becomes drives, or gives way to a newer one.
-#[test]
-fn a_target_follows_its_poses() {
-    let daemon = Daemon::start();
-    let mut client = daemon.armed();
-    let mut events = daemon.client().events().unwrap();
-    let accepted = start(&daemon, json!({"target": "edge-45", "model": "membrane", "pose": {"x_mm": -6}}));
-    let mut lines = Lines::open(&daemon, &accepted.path);
-    let (mut applied, mut changed, mut merged) = (0, 0, 0);
-    let mut count = |answer: &LiveAnswer| {
-        assert_eq!(answer.problem, None);
-        match (&answer.applied, answer.merged_into) {
-            (Some(LiveApplied { ticks, .. }), None) => {
-                applied += 1;
-                changed += u32::from(ticks.iter().any(Option::is_some));
-            }
-            (None, Some(_)) => merged += 1,
-            other => panic!("{other:?}"),
-        }
-        applied + merged
-    };
-    for seq in 1..=40_u32 {
-        let along = f64::from(seq);
-        lines.send(&json!({"seq": seq, "pose": {"x_mm": 0.3 * along - 6.0, "angle_deg": 1.8 * along}}));
-        // Even on a slow machine these are not merged.
-        if seq <= 8 {
-            count(&lines.answer());
-        } else {
-            thread::sleep(Duration::from_millis(20));
-        }
-    }
-    lines.send(&json!({"seq": 41, "scale": 0.5}));
-    while count(&lines.answer()) < 41 {}
-    assert!(changed > 5 && applied > 5, "{applied} applied, {changed} changed motors, {merged} merged");
-    for (message, says) in [
-        (json!({"seq": 50, "pose": {"x_mm": 30}}), "`pose.x_mm` is 30: must be -24 to 24 mm"),
-        (json!({"seq": 51, "drives": [drive(9, 10.0)]}), "whose poses decide"),
-    ] {
-        lines.send(&message);
-        let problem = loop {
-            if let Some(problem) = lines.answer().problem {
-                break problem;
-            }
-        };
-        assert!(problem.detail.contains(says), "{problem:?}");
-    }
-    lines.send(&json!({"seq": 60, "end": true}));
-    while lines.answer().ended.is_none() {}
-    let receipt = ended(&mut events);
-    let live = receipt.live.unwrap();
-    assert!(live.applied > 5 && live.updates >= 41 && receipt.bursts.unwrap().late == 0, "{live:?}");
-    // Mistakes in the target are refused before anything moves.
-    let refused =
-        |client: &mut meissner_client::Client, request: Value| problem(client.post("/v1/live", &request));
-    assert_eq!(refused(&mut client, json!({"target": "no-such-target"})).code, "not-found");
-    assert_eq!(
-        refused(&mut client, json!({"target": "moving-bar", "drives": [drive(9, 10.0)]})).code,
-        "bad-request"
-    );
-    assert_eq!(refused(&mut client, json!({"pose": {"x_mm": 1}})).code, "bad-request");
-    assert_eq!(client.get::<Status>("/v1/status").unwrap().state, "armed");
-    // Some of its poses are compared with searches; the event and the receipt agree.
-    let contrast = compared(&mut client, accepted.id);
-    let event = next(&mut events, |next| match next {
-        Event::LiveContrast { id, contrast } if id == accepted.id => Some(contrast),
-        _ => None,
-    });
-    assert_eq!(event, contrast);
-    let LiveContrast { poses, converged, membrane, afferents } = contrast;
-    assert!((4..=8).contains(&poses) && converged <= poses && afferents.is_none(), "{contrast:?}");
-    let ReachedContrast { reached, searched, rule, least_share } = membrane.unwrap();
-    assert!(rule > 0.0 && reached > 0.0 && searched > rule, "{contrast:?}");
-    assert!(least_share.unwrap() <= reached / searched + 1e-9, "{contrast:?}");
-}
-
-/// The contrast of a live target, once its receipt has it: on a busy machine after minutes.
-fn compared(client: &mut meissner_client::Client, id: u64) -> LiveContrast {
-    for _ in 0..3_000 {
-        let receipt: Receipt = client.get(&format!("/v1/plays/{id}")).unwrap();
-        if let Some(contrast) = receipt.live.unwrap().contrast {
-            return contrast;
-        }
-        thread::sleep(Duration::from_millis(100));
-    }
-    panic!("play {id} was not compared within five minutes");
-}
-
-/// The next live target needs the processors, so the comparison of the one before ends with the poses compared so far.
-#[test]
-fn a_comparison_gives_way_to_the_next_live_target() {
-    let daemon = Daemon::start();
-    let mut client = daemon.armed();
-    let mut events = daemon.client().events().unwrap();
-    let play = |poses: u32| {
-        let accepted = start(&daemon, json!({"target": "grating-9", "budget_ms": 5}));
-        let mut lines = Lines::open(&daemon, &accepted.path);
-        for seq in 1..=poses {
-            lines.send(&json!({"seq": seq, "pose": {"angle_deg": seq}}));
-            while lines.answer().seq != Some(seq.into()) {}
-        }
-        (accepted.id, lines)
-    };
-    let (first, lines) = play(15);
-    assert!(children(&daemon).is_empty());
-    drop(lines);
-    assert_eq!(ended(&mut events).id, first);
-    // Eight searches under both models.
-    wait_until(|| children(&daemon).len() == 1);
-    let (second, lines) = play(1);
-    wait_until(|| children(&daemon).is_empty());
-    drop(lines);
-    assert_eq!(compared(&mut client, second).poses, 2, "the pose of the onset, and the one sent");
-    let receipt: Receipt = client.get(&format!("/v1/plays/{first}")).unwrap();
-    let contrast = receipt.live.unwrap().contrast;
-    assert!(contrast.is_none_or(|contrast| contrast.poses < 8), "{contrast:?}");
 }
 
 /// Thousands of lines in one write: each is answered or the connection ends, and other clients are served meanwhile.

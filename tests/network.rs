@@ -326,8 +326,7 @@ fn commands_reach_a_daemon_over_the_network() {
     };
     let receipt = document(&mut owned(&["play", "pin-60", "--seconds", "0.2", "--wait", "--json"]));
     assert_eq!(receipt["state"], "done");
-    let live =
-        ["live", "edge-45", "--follow", "stdin", "--timeout-ms", "20000", "--model", "membrane", "--json"];
+    let live = ["live", "--object", "edge-45", "--follow", "stdin", "--timeout-ms", "20000", "--json"];
     let receipt = document(&mut owned(&live));
     assert!(receipt["live"]["updates"].as_u64() > Some(0) && receipt["cause"] == "stop", "{receipt}");
     assert_accounts(&receipt);

@@ -71,16 +71,9 @@ fn every_kind_of_play_shows_what_its_pins_do_and_a_stop_that_they_rest() {
     wait_for(&mut client, 11, PinMovement { height_um: 25.0, swing_um: 50.0, hz: 100.0 });
     stop(&mut client);
 
-    // The pins of an edge that follows its pose.
-    let target = json!({"target": "edge-45", "model": "membrane", "timeout_ms": 20_000});
-    let live: LiveAccepted = client.post("/v1/live", &target).unwrap();
-    let _lines = upgraded(&daemon, &live.path);
     let moving = |client: &mut Client| {
         motors(client).iter().filter(|motor| motor.now.is_some_and(|now| now.swing_um > 0.0)).count()
     };
-    wait_until(|| moving(&mut client) > 1);
-    stop(&mut client);
-
     let _: Value = client.post("/v1/calibrate", &json!({})).unwrap();
     wait_until(|| moving(&mut client) > 0);
     stop(&mut client);

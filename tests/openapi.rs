@@ -10,9 +10,9 @@ use meissner_api::{
     AnswerTaken, ArmRequest, CalibrateRequest, CalibrationReport, Code, DisarmRequest, DoctorReport,
     EdgeRequest, Event, ImportedPattern, LiveAccepted, LiveAnswer, LiveRequest, Method, PatternDetails,
     PatternList, PatternPreview, PlanCheck, PlayAccepted, PlayAnswer, PlayRequest, Problem, Receipt,
-    RemovedPattern, RemovedTarget, ResetRequest, Route, Search, SearchRequest, SearchState, SequenceRequest,
-    Session, SessionList, SessionPlays, SessionRequest, SessionStarted, Status, StoredTarget, TargetDetails,
-    TargetList, TokenCreated, TokenInfo, TokenList, TokenRequest, openapi,
+    RemovedPattern, Rendering, RenderingRequest, RenderingState, ResetRequest, Route, SequenceRequest,
+    Session, SessionList, SessionPlays, SessionRequest, SessionStarted, Status, TokenCreated, TokenInfo,
+    TokenList, TokenRequest, openapi,
 };
 use meissner_array::spec::{Array, ArraySpec, MAX_MOTORS};
 use schema::check;
@@ -37,19 +37,15 @@ fn walk(schema: &Value, way: &str, see: &mut dyn FnMut(&Value, &str)) {
 #[test]
 fn every_key_has_a_description_and_every_number_its_unit_and_range() {
     // Offsets and differences may be negative, and so may a reached lead.
-    const SIGNED: [&str; 14] = [
+    const SIGNED: [&str; 10] = [
         "level",
         "rest_error_um",
         "onset_um",
         "offset_um",
         "contrast",
-        "reached",
-        "searched",
-        "rule",
         "lead_ms",
         "rt_ms",
         "items",
-        "value",
         "travel_um",
         "about_um",
     ];
@@ -197,12 +193,8 @@ fn every_route_has_examples_that_parse() {
         "AnswerTaken" => parses::<AnswerTaken>(example),
         "ImportedPattern" => parses::<ImportedPattern>(example),
         "RemovedPattern" => parses::<RemovedPattern>(example),
-        "TargetList" => parses::<TargetList>(example),
-        "TargetDetails" => parses::<TargetDetails>(example),
-        "StoredTarget" => parses::<StoredTarget>(example),
-        "RemovedTarget" => parses::<RemovedTarget>(example),
-        "SearchRequest" => drop(SearchRequest::parse(example.to_string().as_bytes()).unwrap()),
-        "Search" => parses::<Search>(example),
+        "RenderingRequest" => drop(RenderingRequest::parse(example.to_string().as_bytes()).unwrap()),
+        "Rendering" => parses::<Rendering>(example),
         "DoctorReport" => parses::<DoctorReport>(example),
         "CalibrationReport" => parses::<CalibrationReport>(example),
         "SessionRequest" => drop(SessionRequest::parse(example.to_string().as_bytes()).unwrap()),
@@ -367,42 +359,27 @@ fn a_daemon_s_answers_fit_the_document() {
     fits(Route::Import, &client.put("/v1/patterns/mine?replace=true", mine.to_owned()).unwrap());
     fits(Route::Remove, &client.delete("/v1/patterns/mine").unwrap());
     let mut events = client.events().unwrap();
-    refused(Route::Target, client.get("/v1/targets/none"));
-    refused(Route::SearchShow, client.get("/v1/searches/last"));
-    refused(Route::SearchStart, client.post("/v1/searches", &json!({"target": "none"})));
-    refused(Route::SearchStart, client.post("/v1/searches", &json!({"target": {"name": "a"}})));
-    let list: TargetList = client.get("/v1/targets").unwrap();
-    fits(Route::Targets, &serde_json::to_value(&list).unwrap());
-    for target in list.targets {
-        fits(Route::Target, &client.get(&format!("/v1/targets/{}", target.name)).unwrap());
+    refused(Route::RenderingShow, client.get("/v1/renderings/last"));
+    for object in [json!("none"), json!({"name": "a"})] {
+        refused(Route::RenderingStart, client.post("/v1/renderings", &json!({"object": object})));
     }
-    let mine = "name = \"mine\"\nshape = \"dots\"\npoints = [[0, 0]]\n";
-    fits(Route::StoreTarget, &client.put("/v1/targets/mine", mine.to_owned()).unwrap());
-    refused(Route::StoreTarget, client.put("/v1/targets/mine", mine.to_owned()));
-    fits(Route::RemoveTarget, &client.delete("/v1/targets/mine").unwrap());
-    refused(Route::RemoveTarget, client.delete("/v1/targets/mine"));
-    let search = json!({"target": "moving-edge", "evaluations": 1, "model": "membrane"});
-    fits(Route::SearchStart, &client.post("/v1/searches", &search).unwrap());
-    fits(Route::SearchShow, &client.get("/v1/searches/1").unwrap());
-    next(&mut events, |next| {
-        event(&next);
-        matches!(next, Event::Search { state: SearchState::Done, .. }).then_some(())
-    });
-    fits(Route::SearchShow, &client.get("/v1/searches/last").unwrap());
-    fits(Route::Pattern, &client.get("/v1/patterns/search:1").unwrap());
-    fits(Route::SearchCancel, &client.delete("/v1/searches/1").unwrap());
-    refused(Route::SearchCancel, client.delete("/v1/searches/2"));
-    refused(Route::SearchStart, client.post("/v1/searches", &json!({"object": {"name": "a"}})));
     fits(
-        Route::SearchStart,
-        &client.post("/v1/searches", &json!({"object": "dot", "method": "field"})).unwrap(),
+        Route::RenderingStart,
+        &client.post("/v1/renderings", &json!({"object": "dot", "method": "field"})).unwrap(),
     );
+    fits(Route::RenderingShow, &client.get("/v1/renderings/1").unwrap());
     next(&mut events, |next| {
         event(&next);
-        matches!(next, Event::Search { state: SearchState::Done, .. }).then_some(())
+        matches!(next, Event::Rendering { state: RenderingState::Done, .. }).then_some(())
     });
-    fits(Route::SearchShow, &client.get("/v1/searches/last").unwrap());
-    fits(Route::Preview, &client.get_within(TIMEOUT, "/v1/patterns/search:2/preview?seconds=0.1").unwrap());
+    fits(Route::RenderingShow, &client.get("/v1/renderings/last").unwrap());
+    fits(Route::Pattern, &client.get("/v1/patterns/rendering:1").unwrap());
+    fits(Route::RenderingCancel, &client.delete("/v1/renderings/1").unwrap());
+    refused(Route::RenderingCancel, client.delete("/v1/renderings/2"));
+    fits(
+        Route::Preview,
+        &client.get_within(TIMEOUT, "/v1/patterns/rendering:1/preview?seconds=0.1").unwrap(),
+    );
     refused(Route::Preview, client.get("/v1/patterns/none/preview"));
     let started: Value =
         client.post("/v1/sessions", &json!({"participant": "P07", "exclusive": true})).unwrap();

@@ -3,22 +3,22 @@
 use crate::harness::{
     Daemon, TIMEOUT, document, ended, meissner, next, printed, problem, refusal, wait_until,
 };
-use crate::searches::children;
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
-use meissner_api::{Event, PatternPreview, RenderMethod, Rendered, Search, SearchState};
+use meissner_api::{Event, PatternPreview, RenderMethod, Rendered, Rendering, RenderingState, Status};
 use meissner_array::pattern::Pattern;
 use meissner_client::{Client, Events};
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::{Value, json};
 use sha2::Digest;
+use std::fs;
 use std::io::{Read, Write};
 use std::os::unix::net::UnixStream;
 
-/// The next event of a search: how it stands, and whether its pattern can be played.
-fn event(events: &mut Events) -> (SearchState, bool) {
+/// The next event of a rendering: how it stands, and whether its pattern can be played.
+fn event(events: &mut Events) -> (RenderingState, bool) {
     next(events, |event| match event {
-        Event::Search { state, found, .. } => Some((state, found)),
+        Event::Rendering { state, found, .. } => Some((state, found)),
         _ => None,
     })
 }
@@ -26,7 +26,7 @@ fn event(events: &mut Events) -> (SearchState, bool) {
 /// Waits until a rendering has failed; returns why.
 fn failed(events: &mut Events) -> String {
     next(events, |event| match event {
-        Event::Search { state: SearchState::Failed, problem, found: false, .. } => problem,
+        Event::Rendering { state: RenderingState::Failed, problem, found: false, .. } => problem,
         _ => None,
     })
 }
@@ -34,17 +34,17 @@ fn failed(events: &mut Events) -> String {
 /// Renders an object and waits until it is judged.
 fn rendered(client: &mut Client, request: &Value) -> Rendered {
     let mut events = client.events().unwrap();
-    let begun: Search = client.post_within(TIMEOUT, "/v1/searches", request).unwrap();
-    assert_eq!((begun.state, begun.found, begun.rendered), (SearchState::Running, false, None));
+    let begun: Rendering = client.post_within(TIMEOUT, "/v1/renderings", request).unwrap();
+    assert_eq!((begun.state, begun.found, begun.rendered), (RenderingState::Running, false, None));
     // First the pattern can be played, then it is judged.
-    assert_eq!(event(&mut events), (SearchState::Running, false));
-    assert_eq!(event(&mut events), (SearchState::Running, true));
-    assert_eq!(event(&mut events), (SearchState::Done, true));
-    let search: Search = client.get_within(TIMEOUT, &format!("/v1/searches/{}", begun.id)).unwrap();
+    assert_eq!(event(&mut events), (RenderingState::Running, false));
+    assert_eq!(event(&mut events), (RenderingState::Running, true));
+    assert_eq!(event(&mut events), (RenderingState::Done, true));
+    let rendering: Rendering = client.get_within(TIMEOUT, &format!("/v1/renderings/{}", begun.id)).unwrap();
     let method: RenderMethod =
         serde_json::from_value(request["method"].clone()).unwrap_or(RenderMethod::Auto);
-    assert_eq!((search.found, search.method, search.result), (true, Some(method), None));
-    *search.rendered.unwrap()
+    assert_eq!((rendering.found, rendering.method), (true, method));
+    *rendering.rendered.unwrap()
 }
 
 fn bar(name: &str) -> Value {
@@ -63,6 +63,38 @@ fn npy([rows, columns]: [usize; 2], um: impl Fn(usize, usize) -> f32) -> String 
         bytes.extend((0..columns).flat_map(|column| um(row, column).to_le_bytes()));
     }
     STANDARD.encode(bytes)
+}
+
+/// An object whose touch lasts half a minute: it is rendered and judged for long.
+pub(crate) fn long_touch() -> Value {
+    let mut object = bar("long");
+    object["touch"] = json!({"press": {"depth_um": 500, "hold_s": 29}});
+    object
+}
+
+fn long() -> Value {
+    json!({"object": long_touch(), "method": "rule"})
+}
+
+/// The processes that a daemon has started and that have not ended.
+fn children(daemon: &Daemon) -> Vec<i32> {
+    let status: Status = daemon.client().get("/v1/status").unwrap();
+    let threads = fs::read_dir(format!("/proc/{}/task", status.pid)).unwrap();
+    let of =
+        |thread: std::io::Result<fs::DirEntry>| fs::read_to_string(thread.unwrap().path().join("children"));
+    let all: String = threads.filter_map(|thread| of(thread).ok()).collect();
+    all.split_whitespace().map(|pid| pid.parse().unwrap()).filter(|&pid| runs(pid)).collect()
+}
+
+/// The fields of a process's `stat` from its state on; none if it has ended.
+fn stat(pid: i32) -> Option<Vec<String>> {
+    let stat = fs::read_to_string(format!("/proc/{pid}/stat")).ok()?;
+    let fields: Vec<_> = stat.rsplit_once(')')?.1.split_whitespace().map(str::to_owned).collect();
+    (fields[0] != "Z" && fields[0] != "X").then_some(fields)
+}
+
+fn runs(pid: i32) -> bool {
+    stat(pid).is_some()
 }
 
 fn map(name: &str, file: &str) -> Value {
@@ -112,11 +144,11 @@ fn a_shipped_object_is_rendered_and_judged_as_by_the_commands_and_plays() {
     // It plays without being stored, and a preview shows the finger that has judged it.
     let mut events = client.events().unwrap();
     let _: Value = client
-        .post_within(TIMEOUT, "/v1/play", &json!({"pattern": "search:1", "pattern_sha256": found.sha256}))
+        .post_within(TIMEOUT, "/v1/play", &json!({"pattern": "rendering:1", "pattern_sha256": found.sha256}))
         .unwrap();
     assert_eq!(ended(&mut events).pattern, "edge-45");
     let preview: PatternPreview =
-        client.get_within(TIMEOUT, "/v1/patterns/search:1/preview?seconds=0.3").unwrap();
+        client.get_within(TIMEOUT, "/v1/patterns/rendering:1/preview?seconds=0.3").unwrap();
     let early = |trains: &[Vec<f64>]| -> Vec<Vec<f64>> {
         let of = |train: &Vec<f64>| train.iter().copied().filter(|at_s| *at_s < 0.3).collect();
         trains.iter().map(of).collect()
@@ -126,7 +158,7 @@ fn a_shipped_object_is_rendered_and_judged_as_by_the_commands_and_plays() {
 }
 
 #[test]
-fn drawn_objects_and_targets_at_rest_are_rendered() {
+fn drawn_objects_are_rendered() {
     let daemon = Daemon::start();
     let mut client = daemon.client();
     let found = rendered(&mut client, &json!({"object": bar("drawn"), "method": "field"}));
@@ -140,14 +172,6 @@ fn drawn_objects_and_targets_at_rest_are_rendered() {
     assert!(names == ["rule", "vibrate-60"] && found.response.rule_s == found.response.found_s, "{names:?}");
     let found = rendered(&mut client, &json!({"object": bar("drawn"), "method": "trace"}));
     assert_eq!(found.judged[0].name, "trace");
-    let text = "name = \"my-edge\"\nshape = \"segment\"\npoints = [[-4, 0], [4, 0]]\n";
-    let _: Value = client.put("/v1/targets/my-edge", text.to_owned()).unwrap();
-    let found = rendered(&mut client, &json!({"object": "my-edge", "method": "field"}));
-    assert_eq!(
-        (&found.object["shape"], found.outline),
-        (&json!("lines"), vec![vec![[-4.0, 0.0], [4.0, 0.0]]])
-    );
-    let _: Value = client.delete("/v1/targets/my-edge").unwrap();
 }
 
 /// A ridge in a map is the bar of its size.
@@ -184,7 +208,7 @@ fn a_height_map_comes_with_its_file() {
 fn what_is_no_object_is_refused_in_one_line() {
     let daemon = Daemon::start();
     let mut client = daemon.client();
-    let unknown = problem(client.post_within(TIMEOUT, "/v1/searches", &json!({"object": "egde-45"})));
+    let unknown = problem(client.post_within(TIMEOUT, "/v1/renderings", &json!({"object": "egde-45"})));
     assert_eq!((&*unknown.code, unknown.status), ("not-found", 404));
     assert!(unknown.detail.contains("`egde-45`: did you mean `edge-45`?"), "{unknown}");
     let changed = |key: &str, value: Value| {
@@ -214,14 +238,14 @@ fn what_is_no_object_is_refused_in_one_line() {
             json!({"object": map("m", "../m.npy"), "files": {"../m.npy": ""}}),
             "`files` has `../m.npy`: must be the name of",
         ),
-        (json!({"object": bar("b"), "robust": true}), "`robust` is a key of a target's search"),
+        (json!({"object": bar("b"), "robust": true}), "unknown key `robust`"),
     ] {
-        let refused = problem(client.post_within(TIMEOUT, "/v1/searches", &request));
+        let refused = problem(client.post_within(TIMEOUT, "/v1/renderings", &request));
         assert_eq!((&*refused.code, refused.status), ("bad-request", 400), "{refused}");
         assert!(refused.detail.contains(says) && !refused.detail.contains('\n'), "{refused}");
     }
     let large = json!({"object": map("m", "m.npy"), "files": {"m.npy": "A".repeat(4 << 20)}});
-    assert_eq!(refusal(client.post_within(TIMEOUT, "/v1/searches", &large)), ("too-large".into(), 413));
+    assert_eq!(refusal(client.post_within(TIMEOUT, "/v1/renderings", &large)), ("too-large".into(), 413));
     // What only the process finds out.
     let mut events = client.events().unwrap();
     let wide = json!({"object": map("m", "m.npy"), "files": {"m.npy": npy([1, 5000], |_, _| 0.0)}});
@@ -242,35 +266,90 @@ fn what_is_no_object_is_refused_in_one_line() {
             "drawn: no pin moves for this object: press deeper",
         ),
     ] {
-        let _: Search = client.post_within(TIMEOUT, "/v1/searches", &request).unwrap();
+        let _: Rendering = client.post_within(TIMEOUT, "/v1/renderings", &request).unwrap();
         let problem = failed(&mut events);
         assert!(problem.contains(says) && !problem.contains('\n'), "{problem}");
     }
 }
 
-/// Judging a long touch takes a while: its pattern is there before, and stays when the search is cancelled.
+/// Judging a long touch takes a while: its pattern is there before, and stays when the rendering is cancelled.
 #[test]
-fn a_pattern_that_was_found_stays_when_its_search_is_cancelled() {
+fn a_pattern_that_was_found_stays_when_its_rendering_is_cancelled() {
     let daemon = Daemon::start();
     let mut client = daemon.armed();
     let mut events = client.events().unwrap();
-    let mut object = bar("long");
-    object["touch"] = json!({"press": {"depth_um": 500, "hold_s": 29}});
-    let _: Search =
-        client.post_within(TIMEOUT, "/v1/searches", &json!({"object": object, "method": "rule"})).unwrap();
-    assert_eq!(event(&mut events), (SearchState::Running, false));
-    assert_eq!(event(&mut events), (SearchState::Running, true));
+    let _: Rendering = client.post_within(TIMEOUT, "/v1/renderings", &long()).unwrap();
+    assert_eq!(event(&mut events), (RenderingState::Running, false));
+    assert_eq!(event(&mut events), (RenderingState::Running, true));
     let [process] = children(&daemon)[..] else { panic!("{:?}", children(&daemon)) };
     // It can end now only if it is killed.
     kill_process(Pid::from_raw(process).unwrap(), Signal::STOP).unwrap();
     let _: Value =
-        client.post_within(TIMEOUT, "/v1/play", &json!({"pattern": "search:1", "seconds": 0.2})).unwrap();
-    let cancelled: Search = client.delete("/v1/searches/1").unwrap();
-    assert_eq!((cancelled.state, cancelled.found, cancelled.rendered), (SearchState::Cancelled, true, None));
-    assert_eq!(event(&mut events), (SearchState::Cancelled, true));
-    let shown: Value = client.get_within(TIMEOUT, "/v1/patterns/search:1").unwrap();
+        client.post_within(TIMEOUT, "/v1/play", &json!({"pattern": "rendering:1", "seconds": 0.2})).unwrap();
+    let cancelled: Rendering = client.delete("/v1/renderings/1").unwrap();
+    assert_eq!(
+        (cancelled.state, cancelled.found, cancelled.rendered),
+        (RenderingState::Cancelled, true, None)
+    );
+    assert_eq!(event(&mut events), (RenderingState::Cancelled, true));
+    let shown: Value = client.get_within(TIMEOUT, "/v1/patterns/rendering:1").unwrap();
     assert_eq!(shown["pattern"]["name"], "long");
     wait_until(|| children(&daemon).is_empty());
+}
+
+#[test]
+fn one_rendering_runs_at_a_time_in_a_bounded_process_and_an_e_stop_does_not_end_it() {
+    let daemon = Daemon::start();
+    let mut client = daemon.armed();
+    let mut events = client.events().unwrap();
+    assert_eq!(refusal(client.get("/v1/renderings/last")), ("not-found".into(), 404));
+    let begun: Rendering = client.post_within(TIMEOUT, "/v1/renderings", &long()).unwrap();
+    assert_eq!((begun.id, &*begun.object), (1, "long"));
+    assert_eq!(event(&mut events), (RenderingState::Running, false));
+    assert_eq!(event(&mut events), (RenderingState::Running, true));
+    let [process] = children(&daemon)[..] else { panic!("{:?}", children(&daemon)) };
+    kill_process(Pid::from_raw(process).unwrap(), Signal::STOP).unwrap();
+    let busy = problem(client.post_within(TIMEOUT, "/v1/renderings", &long()));
+    assert_eq!((&*busy.code, busy.status), ("rendering-running", 409));
+    assert!(busy.detail.contains("rendering 1 of `long` runs"), "{busy}");
+    // The process has low priority, bounded memory that is not locked, and none of the daemon's files.
+    assert!(stat(process).unwrap()[16].parse::<i32>().unwrap() >= 10);
+    let limits = fs::read_to_string(format!("/proc/{process}/limits")).unwrap();
+    let data = limits.lines().find(|line| line.starts_with("Max data size")).unwrap();
+    assert!(data.contains(&meissner::render_process::MEMORY.to_string()), "{data}");
+    let status = fs::read_to_string(format!("/proc/{process}/status")).unwrap();
+    assert!(status.lines().any(|line| line.split_whitespace().eq(["VmLck:", "0", "kB"])), "{status}");
+    let files: Vec<_> =
+        fs::read_dir(format!("/proc/{process}/fd")).unwrap().map(|file| file.unwrap().file_name()).collect();
+    assert_eq!(files, ["0", "1", "2"]);
+    let _: Value = client.post("/v1/play", &json!({"pattern": "edge-45", "seconds": 60})).unwrap();
+    let stopped: Status = client.post("/v1/estop", &json!({})).unwrap();
+    assert_eq!((&*stopped.state, &*stopped.cause), ("faulted", "estop"));
+    let shown: Rendering = client.get("/v1/renderings/last").unwrap();
+    assert_eq!(shown.state, RenderingState::Running);
+    kill_process(Pid::from_raw(process).unwrap(), Signal::KILL).unwrap();
+    let problem = next(&mut events, |event| match event {
+        Event::Rendering { state: RenderingState::Failed, problem, found: true, .. } => problem,
+        _ => None,
+    });
+    assert!(problem.contains("ended without a result") && problem.contains("256 MiB"), "{problem}");
+    // The place is free again.
+    rendered(&mut client, &json!({"object": "dot", "method": "field"}));
+}
+
+#[test]
+fn a_rendering_ends_with_its_daemon() {
+    for signal in [Signal::TERM, Signal::KILL] {
+        let mut daemon = Daemon::start();
+        let mut client = daemon.client();
+        let mut events = client.events().unwrap();
+        let _: Rendering = client.post_within(TIMEOUT, "/v1/renderings", &long()).unwrap();
+        while event(&mut events) != (RenderingState::Running, true) {}
+        let process = children(&daemon)[0];
+        daemon.signal(signal);
+        daemon.wait();
+        wait_until(|| !runs(process));
+    }
 }
 
 #[test]
@@ -315,7 +394,7 @@ fn a_preview_shows_pins_and_spikes_of_any_pattern() {
     assert!(own.heights_um.iter().flatten().any(|um| *um > 10.0));
     assert_eq!(refusal(client.get_within(TIMEOUT, "/v1/patterns/none/preview")), ("not-found".into(), 404));
     assert_eq!(
-        refusal(client.get_within(TIMEOUT, "/v1/patterns/search:1/preview")),
+        refusal(client.get_within(TIMEOUT, "/v1/patterns/rendering:1/preview")),
         ("not-found".into(), 404)
     );
     for query in ["seconds=3", "seconds=0", "from_s=-1", "from_s=61", "sconds=1", "seconds=NaN"] {

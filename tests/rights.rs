@@ -4,9 +4,10 @@
 use crate::harness::{
     Daemon, PATIENT, TIMEOUT, began, directory, ended, next, printed, problem, refusal, wait_until,
 };
+use crate::renderings::long_touch;
 use meissner_api::{
-    EndCause, Event, LiveAccepted, LiveAnswer, Method, PlayState, Receipt, Role, Route, SearchState, Session,
-    SessionStarted, Status, TokenCreated, TokenList,
+    EndCause, Event, LiveAccepted, LiveAnswer, Method, PlayState, Receipt, RenderingState, Role, Route,
+    Session, SessionStarted, Status, TokenCreated, TokenList,
 };
 use meissner_client::Client;
 use serde_json::{Value, json};
@@ -100,9 +101,7 @@ fn row(route: Route) -> Row {
         | Route::Patterns
         | Route::Pattern
         | Route::Preview
-        | Route::Targets
-        | Route::Target
-        | Route::SearchShow
+        | Route::RenderingShow
         | Route::Calibration
         | Route::Sessions
         | Route::SessionShow
@@ -122,10 +121,8 @@ fn row(route: Route) -> Row {
         | Route::Edge
         | Route::Import
         | Route::Remove
-        | Route::StoreTarget
-        | Route::RemoveTarget
-        | Route::SearchStart
-        | Route::SearchCancel
+        | Route::RenderingStart
+        | Route::RenderingCancel
         | Route::Calibrate
         | Route::StoreCalibration
         | Route::SessionEnd
@@ -360,7 +357,7 @@ fn a_revocation_ends_what_is_open_and_what_waits() {
     let mut client = daemon.armed();
     let token = create(&daemon, Role::Operate);
     let headers = bearer(&token.token);
-    // A stream of events, a play that the token ordered behind another client's, a request that waits for it, and a search.
+    // A stream of events, a play that the token ordered behind another client's, a request that waits for it, and a rendering.
     let mut stream = send(&address, "GET /v1/events", &headers, "");
     let mut head = String::new();
     while !head.contains("event: state") {
@@ -371,9 +368,9 @@ fn a_revocation_ends_what_is_open_and_what_waits() {
     let play = ask(&address, "POST /v1/play", &headers, "{\"pattern\": \"pin-60\", \"endless\": true}");
     assert_eq!(play.0, 202, "{play:?}");
     let waiting = send(&address, "GET /v1/plays/last?wait=60", &headers, "");
-    let body = json!({"target": "rotating-edge", "seconds": 600, "robust": true}).to_string();
-    assert_eq!(ask(&address, "POST /v1/searches", &headers, &body).0, 202);
-    next(&mut events, |event| matches!(event, Event::Search { .. }).then_some(()));
+    let body = json!({"object": long_touch()}).to_string();
+    assert_eq!(ask(&address, "POST /v1/renderings", &headers, &body).0, 202);
+    next(&mut events, |event| matches!(event, Event::Rendering { .. }).then_some(()));
     revoke(&daemon, &token);
     // The stream's last chunk.
     let mut line = String::new();
@@ -387,7 +384,7 @@ fn a_revocation_ends_what_is_open_and_what_waits() {
     let (mut cancelled, mut receipts) = (false, Vec::new());
     while receipts.len() < 2 {
         match events.next(Some(TIMEOUT)).unwrap().unwrap() {
-            Event::Search { state, .. } => cancelled |= state == SearchState::Cancelled,
+            Event::Rendering { state, .. } => cancelled |= state == RenderingState::Cancelled,
             Event::Ended { receipt } => receipts.push(*receipt),
             _ => {}
         }

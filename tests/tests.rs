@@ -83,8 +83,6 @@ mod record;
 mod renderings;
 /// Rights: a table of all routes, open requests when a right ends, silence that disarms, ended sessions.
 mod rights;
-/// Targets and searches: a search's process, its result and its end, and refusals.
-mod searches;
 /// Sequences: all or nothing, one receipt, scale and triggers; the command.
 mod sequences;
 /// The daemon as a service: notifications, watchdog, socket activation, reload, and a newer program.

@@ -2,7 +2,7 @@
 //!
 //! A client on the socket of a daemon on the simulated array drives all motors at 60 Hz. It sends `UPDATES` updates [10 000] at
 //! 100 per second, each with another amplitude for every motor: once on an idle machine, once beside four busy loops. Then it moves
-//! an edge at 30 mm/s and turns it at 90 degrees/s, 50 poses per second, under each model. It prints the times of the receipt, by
+//! a pressed edge at 30 mm/s and turns it at 90 degrees/s, 50 poses per second. It prints the times of the receipt, by
 //! the device's clock: from the message to the tick from which strokes are replaced, and to the first motor's first new stroke. It
 //! also prints late strokes and the daemon's memory. It asserts nothing.
 
@@ -54,16 +54,14 @@ fn main() -> Done {
         over.store(true, Ordering::Relaxed);
         busy.into_iter().for_each(|thread| drop(thread.join()));
     }
-    for model in ["membrane", "afferents", "both"] {
-        let start = json!({"target": "edge-45", "model": model, "objective": "contrast", "timeout_ms": 5000});
-        let message = |number: u64| {
-            let s = number as f64 / 50.0;
-            // To and fro over 12 mm.
-            let way = (30.0 * s) % 24.0;
-            json!({"seq": number, "pose": {"x_mm": (way - 12.0).abs() - 6.0, "angle_deg": 90.0 * s}})
-        };
-        play(&daemon, &format!("an edge, model {model}"), &start, POSES, 50.0, message)?;
-    }
+    let start = json!({"object": "edge-45", "timeout_ms": 5000});
+    let message = |number: u64| {
+        let s = number as f64 / 50.0;
+        // To and fro over 12 mm.
+        let way = (30.0 * s) % 24.0;
+        json!({"seq": number, "pose": {"x_mm": (way - 12.0).abs() - 6.0, "angle_deg": 90.0 * s}})
+    };
+    play(&daemon, "an edge", &start, POSES, 50.0, message)?;
     let [now, peak] = daemon.memory_mb()?;
     println!("memory of the daemon: {now} MB, {peak} MB at most");
     Ok(())

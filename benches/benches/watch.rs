@@ -3,10 +3,10 @@
 //!
 //! All 64 clients watch while all pins vibrate for `WATCHED` seconds [30]: 24 windows over TCP, which hold a stream of events and
 //! ask for the status four times a second, and streams of events on the socket. The benchmark prints the daemon's processor time
-//! with and without them, its memory, late bursts, and bytes. Then it searches for a pattern for an edge, and renders things, as the page
-//! does when the pen is lifted, and plays what is found. Finally it orders emergency stops while such a search runs. It asserts nothing.
+//! with and without them, its memory, late bursts, and bytes. Then it renders things, as the page does when the pen is lifted, and plays what
+//! is found. Finally it orders emergency stops while a rendering runs. It asserts nothing.
 
-use meissner_api::{Event, PlayAccepted, Receipt, Search, SearchState, Status};
+use meissner_api::{Event, PlayAccepted, Receipt, Rendering, RenderingState, Status};
 use meissner_benches::daemon::Daemon;
 use meissner_benches::loads::window;
 use meissner_client::{Client, ClientError, Events};
@@ -22,8 +22,8 @@ use std::time::{Duration, Instant};
 const WINDOWS: usize = 24;
 /// The socket's clients; this benchmark's own three make it 64.
 const ON_SOCKET: usize = 13;
-/// Searches for the edge with each budget.
-const SEARCHES: u64 = 5;
+/// Renderings of each shape.
+const RENDERINGS: u64 = 5;
 const STOPS: usize = 1000;
 
 type Done<T = ()> = Result<T, Box<dyn Error>>;
@@ -133,14 +133,8 @@ fn wait_for(events: &mut Events, is_it: impl Fn(&Event) -> bool) -> Done<Event> 
     }
 }
 
-/// From the order to search or to render until the first pulse.
+/// From the order to render until the first pulse.
 fn first_pulses(daemon: &Daemon, client: &mut Client) -> Done {
-    for seconds in [1.0, 0.5] {
-        for model in ["both", "membrane"] {
-            let what = format!("an edge, {seconds} s of search, models {model}");
-            first_pulse(daemon, client, &what, |number| drawn_edge(seconds, model, number))?;
-        }
-    }
     for shape in ["bar", "edge"] {
         let object = |number: u64| {
             let mut object = json!({
@@ -158,26 +152,28 @@ fn first_pulses(daemon: &Daemon, client: &mut Client) -> Done {
     Ok(())
 }
 
-/// Orders a search as soon as the one before has ended, and plays what it has found as soon as that can be played.
+/// Orders a rendering as soon as the one before has ended, and plays what it has found as soon as that can be played.
 fn first_pulse(daemon: &Daemon, client: &mut Client, what: &str, request: impl Fn(u64) -> Value) -> Done {
     let mut taken = Vec::new();
-    for number in 0..SEARCHES {
+    for number in 0..RENDERINGS {
         let mut events = daemon.client()?.events()?;
         let begun = Instant::now();
-        let search = client.post::<Search>("/v1/searches", &request(number))?.id;
+        let rendering = client.post::<Rendering>("/v1/renderings", &request(number))?.id;
         wait_for(
             &mut events,
-            |event| matches!(event, Event::Search { id, found: true, .. } if *id == search),
+            |event| matches!(event, Event::Rendering { id, found: true, .. } if *id == rendering),
         )?;
         let found_s = begun.elapsed().as_secs_f64();
         let play: PlayAccepted = client.post(
             "/v1/play",
-            &json!({"pattern": format!("search:{search}"), "seconds": 0.1, "replace": true}),
+            &json!({"pattern": format!("rendering:{rendering}"), "seconds": 0.1, "replace": true}),
         )?;
         wait_for(&mut events, |event| matches!(event, Event::Began { id, .. } if *id == play.id))?;
         taken.push((begun.elapsed().as_secs_f64(), found_s));
         receipt(&mut events, play.id)?;
-        while client.get::<Search>(&format!("/v1/searches/{search}"))?.state == SearchState::Running {
+        while client.get::<Rendering>(&format!("/v1/renderings/{rendering}"))?.state
+            == RenderingState::Running
+        {
             thread::sleep(Duration::from_millis(20));
         }
     }
@@ -190,25 +186,19 @@ fn first_pulse(daemon: &Daemon, client: &mut Client, what: &str, request: impl F
     Ok(())
 }
 
-/// A request to search for a pattern for an edge. Every number gives another edge.
-fn drawn_edge(seconds: f64, model: &str, number: u64) -> Value {
-    let x = 3.0 + 0.1 * number as f64;
-    let target = json!({"name": "drawn", "shape": "segment", "points": [[-x, -2.0], [x, 2.0]]});
-    json!({"target": target, "seconds": seconds, "model": model})
-}
-
-/// Emergency stops, each of a play, while a search runs.
+/// Emergency stops, each of a play, while a rendering runs.
 fn stops(daemon: &Daemon, client: &mut Client) -> Done {
     // The earlier plays may have left more drift than the daemon allows at a play's start.
     client.post::<Status>("/v1/disarm", &json!({}))?;
     client.post::<Status>("/v1/arm", &json!({"assume_rest": true, "checked": "a benchmark"}))?;
-    for searching in [false, true] {
-        let search = if searching {
-            Some(client.post::<Search>("/v1/searches", &drawn_edge(120.0, "both", 0))?.id)
-        } else {
-            None
-        };
-        thread::sleep(Duration::from_secs(u64::from(searching)));
+    // Half a minute: it is judged for long.
+    let long = json!({"object": {
+        "kind": "object", "name": "long", "shape": "edge", "touch": {"press": {"depth_um": 500, "hold_s": 29}}
+    }});
+    for renders in [false, true] {
+        let rendering =
+            if renders { Some(client.post::<Rendering>("/v1/renderings", &long)?.id) } else { None };
+        thread::sleep(Duration::from_secs(u64::from(renders)));
         let mut times_ms = Vec::with_capacity(STOPS);
         for _ in 0..STOPS {
             client.post::<PlayAccepted>("/v1/play", &json!({"pattern": "all-pins", "seconds": 5.0}))?;
@@ -222,13 +212,13 @@ fn stops(daemon: &Daemon, client: &mut Client) -> Done {
         let at = |share: f64| times_ms[((times_ms.len() - 1) as f64 * share) as usize];
         println!(
             "{STOPS} emergency stops of a play {}: answered p50 {:.2} ms, p99 {:.2} ms, at most {:.2} ms",
-            if searching { "beside a search" } else { "alone" },
+            if renders { "beside a rendering" } else { "alone" },
             at(0.5),
             at(0.99),
             at(1.0)
         );
-        if let Some(id) = search {
-            client.delete::<Search>(&format!("/v1/searches/{id}"))?;
+        if let Some(id) = rendering {
+            client.delete::<Rendering>(&format!("/v1/renderings/{id}"))?;
         }
     }
     Ok(())

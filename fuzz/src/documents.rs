@@ -8,7 +8,7 @@ use meissner::config::Config;
 use meissner::exposure::{Account, Now, ParticipantLimits};
 use meissner::session_record::reader;
 use meissner_api::{
-    ArmRequest, CalibrateRequest, LiveMessage, LiveRequest, PlayRequest, ResetRequest, SearchRequest,
+    ArmRequest, CalibrateRequest, LiveMessage, LiveRequest, PlayRequest, RenderingRequest, ResetRequest,
     SequenceRequest, SessionRequest, TokenRequest,
 };
 use meissner_array::pattern::Pattern;
@@ -39,7 +39,7 @@ pub const KINDS: [(&str, Read); 19] = [
     ("exposure", exposure),
     ("play", |bytes| body(bytes, PlayRequest::parse)),
     ("sequence", |bytes| body(bytes, SequenceRequest::parse)),
-    ("search", |bytes| body(bytes, SearchRequest::parse)),
+    ("rendering", |bytes| body(bytes, RenderingRequest::parse)),
     ("session", |bytes| body(bytes, SessionRequest::parse)),
     ("live", |bytes| body(bytes, LiveRequest::parse)),
     ("live message", |bytes| body(bytes, LiveMessage::parse)),

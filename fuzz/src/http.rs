@@ -128,10 +128,10 @@ async fn ask(daemon: &Fuzzed, request: Request<Body>, from: Option<IpAddr>) {
     if is_estop {
         assert_eq!(status, StatusCode::OK, "{}", String::from_utf8_lossy(&bytes));
     }
-    // This process is not the program, so that it cannot search: that is its only error of its own.
-    let cannot_search = method == Method::POST && path == "/v1/searches";
+    // This process is not the program, so that it cannot render: that is its only error of its own.
+    let cannot_render = method == Method::POST && path == "/v1/renderings";
     assert!(
-        status != StatusCode::INTERNAL_SERVER_ERROR || cannot_search,
+        status != StatusCode::INTERNAL_SERVER_ERROR || cannot_render,
         "{method} {path}: {}",
         String::from_utf8_lossy(&bytes)
     );

@@ -15,7 +15,7 @@ from meissner import errors
 T = TypeVar("T")
 
 LEAD = "lead_ms = 1000\nlease_ms = 10000\n"
-"""The longest lead: an onset that is 2 s ahead outlasts a stop of 1 s. The line does not carry the updates of a live target then."""
+"""The longest lead: an onset that is 2 s ahead outlasts a stop of 1 s. The line does not carry the updates of a live object then."""
 _TRIES = 5
 _MISSED = "the onset could not be kept"
 _SIGNS = (_MISSED, "[too-soon", "is too soon", "[timeout:")

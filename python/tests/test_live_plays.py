@@ -34,7 +34,7 @@ PATIENT = 20.0
 
 @pytest.fixture(scope="module")
 def shared_daemon() -> Iterator[meissner.Daemon]:
-    """With a shorter lead than that of other tests: the line carries the updates of a live target."""
+    """With a shorter lead than that of other tests: the line carries the updates of a live object."""
     with meissner.Daemon() as daemon:
         yield daemon
 
@@ -103,22 +103,6 @@ def late_strokes_of_drives_that_follow(m: meissner.Client) -> int:
     return receipt.late
 
 
-def test_a_target_follows_its_poses_and_newer_ones_replace_older_ones(m: meissner.Client) -> None:
-    with m.live("edge-45", pose={"x_mm": -3}, model="membrane", budget=0.02, timeout=PATIENT) as play:
-        updates = [play.pose(-3 + step * 0.1, angle_deg=step) for step in range(40)]
-        results = [update.wait(PATIENT) for update in updates]
-        merged = [result for result in results if result.state == "merged"]
-        # Each pose is searched for 20 ms; forty in a row are sent in less.
-        assert merged
-        assert all(result.merged_into is not None and result.onset is None for result in merged)
-        assert results[-1].state == "applied"
-        assert play.send(pose={"y_mm": 1.0}, scale=0.5).wait(PATIENT).state == "applied"
-    figures = play.receipt.raw["live"]
-    # Some have merged before they were sent.
-    assert 0 < figures["merged"] <= len(merged)
-    assert figures["updates"] == figures["merged"] + figures["applied"] <= 41
-
-
 def test_a_refusal_reaches_who_waits_else_the_next_call(m: meissner.Client) -> None:
     with m.live(drives=DRIVES, timeout=PATIENT) as play:
         update = play.set(9, frequency_hz=100, amplitude_um=40)
@@ -133,7 +117,7 @@ def test_a_refusal_reaches_who_waits_else_the_next_call(m: meissner.Client) -> N
         assert play.keep().wait(PATIENT).state == "applied"
         # Not waited for: a later call raises it, once.
         play.pose(1.0)
-        with pytest.raises(errors.BadRequest, match="`pose` is that of a target"):
+        with pytest.raises(errors.BadRequest, match="`pose` is that of an object"):
             until_refused(play.keep)
         assert play.keep().wait(PATIENT).state == "applied"
         # What is no JSON is not sent.
@@ -142,7 +126,7 @@ def test_a_refusal_reaches_who_waits_else_the_next_call(m: meissner.Client) -> N
         with pytest.raises(TypeError):
             play.drives([{"motor": object()}])
         assert play.scale(0.5).wait(PATIENT).state == "applied"
-    with pytest.raises(errors.BadRequest, match="target"):
+    with pytest.raises(errors.BadRequest, match="object"):
         with m.live(drives=DRIVES, timeout=PATIENT) as play:
             play.pose(1.0)
     assert play.receipt.cause == "stop"
@@ -150,8 +134,8 @@ def test_a_refusal_reaches_who_waits_else_the_next_call(m: meissner.Client) -> N
 
 def test_starts_that_are_refused(m: meissner.Client) -> None:
     for arguments, kind in [
-        ({"target": "no-such"}, errors.NotFound),
-        ({"target": "edge-45", "drives": DRIVES}, errors.BadRequest),
+        ({"object": "no-such"}, errors.NotFound),
+        ({"object": "edge-45", "drives": DRIVES}, errors.BadRequest),
         ({"timeout": 0.01}, errors.BadRequest),
         ({"drives": [drive(500)]}, errors.BadRequest),
     ]:

@@ -88,8 +88,6 @@ OF_A_CLIENT: list[tuple[str, Call, str]] = [
     ),
     ("sequence", lambda m: m.sequence(["pin-60"], seconds=0.1, isi="1"), "`isi` is '1': must be a number of seconds"),
     ("live", lambda m: m.live(drives=9), "`drives` is 9: must be a list, such as"),
-    ("live", lambda m: m.live("edge", pose=(1, 2)), r"`pose` is \(1, 2\): must be a dict, such as"),
-    ("live", lambda m: m.live("edge", pose={"x_mm": "a"}), "`pose.x_mm` is 'a': must be a number"),
     ("arm", lambda m: m.arm(silence="5"), "`silence` is '5': must be a number of seconds"),
     ("edge", lambda m: m.edge(at=2.0), "`at` is 2.0: must be an instant, such as"),
     ("receipt", lambda m: m.receipt("a b\n"), "a play's id is a number, or `last`"),

@@ -52,7 +52,7 @@ pub use text::{columns, number};
 
 use crate::config::Source;
 use crate::daemon::{self, Daemon, DaemonError, Signals};
-use crate::{log, search};
+use crate::{log, render_process};
 use anyhow::{Result, anyhow};
 use arguments::{ClientOptions, Output, PaperArrayOption, measured, positive};
 use clap::{CommandFactory, Parser, Subcommand};
@@ -290,10 +290,10 @@ pub fn command() -> clap::Command {
 /// Runs the program.
 #[must_use]
 pub fn main() -> ExitCode {
-    if search::is_asked(env::args_os().next().as_deref()) {
-        return search::work();
+    if render_process::is_asked(env::args_os().next().as_deref()) {
+        return render_process::work();
     }
-    search::is_program();
+    render_process::is_program();
     let cli = Cli::parse();
     let level = if matches!(cli.command, Command::Daemon { .. }) { Level::INFO } else { Level::WARN };
     log::start(level);

@@ -18,7 +18,7 @@ use comfy_table::presets::{NOTHING, UTF8_FULL};
 use comfy_table::{CellAlignment, Table};
 use meissner_api::{
     ArmedStatus, ArrayDetails, ArrayGrid, BoardRecord, BoardStatus, EdgeEffect, EndCause, ErrorSource, Event,
-    ItemState, NO_DEVICE, ParticipantStatus, Receipt, SearchState, Session, Status,
+    ItemState, NO_DEVICE, ParticipantStatus, Receipt, RenderingState, Session, Status,
 };
 use meissner_array::pattern::Drive;
 use meissner_array::units::TickRate;
@@ -312,9 +312,6 @@ pub(super) fn event(event: &Event) -> String {
         Event::PredictedResponse { id, prediction } => {
             format!("{PREDICTED}: {id}, {}", receipt::predicted(prediction).unwrap_or_default())
         }
-        Event::LiveContrast { id, contrast } => {
-            format!("live contrast: {id}, {}", receipt::contrast(contrast))
-        }
         Event::Calibrated { id, motors, problem: None } => {
             format!("calibrated: {} motors by play {id}", motors.len())
         }
@@ -330,18 +327,14 @@ pub(super) fn event(event: &Event) -> String {
                 "drifted: pins may be {um:.0} um off; `meissner home` between plays, or level them by hand"
             )
         }
-        Event::Search { id, state, target, found, progress, problem } => {
+        Event::Rendering { id, state, object, found, seconds, problem } => {
             let problem = problem.as_ref().map_or_else(String::new, |problem| format!(": {problem}"));
-            let count = progress.evaluations;
             let state = match (state, found) {
-                (SearchState::Running, true) => "found".into(),
+                (RenderingState::Running, true) => "found".into(),
                 _ => serde_json::to_value(state).unwrap_or_default(),
             };
-            format!(
-                "search: {id} for {target}, {} after {count} evaluations, {:.1} s{problem}",
-                state.as_str().unwrap_or_default(),
-                progress.seconds
-            )
+            let state = state.as_str().unwrap_or_default();
+            format!("rendering: {id} of {object}, {state} after {seconds:.1} s{problem}")
         }
         Event::SessionStarted { session } => format!("session: {} began", session_name(session)),
         Event::SessionReleased { session } => {

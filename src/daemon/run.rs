@@ -179,7 +179,7 @@ impl Daemon {
         watchdog.abort();
         {
             let mut state = engine.lock();
-            state.cancel_running_search();
+            state.cancel_running_rendering();
             state.close_session("daemon-ended");
             state.publisher.close();
         }

@@ -82,12 +82,6 @@ impl LiveAccount {
         }
     }
 
-    /// Counts an update that a newer one replaced before it reached the streamer.
-    pub(super) fn merged(&mut self) {
-        self.record.updates += 1;
-        self.record.merged += 1;
-    }
-
     pub(super) fn record(&self) -> LiveRecord {
         let times = [&self.decided, &self.first, &self.last].map(Durations::times);
         let [decided, first_motor, last_motor] = times;

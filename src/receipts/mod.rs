@@ -28,8 +28,8 @@ use firmware_protocol::message::{DeviceHello, State};
 use firmware_protocol::tick::Tick;
 use live::LiveAccount;
 use meissner_api::{
-    BurstCounts, DeviceInfo, EdgeEffect, Event, LateCounts, LateStroke, LinkTraffic, LiveContrast,
-    LoweredPin, LoweredReason, MAX_LISTED, MotorRestError, MovedPin, NO_DEVICE, OrderedCounts, PlayState,
+    BurstCounts, DeviceInfo, EdgeEffect, Event, LateCounts, LateStroke, LinkTraffic, LoweredPin,
+    LoweredReason, MAX_LISTED, MotorRestError, MovedPin, NO_DEVICE, OrderedCounts, PlayState,
     PredictedResponse, Prediction, PulseCounts, Receipt, RefusedStroke, RunningPlay,
 };
 use meissner_array::spec::Array;
@@ -267,13 +267,6 @@ impl Receipts {
         }
     }
 
-    /// Counts a pose of a live play's target that a newer one replaced before it was rendered.
-    pub fn live_merged(&mut self, id: u64) {
-        if let Some(account) = self.updates.get_mut(&id) {
-            account.merged();
-        }
-    }
-
     /// Puts a predicted response, or why there is none, into its play's receipt.
     pub fn set_prediction(
         &mut self,
@@ -286,13 +279,6 @@ impl Receipts {
             Err(why) => Prediction { response: None, unknown: Some(why.to_string()) },
         };
         Some(Event::PredictedResponse { id, prediction: receipt.prediction.clone() })
-    }
-
-    /// Puts the contrast that a live target has reached into its play's receipt.
-    pub fn set_live_contrast(&mut self, id: u64, contrast: LiveContrast) -> Option<Event> {
-        let receipt = self.finished.iter_mut().find(|receipt| receipt.id == id)?;
-        receipt.live.as_mut()?.contrast = Some(contrast);
-        Some(Event::LiveContrast { id, contrast })
     }
 
     /// The receipt of a play.

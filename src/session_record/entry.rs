@@ -276,7 +276,7 @@ impl Entry {
             | Event::Refused { .. }
             | Event::Lagged { .. }
             | Event::RecordProblem { .. }
-            | Event::Search { .. } => None,
+            | Event::Rendering { .. } => None,
             &Event::Edge { edge, play, effect } => Some(Note::Edge { edge, play, effect }.into()),
             event => Some(Self::Event {
                 event: Box::new(event.clone()),
@@ -326,7 +326,6 @@ impl Entry {
                 | Event::Items { .. }
                 | Event::Ended { .. }
                 | Event::PredictedResponse { .. }
-                | Event::LiveContrast { .. }
                 | Event::SessionStarted { .. }
                 | Event::SessionReleased { .. }
                 | Event::SessionEnded { .. }

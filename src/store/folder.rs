@@ -1,6 +1,6 @@
-//! A folder of TOML files, each of which has the name of what it holds: the site's patterns, or its targets.
+//! The folder of the site's patterns: TOML files, each of which has the name of its pattern.
 //!
-//! It knows bytes and names, and not what a file means. It is read at every request, so it finds manually added files at once.
+//! It knows bytes and names, and no patterns. It is read at every request, so it finds manually added files at once.
 //! Calls block for as long as the disk takes.
 //!
 //! Invariant: no name leads out of the folder, and a file is replaced atomically.
@@ -9,9 +9,8 @@ use crate::file::{self, LISTED_BY_ALL, READABLE_BY_ALL, make_dirs, open_regular}
 use meissner_array::pattern::{is_name, is_new_name};
 use meissner_input::message::quote;
 use sha2::{Digest, Sha256};
-use std::fs::{self, DirBuilder, File};
+use std::fs::{self, File};
 use std::io::{self, Read};
-use std::os::unix::fs::DirBuilderExt;
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
@@ -36,12 +35,10 @@ pub enum FileError {
         name: String,
     },
     /// A file that is not UTF-8 text.
-    #[error("{}: not UTF-8 text: write {what} as TOML in UTF-8", .path.display())]
+    #[error("{}: not UTF-8 text: write patterns as TOML in UTF-8", .path.display())]
     NotText {
         /// The file.
         path: PathBuf,
-        /// What the folder holds.
-        what: &'static str,
     },
     /// No directory to write to.
     #[error("there is no pattern directory: set patterns_dir in the daemon's configuration")]
@@ -64,30 +61,19 @@ impl FileError {
     }
 }
 
-/// What is made of a missing folder when a file is stored.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Make {
-    Nothing,
-    /// The folder, in a directory that must exist.
-    Folder,
-    /// The folder and the directories above it.
-    All,
-}
-
 /// See the module.
 #[derive(Debug)]
 pub(super) struct Folder {
     dir: Option<PathBuf>,
-    make: Make,
-    /// In the plural.
-    what: &'static str,
+    /// Whether a missing folder, with those above it, is made when a file is stored.
+    make: bool,
     /// Held while a file is replaced or removed, so that the answer names the file that was there.
     writing: Mutex<()>,
 }
 
 impl Folder {
-    pub(super) const fn new(dir: Option<PathBuf>, make: Make, what: &'static str) -> Self {
-        Self { dir, make, what, writing: Mutex::new(()) }
+    pub(super) const fn new(dir: Option<PathBuf>, make: bool) -> Self {
+        Self { dir, make, writing: Mutex::new(()) }
     }
 
     /// The file of a name; `None` if the name is not valid, or there is no folder.
@@ -100,7 +86,7 @@ impl Folder {
     pub(super) fn names(&self) -> Result<Vec<String>, FileError> {
         let Some(dir) = &self.dir else { return Ok(Vec::new()) };
         let entries = match fs::read_dir(dir) {
-            Err(error) if error.kind() == io::ErrorKind::NotFound && self.make != Make::Nothing => {
+            Err(error) if error.kind() == io::ErrorKind::NotFound && self.make => {
                 return Ok(Vec::new());
             }
             entries => entries.map_err(failed(dir))?,
@@ -128,12 +114,6 @@ impl Folder {
         }
     }
 
-    /// The text of a file.
-    pub(super) fn text<'a>(&self, bytes: &'a [u8], path: &Path) -> Result<&'a str, FileError> {
-        let (path, what) = (path.to_owned(), self.what);
-        std::str::from_utf8(bytes).map_err(|_| FileError::NotText { path, what })
-    }
-
     /// Stores a file; returns the SHA-256 of the one that it replaced. If there is one and `replace` is not set, the error is
     /// `taken` of its SHA-256.
     pub(super) fn put<E: From<FileError>>(
@@ -147,12 +127,9 @@ impl Folder {
             return Err(FileError::NoDirectory.into());
         };
         let _writing = self.writing.lock().unwrap_or_else(PoisonError::into_inner);
-        match self.make {
-            Make::Nothing => Ok(()),
-            Make::Folder => make_folder(dir),
-            Make::All => make_dirs(dir, LISTED_BY_ALL),
+        if self.make {
+            make_dirs(dir, LISTED_BY_ALL).map_err(failed(dir))?;
         }
-        .map_err(failed(dir))?;
         let replaced = present(&path)?;
         if let Some(sha256) = replaced.clone().filter(|_| !replace) {
             return Err(taken(sha256));
@@ -171,6 +148,11 @@ impl Folder {
     }
 }
 
+/// The text of a file.
+pub(super) fn text<'a>(bytes: &'a [u8], path: &Path) -> Result<&'a str, FileError> {
+    std::str::from_utf8(bytes).map_err(|_| FileError::NotText { path: path.to_owned() })
+}
+
 /// Refuses a text with another name than that of its file.
 pub(super) fn check_name(name: &str, inside: &str) -> Result<(), FileError> {
     if inside == name {
@@ -186,13 +168,6 @@ pub(super) fn check_new_name(name: &str) -> Result<(), FileError> {
 
 fn failed(path: &Path) -> impl FnOnce(io::Error) -> FileError {
     move |source| FileError::Io { path: path.to_owned(), source }
-}
-
-fn make_folder(folder: &Path) -> io::Result<()> {
-    match DirBuilder::new().mode(LISTED_BY_ALL).create(folder) {
-        Err(error) if error.kind() == io::ErrorKind::AlreadyExists => Ok(()),
-        made => made,
-    }
 }
 
 /// SHA-256 of the file, if it exists.

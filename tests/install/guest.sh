@@ -245,17 +245,17 @@ ask() {
 ask GET /v1/status '' >out.log 2>&1 && head -n 1 out.log | grep -q ' 200 OK' || fail "allowed: $(line out.log)"
 ok "allowed: GET /v1/status over TCP: $(head -n 1 out.log | tr -d '\r')"
 
-part=search
+part=rendering
 # The daemon starts a process of its own for it, within the unit's limits.
-ask POST /v1/searches '{"target": "edge-45", "seconds": 0.5}' >out.log 2>&1 && head -n 1 out.log | grep -q ' 20[0-9] ' ||
+ask POST /v1/renderings '{"object": "edge-45"}' >out.log 2>&1 && head -n 1 out.log | grep -q ' 20[0-9] ' ||
     fail "order: $(tail -n 1 out.log)"
 from=$(now)
-found() { ask GET /v1/searches/last '' | grep -q '"state":"done"'; }
-within 60 found || fail "result: $(ask GET /v1/searches/last '' | tail -n 1 | cut -c 1-300)"
-ok "found: a search of 0.5 s within the unit's limits took $(ms "$from" "$(now)")"
-arm search
-alice play search:1 --seconds 0.2 --wait >out.log 2>&1 || fail "play: $(line out.log)"
-disarm search
+found() { ask GET /v1/renderings/last '' | grep -q '"state":"done"'; }
+within 60 found || fail "result: $(ask GET /v1/renderings/last '' | tail -n 1 | cut -c 1-300)"
+ok "found: a rendering within the unit's limits took $(ms "$from" "$(now)")"
+arm rendering
+alice play rendering:1 --seconds 0.2 --wait >out.log 2>&1 || fail "play: $(line out.log)"
+disarm rendering
 rm -r /etc/systemd/system/meissner.service.d
 cp -p kept.toml $conf
 systemctl daemon-reload && systemctl restart meissner.service || fail "off again"

@@ -36,7 +36,7 @@ function sent(page, path) {
 // Waits until the daemon has judged a rendering whose object fulfils a condition, and returns that.
 async function rendered(daemon, condition) {
   for (const until = Date.now() + WAIT.timeout; Date.now() < until; await new Promise((done) => setTimeout(done, 50))) {
-    const { state, problem, rendered: found } = await get(daemon, "/v1/searches/last");
+    const { state, problem, rendered: found } = await get(daemon, "/v1/renderings/last");
     assert.notEqual(state, "failed", problem);
     if (state === "done" && condition(found.object)) return found.object;
   }
@@ -76,30 +76,7 @@ test("Home, and each field of a thing and of its touch, reach the daemon", async
   assert.deepEqual(page.complaints.filter((line) => !line.includes("409")), []);
 });
 
-test("each setting of the paper's search, and the seconds of its play, reach the daemon", async () => {
-  const daemon = await new Daemon().start();
-  const page = await open(daemon);
-  await arm(page);
-  await page.select("#shape", "dots");
-  await enter(page, "points", "0 0");
-  await page.$eval("#paper", (details) => (details.open = true));
-  const bodies = sent(page, "/v1/searches");
-  for (const [id, text] of [["target-name", "my-dot"], ["budget", "0,3"], ["reach", "2,5"], ["amplitude", "60,5"]]) await enter(page, id, text);
-  await page.select("#objective", "near-off");
-  await page.select("#model", "membrane");
-  await press(page, "#robust");
-  await press(page, "#find");
-  await shows(page, "search-note", "Found a pattern for my-dot");
-  const { target, ...settings } = bodies.at(-1);
-  assert.deepEqual([target.name, target.reach_mm, target.amplitude_um, settings], ["my-dot", 2.5, 60.5, { seconds: 0.3, objective: "near-off", model: "membrane", robust: true }]);
-  await enter(page, "feel-seconds", "0,25");
-  await press(page, "#feel");
-  await view(page, "play");
-  await shows(page, "receipt-summary", ": done");
-  assert.equal((await get(daemon, "/v1/plays/last")).duration_ms.ordered, 250);
-});
-
-test("Clear, Redo and “Draw on it” change the drawing, and a height map comes from the file chooser", async () => {
+test("Clear and Redo change the drawing, and a height map comes from the file chooser", async () => {
   const daemon = await new Daemon().start();
   const page = await open(daemon);
   await shows(page, "state-text", "Disarmed");
@@ -110,12 +87,6 @@ test("Clear, Redo and “Draw on it” change the drawing, and a height map come
   assert.equal(await value(page, "points"), "-3 0; 3 0");
   await press(page, "#redo");
   assert.deepEqual([await value(page, "points"), await page.$eval("#redo", (button) => button.disabled)], ["", true]);
-  await shows(page, "load", "edge-45");
-  await page.select("#load", "edge-45");
-  await page.waitForSelector("#edit:not([hidden])");
-  await press(page, "#edit");
-  const { target } = await get(daemon, "/v1/targets/edge-45");
-  assert.deepEqual([await value(page, "shape"), await value(page, "points"), await value(page, "thing-name")], ["bar", target.points.map((place) => place.map((mm) => Math.round(100 * mm) / 100).join(" ")).join("; "), "edge-45-new"]);
   await page.select("#shape", "heightmap");
   const folder = mkdtempSync(join(tmpdir(), "meissner-map-"));
   // 16 x 16 integers of 16 bits, with a ridge.
@@ -171,13 +142,9 @@ test("a window that may not change anything asks for no rendering, says so once,
     await page.select("#shape", "bar");
     await enter(page, "points", "-3 0; 3 0");
     for (const width of ["1", "1,5", "2"]) await enter(page, "width", width);
-    await page.select("#load", "two-dots");
-    await page.waitForFunction(() => document.getElementById("shape").value === "loaded", WAIT);
-    await press(page, "#undo");
   };
   await enterToken("observe");
   await page.waitForSelector("#thing-may-not:not([hidden])");
-  await shows(page, "load", "two-dots");
   await shows(page, "speak", "This window may change nothing now");
   await draws();
   assert.deepEqual([asked, await isRefused(), await text(page, "thing-note")], [[], [], ""]);
@@ -186,7 +153,7 @@ test("a window that may not change anything asks for no rendering, says so once,
   await page.waitForSelector("#thing-may-not[hidden]");
   // The drawing is as it was, and is rendered now.
   await page.waitForSelector("#thing-result:not([hidden], .older)");
-  assert.deepEqual([asked.length > 0 && asked.every((one) => one === "POST /v1/searches"), await value(page, "width")], [true, "2"]);
+  assert.deepEqual([asked.length > 0 && asked.every((one) => one === "POST /v1/renderings"), await value(page, "width")], [true, "2"]);
 });
 
 test("during the exclusive session of another client a drawing waits for its end", async () => {
@@ -195,7 +162,7 @@ test("during the exclusive session of another client a drawing waits for its end
   const page = await open(daemon);
   const { token } = await post("/v1/sessions", { participant: "P30", exclusive: true });
   await page.waitForSelector("#thing-may-not:not([hidden])");
-  const asked = sent(page, "/v1/searches");
+  const asked = sent(page, "/v1/renderings");
   await enter(page, "points", "-3 0; 3 0");
   await enter(page, "width", "1,5");
   assert.equal(await page.$$eval('[data-view="design"] .say:not([hidden])', (lines) => lines.length), 0);

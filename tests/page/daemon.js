@@ -11,7 +11,7 @@ import { after, afterEach, before } from "node:test";
 import puppeteer from "puppeteer-core";
 
 const PROGRAM = process.env.MEISSNER_PROGRAM;
-// It only ends a test that hangs: beside a build a search may take minutes.
+// It only ends a test that hangs: beside a build a rendering may take minutes.
 export const WAIT = { timeout: 200000, polling: 50 };
 
 // A calibration of another array: 23 motors, each with its points.
@@ -112,7 +112,7 @@ export class Daemon {
 export async function open(browser, daemon, width = 1400, height = 1000, view = "play") {
   const context = await browser.createBrowserContext();
   const page = await context.newPage();
-  // What a selector waits for may follow a search, as the first pose of a live play does.
+  // What a selector waits for may follow a rendering, as the first pose of a live play does.
   page.setDefaultTimeout(WAIT.timeout);
   page.complaints = [];
   // A device that nobody has calibrated has no calibration.

@@ -1,5 +1,4 @@
-// The view Design in a real browser, against a real daemon with the simulated array: things that are drawn, rendered and felt, and the
-// paper's search.
+// The view Design in a real browser, against a real daemon with the simulated array: things that are drawn, rendered and felt.
 //
 // No test asserts on real time; the time limits only end a test that hangs.
 
@@ -41,11 +40,11 @@ const enter = (page, id, value) => page.$eval(`#${id}`, (field, value) => {
 // Waits until a rendering that fulfils a condition is judged and shown, and returns it.
 async function rendered(page, daemon, condition = () => true) {
   for (;;) {
-    const search = await get(daemon, "/v1/searches/last").catch(() => ({}));
-    assert.notEqual(search.state, "failed", search.problem);
-    if (search.state === "done" && condition(search)) {
+    const found = await get(daemon, "/v1/renderings/last").catch(() => ({}));
+    assert.notEqual(found.state, "failed", found.problem);
+    if (found.state === "done" && condition(found)) {
       await page.waitForSelector("#thing-result:not([hidden], .older)", WAIT);
-      return search;
+      return found;
     }
     await new Promise((done) => setTimeout(done, 50));
   }
@@ -58,18 +57,13 @@ const at = async (page, id, ...beyond) => (await page.waitForFunction((id, x, y)
   return found && found[1] > x - 0.3 && found[2] > y - 0.3 && [...found];
 }, WAIT, id, ...beyond)).jsonValue();
 
-const openPaper = async (page) => {
-  await page.$eval("#paper", (details) => (details.open = true));
-  await page.waitForFunction(() => document.getElementById("thing").hidden, WAIT);
-};
-
 test("a bar that is drawn is rendered, compared with the real thing, felt and saved", async () => {
   const daemon = await new Daemon().start();
   const page = await open(daemon);
   await arm(page);
   await draw(page, [-4, 0.5], [4, 0.5]);
-  const search = await rendered(page, daemon);
-  const { rendered: result } = search;
+  const rendering = await rendered(page, daemon);
+  const { rendered: result } = rendering;
   const { length_mm: length, width_mm: width, center_mm: middle, touch } = result.object;
   assert.ok(Math.abs(length - 8) < 0.3 && width === 0.8 && Math.hypot(middle[0], middle[1] - 0.5) < 0.3, JSON.stringify(result.object));
   assert.equal(touch.press.depth_um, 500);
@@ -168,16 +162,13 @@ test("each thing and touch becomes its object, and numbers take a comma", async 
   assert.deepEqual([braille.dot_pitch_mm, braille.diameter_mm], [2.34, 2]);
   assert.equal(await page.$$eval("#pad .shape-dot", (dots) => dots.length), 5);
   // A wrong number is named, and nothing is asked.
-  const { id } = await get(daemon, "/v1/searches/last");
+  const { id } = await get(daemon, "/v1/renderings/last");
   await enter(page, "depth", "deep");
   assert.equal(await page.$eval("#depth", (field) => field.nextElementSibling.textContent), "Enter a number, 1 to 2000.");
   assert.equal(await page.$eval("#thing-feel", (button) => button.disabled), true);
-  assert.equal((await get(daemon, "/v1/searches/last")).id, id);
+  assert.equal((await get(daemon, "/v1/renderings/last")).id, id);
   await enter(page, "depth", "300");
   assert.equal((await object(({ touch }) => touch.press?.depth_um === 300)).shape, "braille");
-  // A shipped object by its name.
-  await page.select("#load", "two-dots");
-  assert.equal((await rendered(page, daemon, ({ target }) => target === "two-dots")).rendered.object.shape, "dots");
   assert.deepEqual(faults(page), []);
 });
 
@@ -283,7 +274,7 @@ test("a drawing can be undone, and survives a reload with its result", async () 
   await page.waitForSelector("#thing-result:not([hidden])");
   assert.deepEqual([await points(), await page.$eval("#width", (field) => field.value)], ["-3 0; 3 0", "1.5"]);
   // The result is that of before.
-  assert.equal((await get(daemon, "/v1/searches/last")).id, id);
+  assert.equal((await get(daemon, "/v1/renderings/last")).id, id);
   assert.equal((await page.evaluate(() => JSON.stringify(localStorage))).includes("token"), false);
   // A daemon that was started again has none: the page asks.
   await daemon.end();
@@ -306,23 +297,17 @@ test("what lies off the pad or off the pins is named", async () => {
   await shows(page, "where-note", "All pins lie under the edge's covered half");
 });
 
-test("a rendering takes the place of another one, and a search only if a person wants that", async () => {
+test("a rendering takes the place of another one", async () => {
   const daemon = await new Daemon().start();
   const page = await open(daemon);
   await shows(page, "state-text", "Disarmed");
-  const other = await ask(daemon, "POST", "/v1/searches", { target: "edge-45", seconds: 600 });
   await enter(page, "points", "-3 0; 3 0");
-  await shows(page, "thing-blocked", "A search for edge-45 runs");
-  assert.equal((await get(daemon, `/v1/searches/${other.id}`)).state, "running");
-  await press(page, "#thing-cancel");
   await rendered(page, daemon);
-  assert.equal((await get(daemon, `/v1/searches/${other.id}`)).state, "cancelled");
-  assert.equal(await page.$eval("#thing-blocked", (line) => line.hidden), true);
   // Three changes at once: the last one is rendered, and the others are cancelled or were never asked for.
-  const rendering = await ask(daemon, "POST", "/v1/searches", { object: "rotating-edge" });
+  const rendering = await ask(daemon, "POST", "/v1/renderings", { object: "rotating-edge" });
   for (const width of ["1", "2", "3"]) await enter(page, "width", width);
   await rendered(page, daemon, ({ rendered: { object } }) => object.width_mm === 3);
-  assert.equal((await get(daemon, `/v1/searches/${rendering.id}`)).state, "cancelled");
+  assert.equal((await get(daemon, `/v1/renderings/${rendering.id}`)).state, "cancelled");
   assert.deepEqual(faults(page), []);
 });
 
@@ -394,77 +379,14 @@ test("the keyboard alone draws a thing and feels it", async () => {
   assert.equal(await page.$eval("#points", (input) => input.value.split(" / ").length), 2);
 });
 
-test("the paper's search finds a vibration for what is drawn, plays it and saves it", async () => {
+test("an emergency stop works while a play and a rendering run", async () => {
   const daemon = await new Daemon().start();
   const page = await open(daemon);
   await arm(page);
-  await openPaper(page);
-  await draw(page, [-3, -3], [3, 3]);
-  await enter(page, "budget", "0,3");
-  await press(page, "#find");
-  await shows(page, "search-note", "Found a pattern for drawn", WAIT);
-  await page.waitForSelector("#maps figure");
-  const { result, target, id } = await get(daemon, "/v1/searches/last");
-  const rule = Math.max(result.value_naive_reach, result.value_naive_pitch);
-  await shows(page, "search-note", `by the objective “off-rms-twice”: ${result.value.toPrecision(3)} against ${rule.toPrecision(3)} of the better rule of thumb.`);
-  // Nothing was rendered meanwhile.
-  assert.deepEqual([target, id], ["drawn", 1]);
-  const [[x, y], [u, v]] = result.definition.points;
-  assert.ok(Math.hypot(x + 3, y + 3) < 0.3 && Math.hypot(u - 3, v - 3) < 0.3, JSON.stringify(result.definition.points));
-  const titles = await page.$$eval("#maps figcaption strong", (all) => all.map((title) => title.textContent));
-  assert.deepEqual(titles, ["Target", "Found pattern", "Rule of thumb, within reach", "Rule of thumb, within one pitch"]);
-  const afferents = await page.$$eval("#maps figure", (figures) => figures.map((figure) => figure.querySelectorAll("circle:not(.pin-place)").length));
-  assert.deepEqual(afferents, [306, 306, 306, 306]);
-  assert.equal(await page.$$eval("#figures tbody tr", (rows) => rows.length), 6);
-  assert.ok((await text(page, "figures")).includes(result.models[0].naive_reach.contrast.toFixed(1)));
-  await press(page, "#feel");
-  await view(page, "play");
-  await shows(page, "receipt-summary", "drawn: done");
-  await view(page, "design");
-  assert.equal((await get(daemon, "/v1/plays/last")).pattern_sha256, result.sha256);
-  await enter(page, "save-name", "my-edge");
-  await press(page, "#save");
-  await answers(page, "#save", "Saved pattern and target my-edge.");
-  const pattern = (await get(daemon, "/v1/patterns/my-edge")).pattern;
-  assert.deepEqual([pattern.name, pattern.provenance.target, pattern.provenance.definition.name], ["my-edge", "my-edge", "my-edge"]);
-  assert.deepEqual((await get(daemon, "/v1/targets/my-edge")).target, { ...result.definition, name: "my-edge" });
-  // Saving a second time is refused until the person confirms it.
-  await press(page, "#save");
-  await answers(page, "#save", "is stored already");
-  await press(page, "#replace");
-  await press(page, "#save");
-  await answers(page, "#save", "Saved pattern and target my-edge.");
-  await view(page, "play");
-  await page.waitForSelector('li[data-name="my-edge"]');
-  assert.deepEqual(faults(page), []);
-});
-
-test("a vibration plays as soon as the pen lifts, if a person wants that", async () => {
-  const daemon = await new Daemon().start();
-  const page = await open(daemon);
-  await arm(page);
-  await openPaper(page);
-  await enter(page, "budget", "0.2");
-  await press(page, "#at-once");
-  await draw(page, [0, -4], [0, 4]);
-  // A key or a click before the play is ordered would withdraw the person's wish.
-  await shows(page, "search-note", "Found a pattern for drawn", WAIT);
-  await view(page, "play");
-  await shows(page, "receipt-summary", "drawn: done");
-  assert.equal((await get(daemon, "/v1/searches/last")).id, 1);
-});
-
-test("an emergency stop works while a play and a search run, and the search can be cancelled", async () => {
-  const daemon = await new Daemon().start();
-  const page = await open(daemon);
-  await arm(page);
-  await openPaper(page);
-  await shows(page, "load", "rotating-edge");
-  await page.select("#load", "rotating-edge");
-  await page.waitForSelector("#find:not([disabled])");
-  await enter(page, "budget", "600");
-  await press(page, "#find");
-  await shows(page, "search-progress", "evaluations", WAIT);
+  // A touch of half a minute: it is rendered and judged for long.
+  await enter(page, "hold", "20000");
+  await enter(page, "points", "-3 0; 3 0");
+  await shows(page, "thing-note", "Judging it", WAIT);
   await view(page, "play");
   await page.$eval("#seconds", (input) => (input.value = "600"));
   await page.type("#search", "edge-45");
@@ -474,94 +396,4 @@ test("an emergency stop works while a play and a search run, and the search can 
   await shows(page, "estop-note", "All lines are off.");
   const status = await daemon.status();
   assert.deepEqual([status.state, status.estops, status.play], ["faulted", 1, null]);
-  assert.equal((await get(daemon, "/v1/searches/last")).state, "running");
-  await view(page, "design");
-  await press(page, "#cancel");
-  await shows(page, "search-note", "Cancelled.");
-  assert.equal((await get(daemon, "/v1/searches/last")).state, "cancelled");
-  assert.equal(await page.$eval("#find", (button) => button.disabled), false);
-});
-
-test("the paper's search and its live play say what is wrong with their fields and their shape", async () => {
-  const daemon = await new Daemon().start();
-  const page = await open(daemon);
-  await arm(page);
-  await openPaper(page);
-  await page.select("#shape", "polyline");
-  await enter(page, "points", "-3 0; 3 0 / 0 0; 0 3");
-  await shows(page, "target-why", "The search takes one line.");
-  assert.deepEqual(await page.$$eval("#find, #live-start", (buttons) => buttons.map((button) => button.disabled)), [true, true]);
-  await enter(page, "points", "-3 0; 3 0");
-  await enter(page, "amplitude", "");
-  for (const button of ["#live-start", "#find"]) {
-    await press(page, button);
-    assert.equal(await page.$eval("#amplitude", (field) => field.parentElement.querySelector(".wrong")?.textContent), "Enter a number, 0 to 400.");
-    assert.equal(await page.evaluate(() => document.activeElement.id), "amplitude");
-  }
-  assert.equal((await daemon.status()).play, null);
-  await enter(page, "amplitude", "80");
-  // A refusal of the daemon is shown beside the button, in the page's words.
-  await enter(page, "reach", "24");
-  await press(page, "#find");
-  await answers(page, "#find", "Reach is 24: all 306 afferents are within reach");
-});
-
-test("a shape that is dragged plays live, and a window out of sight ends it (smoke)", async () => {
-  const daemon = await new Daemon("lead_ms = 100\n").start();
-  const page = await open(daemon);
-  await arm(page);
-  await openPaper(page);
-  await page.select("#shape", "dots");
-  assert.equal(await page.$eval("#live-start", (button) => button.disabled), true);
-  await enter(page, "points", "0 0");
-  const live = async () => {
-    await press(page, "#live-start");
-    await shows(page, "live-note", "At 0.0, 0.0 mm");
-    await shows(page, "state-text", "Playing live");
-  };
-  await live();
-  await draw(page, [0, 0], [1, 2]);
-  const [note, right, up] = await at(page, "live-note", 0.5, 1);
-  assert.ok(Number(right) > 0.5 && Number(up) > Number(right), note);
-  for (const key of ["ArrowLeft", "q", "q"]) await page.keyboard.press(key);
-  await shows(page, "live-note", "turned by 10°");
-  await page.waitForFunction(() => /; [1-9]\d* changes on the pins/.test(document.getElementById("live-note").textContent), WAIT);
-  await press(page, "#live-end");
-  await shows(page, "live-note", "Ended.");
-  const { live: updates, bursts } = await get(daemon, "/v1/plays/last");
-  assert.ok(updates.applied > 1 && bursts.replaced > 0, JSON.stringify(updates));
-  await live();
-  await page.evaluate(() => (Object.defineProperty(document, "hidden", { get: () => true }), document.dispatchEvent(new Event("visibilitychange"))));
-  await shows(page, "live-note", "Ended.");
-  assert.deepEqual(faults(page), []);
-});
-
-test("what is found for a target is for the daemon's array", async () => {
-  const daemon = await new Daemon('[array]\ndescription = "ubi-pen-3x3"\n').start();
-  const page = await open(daemon);
-  await arm(page);
-  await openPaper(page);
-  await shows(page, "load", "edge-45");
-  await page.select("#load", "edge-45");
-  await enter(page, "budget", "0.2");
-  await page.waitForSelector("#find:not([disabled])");
-  await press(page, "#find");
-  await shows(page, "search-note", "Found a pattern for edge-45", WAIT);
-  await press(page, "#feel");
-  // The pins of the array are known here.
-  await page.waitForFunction(() => document.querySelector('.finger .pin:not([fill="none"])'), WAIT);
-  await view(page, "play");
-  await shows(page, "receipt-summary", ": done");
-  await view(page, "design");
-  await page.waitForSelector("#save:not([disabled])");
-  await press(page, "#save");
-  await answers(page, "#save", "Saved pattern and target");
-  const { patterns } = await get(daemon, "/v1/patterns");
-  const saved = patterns.filter((pattern) => !pattern.library);
-  assert.deepEqual(saved.map((pattern) => pattern.array), ["ubi-pen-3x3"]);
-  await view(page, "play");
-  await page.waitForSelector(`li[data-name="${saved[0].name}"]`);
-  await page.$eval(`li[data-name="${saved[0].name}"]`, (item) => item.scrollIntoView());
-  await page.waitForSelector(`li[data-name="${saved[0].name}"] .thumbnail`);
-  assert.equal(await page.$$eval(`li[data-name="${saved[0].name}"] .thumbnail circle`, (pins) => pins.length), 9);
 });

@@ -129,7 +129,7 @@ test("a token that may only read is offered nothing that it may not do, and told
   for (const [name, reads] of Object.entries(READS)) {
     await view(page, name);
     if (name === "design") {
-      await page.waitForFunction(() => document.querySelectorAll("#load option").length > 1, WAIT);
+      await page.waitForSelector("#pad .pin-place");
       await page.evaluate(() => document.querySelectorAll("details").forEach((details) => (details.open = true)));
     }
     if (name === "record") {

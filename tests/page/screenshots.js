@@ -26,8 +26,7 @@ for (const width of [390, 1400, 3000]) {
     for (const [name, ready] of Object.entries(READY)) {
       await view(page, name);
       if (name === "design") {
-        await shows(page, "load", "edge-45");
-        await page.select("#load", "edge-45");
+        await page.$eval("#points", (field) => ((field.value = "-4 -4; 4 4"), field.dispatchEvent(new Event("change"))));
       }
       await page.waitForSelector(ready, WAIT);
       await page.screenshot({ path: join(folder, `${name}-${width}-${scheme}.png`) });

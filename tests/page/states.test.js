@@ -161,54 +161,6 @@ test("the finger stops and is marked when the daemon dies in a play, and the nex
   ["touch", "Pins vibrate."], ["touch", "The state is not known"], ["touch", "the place of the pins is not known"],
 ]));
 
-const searching = async (page) => {
-  await page.$eval("#paper", (details) => (details.open = true));
-  await shows(page, "load", "edge-45");
-  await page.select("#load", "edge-45");
-  await page.waitForSelector("#find:not([disabled])");
-  await page.$eval("#budget", (field) => (field.value = "600"));
-  await press(page, "#find");
-};
-test("a search is not known when the daemon dies, and the next daemon has none", killed("design", searching, [
-  ["search-progress", "evaluations"], ["search-progress", "Whether the search goes on is not known."], ["search-note", "the search and what it found are gone"],
-]));
-
-test("a search whose answer fails once is not taken for one of a daemon that is gone", async () => {
-  const daemon = await new Daemon().start();
-  const streams = [];
-  let fails = false;
-  let failed = 0;
-  const through = (request, response, forward) => {
-    if (request.url === "/v1/events") streams.push(response);
-    if (!fails || request.url !== "/v1/searches/1") return forward();
-    failed += 1;
-    response.writeHead(500, { "content-type": "application/json" }).end(JSON.stringify({ code: "store", detail: "the disk is slow" }));
-  };
-  await proxied(daemon, through, async (url) => {
-    const page = await open({ url });
-    await arm(page);
-    await view(page, "design");
-    await searching(page);
-    await shows(page, "search-progress", "evaluations");
-    await page.evaluate(() => {
-      globalThis.gone = 0;
-      new MutationObserver(() => (gone += Number(document.getElementById("search-note").textContent.includes("gone")))).observe(document.getElementById("search-note"), { childList: true });
-    });
-    for (const now of [true, false]) {
-      fails = now;
-      const before = streams.length;
-      streams.at(-1).destroy();
-      const until = Date.now() + WAIT.timeout;
-      while (streams.length === before || (now && !failed)) {
-        assert.ok(Date.now() < until);
-        await page.evaluate(() => meissner.poll());
-      }
-    }
-    await shows(page, "search-progress", "evaluations");
-    assert.equal(await page.evaluate(() => gone), 0);
-  });
-});
-
 const dragging = async (page) => {
   await page.select("#shape", "dots");
   await page.$eval("#points", (field) => ((field.value = "0 0"), field.dispatchEvent(new Event("change"))));
@@ -238,9 +190,6 @@ const stalled = (begin, [before, meanwhile], after) => async () => {
     await after(page);
   });
 };
-test("a search is not known while the network stands still, and goes on after it", stalled(searching, [["search-progress", "evaluations"], ["search-progress", "Whether the search goes on is not known."]],
-  // It may have ended by now.
-  (page) => page.waitForFunction(() => document.getElementById("search-progress").textContent.includes("evaluations") || document.getElementById("search-note").textContent.includes("Found a pattern"), WAIT)));
 test("a live play is not known while no answer comes, and goes on after it", stalled(dragging, [["thing-live-note", "pressed by 500 µm"], ["thing-live-note", "whether the play goes on is not known"]],
   async (page) => {
     await shows(page, "thing-live-note", "pressed by 500 µm");

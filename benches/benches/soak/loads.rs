@@ -1,6 +1,6 @@
 //! The loads of a busy lab PC.
 
-use meissner_api::Search;
+use meissner_api::Rendering;
 use meissner_benches::loads::window;
 use meissner_client::Client;
 use serde_json::json;
@@ -24,7 +24,7 @@ pub(crate) const PHASES: [(&str, Load); 8] = [
     ("2 GB touched and given back", touches),
     ("programs started", starts),
     ("24 windows of the page", windows),
-    ("searches", searches),
+    ("renderings", renderings),
     ("all of these", everything),
 ];
 
@@ -100,11 +100,10 @@ fn windows(place: &Place, over: &AtomicBool) {
     });
 }
 
-fn searches(place: &Place, over: &AtomicBool) {
-    let target = json!({"name": "drawn", "shape": "segment", "points": [[-4.0, -2.0], [4.0, 2.0]]});
+fn renderings(place: &Place, over: &AtomicBool) {
     repeat(over, || {
         let begun = Client::new(&place.socket).ok().and_then(|mut client| {
-            client.post::<Search>("/v1/searches", &json!({"target": target, "seconds": 5.0})).ok()
+            client.post::<Rendering>("/v1/renderings", &json!({"object": "rotating-edge"})).ok()
         });
         thread::sleep(Duration::from_millis(if begun.is_some() { 5_000 } else { 500 }));
     });
@@ -112,7 +111,7 @@ fn searches(place: &Place, over: &AtomicBool) {
 
 fn everything(place: &Place, over: &AtomicBool) {
     thread::scope(|scope| {
-        for load in [busy, writes, touches, starts, windows, searches] {
+        for load in [busy, writes, touches, starts, windows, renderings] {
             scope.spawn(move || load(place, over));
         }
     });

@@ -81,7 +81,7 @@ struct Sample {
 }
 
 fn main() -> ExitCode {
-    // Cargo passes `--bench`. Without it this executable is `meissner`: the daemon, or a search of the daemon, which has no
+    // Cargo passes `--bench`. Without it this executable is `meissner`: the daemon, or a rendering of the daemon, which has no
     // argument.
     if env::args().all(|argument| argument != "--bench") {
         return meissner::cli::main();

@@ -64,10 +64,8 @@ impl Route {
             | Self::Edge
             | Self::Import
             | Self::Remove
-            | Self::StoreTarget
-            | Self::RemoveTarget
-            | Self::SearchStart
-            | Self::SearchCancel
+            | Self::RenderingStart
+            | Self::RenderingCancel
             | Self::Calibrate
             | Self::StoreCalibration
             | Self::SessionEnd
@@ -81,9 +79,7 @@ impl Route {
             | Self::Patterns
             | Self::Pattern
             | Self::Preview
-            | Self::Targets
-            | Self::Target
-            | Self::SearchShow
+            | Self::RenderingShow
             | Self::Calibration
             | Self::Sessions
             | Self::SessionShow

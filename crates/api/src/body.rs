@@ -33,7 +33,6 @@ pub(crate) fn read<T: DeserializeOwned>(body: &[u8]) -> Result<T, Problem> {
     const WANTED: Wanted = |key| match key {
         "pattern" => "the name of a pattern",
         "participant" => "a pseudonym",
-        "target" => "the name of a target, or a target",
         _ => "it",
     };
     let text =

@@ -6,10 +6,9 @@
 //! Invariant: [`Event::name`] is the `event` key of its JSON.
 
 use crate::end_cause::EndCause;
-use crate::live_record::LiveContrast;
 use crate::prediction::{Prediction, PredictionKeys};
 use crate::receipt::{EdgeRecord, LateStroke, OnsetRecord, Receipt, RefusedStroke};
-use crate::search::{SearchProgress, SearchState};
+use crate::rendering::RenderingState;
 use crate::sequence::ItemRecord;
 use crate::session::Session;
 use crate::status::{DeviceInfo, RunningPlay, SensorFault};
@@ -163,20 +162,6 @@ pub enum Event {
         #[schema(value_type = PredictionKeys)]
         prediction: Prediction,
     },
-    /// What the drives of a live target reached, compared with a search: a minute or two after the play's end. The receipt has it as
-    /// `live.contrast`.
-    #[schema(examples(json!({
-        "event": "live-contrast", "id": 7, "poses": 6, "converged": 6,
-        "membrane": {"reached": 20.9, "searched": 21.1, "rule": 15.8, "least_share": 0.97},
-        "afferents": null
-    })))]
-    LiveContrast {
-        /// The play's id.
-        id: u64,
-        /// As in the receipt.
-        #[serde(flatten)]
-        contrast: LiveContrast,
-    },
     /// A calibration has ended: the daemon has stored and uses it, or says why not.
     #[schema(examples(json!({"event": "calibrated", "id": 7, "motors": [3], "problem": null})))]
     Calibrated {
@@ -278,22 +263,22 @@ pub enum Event {
         #[schema(minimum = 0)]
         lost: u64,
     },
-    /// How a search stands: at its start, at most five times a second meanwhile, when the pattern of an object can be played, and at its end.
+    /// How a rendering stands: at its start, when its pattern can be played, and at its end.
     #[schema(examples(json!({
-        "event": "search", "id": 3, "state": "running", "target": "my-edge", "found": false,
-        "progress": {"seconds": 0.4, "frame": 1, "frames": 1, "evaluations": 120, "value": 0.02}, "problem": null
+        "event": "rendering", "id": 3, "state": "running", "object": "my-edge", "found": false, "seconds": 0.4, "problem": null
     })))]
-    Search {
-        /// The search's id.
+    Rendering {
+        /// The rendering's id.
         id: u64,
         /// How it stands.
-        state: SearchState,
-        /// The name of the target or object.
-        target: String,
-        /// Whether the pattern can be played as `search:ID`.
+        state: RenderingState,
+        /// The name of the object.
+        object: String,
+        /// Whether the pattern can be played as `rendering:ID`.
         found: bool,
-        /// How far it is.
-        progress: SearchProgress,
+        /// Time since its start, s.
+        #[schema(minimum = 0.0)]
+        seconds: f64,
         /// Why it failed, in one line; null if it did not.
         #[schema(required)]
         problem: Option<String>,
@@ -347,7 +332,6 @@ impl Event {
             Self::Items { .. } => "items",
             Self::Ended { .. } => "ended",
             Self::PredictedResponse { .. } => "felt",
-            Self::LiveContrast { .. } => "live-contrast",
             Self::Calibrated { .. } => "calibrated",
             Self::SessionStarted { .. } => "session-started",
             Self::SessionReleased { .. } => "session-released",
@@ -355,7 +339,7 @@ impl Event {
             Self::OwnerSilent { .. } => "owner-silent",
             Self::SessionEnded { .. } => "session-ended",
             Self::RecordProblem { .. } => "record-problem",
-            Self::Search { .. } => "search",
+            Self::Rendering { .. } => "rendering",
             Self::Lost { .. } => "lost",
             Self::Lagged { .. } => "lagged",
         }

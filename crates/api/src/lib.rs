@@ -15,7 +15,7 @@
 //! - [`end_cause`]: why a play ended before its end.
 //! - [`live`], [`live_record`]: live plays with the messages of their connections, and their part of a receipt.
 //! - [`doctor`]: the problems that the daemon finds on its machine, with advice.
-//! - [`target`], [`search`], [`rendering`]: target shapes on the skin, searches for their patterns, and renderings of objects.
+//! - [`rendering`]: renderings of objects, and previews of patterns.
 //! - [`token`]: access tokens of network clients.
 //! - [`event`]: what the daemon reports as it happens.
 //! - [`problem`]: errors, as `application/problem+json`.
@@ -59,11 +59,9 @@ pub mod receipt;
 pub mod rendering;
 pub mod request;
 pub mod route;
-pub mod search;
 pub mod sequence;
 pub mod session;
 pub mod status;
-pub mod target;
 pub mod token;
 pub mod trigger;
 
@@ -76,10 +74,10 @@ pub use doctor::{DoctorReport, Finding, Level};
 pub use end_cause::EndCause;
 pub use event::{EdgeEffect, Event, MAX_ITEMS_LISTED};
 pub use live::{
-    LIVE_GLIDE_MS, LIVE_TARGET_LEAST_HZ, LIVE_TIMEOUT_MS, LIVE_UPDATES_HZ, LIVE_UPGRADE, LiveAccepted,
-    LiveAnswer, LiveApplied, LiveDrive, LiveMessage, LivePose, LiveRequest, MAX_LIVE_MESSAGE,
+    LIVE_GLIDE_MS, LIVE_TIMEOUT_MS, LIVE_UPDATES_HZ, LIVE_UPGRADE, LiveAccepted, LiveAnswer, LiveApplied,
+    LiveDrive, LiveMessage, LivePose, LiveRequest, MAX_LIVE_MESSAGE,
 };
-pub use live_record::{LiveContrast, LiveRecord, ReachedContrast, UpdateTimes};
+pub use live_record::{LiveRecord, UpdateTimes};
 pub use pattern::{
     FollowedMotion, ImportedPattern, PatternDetails, PatternList, PatternSummary, RailLoad, ReachedDrive,
     RemovedPattern,
@@ -95,19 +93,15 @@ pub use receipt::{
     PulseCounts, Receipt, RefusedStroke,
 };
 pub use rendering::{
-    JudgedPattern, MAX_OBJECT_FILES, MAX_PREVIEW_FROM_S, MAX_PREVIEW_S, ObjectResponse, PatternPreview,
-    PreviewSpikes, RenderMethod, Rendered,
+    FOUND_PREFIX, JudgedPattern, KEPT_RENDERINGS, MAX_PREVIEW_FROM_S, MAX_PREVIEW_S, MAX_RENDERING_BODY,
+    ObjectResponse, PatternPreview, PreviewSpikes, RenderMethod, Rendered, Rendering, RenderingRequest,
+    RenderingState,
 };
 pub use request::{
     ArmRequest, CalibrateRequest, DisarmRequest, EdgeRequest, Fit, LatePolicy, MAX_WAIT_S, PlayRequest,
     ResetRequest, parse_empty,
 };
 pub use route::{Method, Route};
-pub use search::{
-    FOUND_PREFIX, KEPT_SEARCHES, MAX_EVALUATIONS, MAX_SEARCH_BODY, SEARCH_S, Search, SearchModel,
-    SearchObjective, SearchProgress, SearchRequest, SearchResponse, SearchResult, SearchSetting, SearchState,
-    SearchVerdict, SearchVerdicts,
-};
 pub use sequence::{InstantRecord, ItemRecord, ItemState, MAX_SEQUENCE_ITEMS, SequenceItem, SequenceRequest};
 pub use session::{
     MAX_ROWS, RecordedPlay, Session, SessionList, SessionPlays, SessionRequest, SessionStarted,
@@ -115,10 +109,6 @@ pub use session::{
 pub use status::{
     ArmedStatus, ClockSample, DeviceInfo, MotorStatus, NO_DEVICE, ParticipantStatus, PinMovement,
     PlayAccepted, QueuedPlay, Realtime, RunningPlay, SensorFault, StandingPins, Status,
-};
-pub use target::{
-    RemovedTarget, StoredTarget, TargetDetails, TargetFile, TargetList, TargetMotion, TargetPopulation,
-    TargetSummary,
 };
 pub use token::{
     CLIENT_HEADER, MAX_TOKENS, NetworkStatus, PREFIX as TOKEN_PREFIX, Role, SESSION_HEADER, TokenCreated,

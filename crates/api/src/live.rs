@@ -6,8 +6,8 @@
 use crate::body::{bad, check_labels, check_scale, check_trigger, null_as_default, problem, read};
 use crate::end_cause::EndCause;
 use crate::problem::Problem;
+use crate::rendering::object_schema;
 use crate::request::LatePolicy;
-use crate::search::{SearchModel, SearchObjective, SearchSetting, object_schema, target_schema};
 use crate::trigger::{self, TriggerRequest};
 use meissner_input::document::{self, given};
 use serde::{Deserialize, Serialize};
@@ -21,8 +21,6 @@ pub const LIVE_UPGRADE: &str = "meissner-live";
 pub const LIVE_TIMEOUT_MS: f64 = 500.0;
 /// The rate of updates that the line must carry, Hz, without `updates_hz`.
 pub const LIVE_UPDATES_HZ: f64 = 50.0;
-/// The lowest frequency of a live target's drives, Hz: a motor changes where its next period begins.
-pub const LIVE_TARGET_LEAST_HZ: f64 = 40.0;
 /// How long pins take to get to a level, without `glide_ms`, ms.
 pub const LIVE_GLIDE_MS: f64 = 20.0;
 /// Bytes of a message, at most.
@@ -47,7 +45,7 @@ pub struct LiveDrive {
     pub phase: f64,
 }
 
-/// Where a live target's shape or a live object is: turned anticlockwise about the array's middle, then shifted. A shift reaches as far as
+/// Where a live object is: turned anticlockwise about the array's middle, then shifted. A shift reaches as far as
 /// the pad is long, 24 mm; pins of an array that is larger than the pad may stand beyond it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
@@ -78,32 +76,12 @@ pub struct LiveRequest {
     /// The drives at the onset, one for each motor at most; the other motors are silent.
     #[serde(default, deserialize_with = "null_as_default")]
     pub drives: Vec<LiveDrive>,
-    /// A target whose shape the client moves, instead of `drives`: its name, or the target itself. Its shape must be at rest.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[schema(schema_with = target_schema)]
-    pub target: Option<Value>,
-    /// An object that the client presses and moves, instead of `drives` and `target`: the keys of an object file without files, whose touch is a
-    /// press, or the name of a target at rest, which is pressed by 500 µm. Pins go to the heights whose skin is nearest to the object's, and
-    /// are at rest until the first pose. The line must carry `levels`.
+    /// An object that the client presses and moves, instead of `drives`: the keys of an object file without files, whose touch is a press,
+    /// or the name of a shipped one. Pins go to the heights whose skin is nearest to the object's, and are at rest until the first pose.
+    /// The line must carry `levels`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schema(schema_with = object_schema)]
     pub object: Option<Value>,
-    /// Where the target's shape is at the onset; without it where the target has it.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub pose: Option<LivePose>,
-    /// What the drives of a target maximise; without it `off-rms-twice`.
-    #[serde(default, deserialize_with = "null_as_default")]
-    pub objective: SearchObjective,
-    /// Under which models; without it `both`.
-    #[serde(default, deserialize_with = "null_as_default")]
-    pub model: SearchModel,
-    /// What the drives of a target may be; without it `default`.
-    #[serde(default, deserialize_with = "null_as_default")]
-    pub setting: SearchSetting,
-    /// How long the search for the drives of a pose may take, ms; without it 15.
-    #[serde(default, deserialize_with = "given", skip_serializing_if = "Option::is_none")]
-    #[schema(minimum = 5.0, maximum = 200.0)]
-    pub budget_ms: Option<f64>,
     /// Multiplies the amplitude of every drive; without it 1. An update may change it.
     #[serde(default, deserialize_with = "given", skip_serializing_if = "Option::is_none")]
     #[schema(minimum = 0.0, maximum = 1.0)]
@@ -112,8 +90,7 @@ pub struct LiveRequest {
     #[serde(default, deserialize_with = "given", skip_serializing_if = "Option::is_none")]
     #[schema(minimum = 50.0, maximum = 60_000.0)]
     pub timeout_ms: Option<f64>,
-    /// The highest frequency of any update, Hz; without it the highest of `drives`, at least 60, or the highest of `setting` for a target,
-    /// whose drives have at least 40. The line must carry it.
+    /// The highest frequency of any update, Hz; without it the highest of `drives`, at least 60. The line must carry it.
     #[serde(default, deserialize_with = "given", skip_serializing_if = "Option::is_none")]
     #[schema(minimum = 0.1, maximum = 300.0)]
     pub max_frequency_hz: Option<f64>,
@@ -170,7 +147,7 @@ pub struct LiveMessage {
     /// New drives, one for each motor at most; the other motors' stay.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub drives: Option<Vec<LiveDrive>>,
-    /// Where the target's shape or the object is now.
+    /// Where the object is now.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub pose: Option<LivePose>,
     /// Levels for pins by their motors' numbers, above rest, µm, if the play was started with `levels`. A pin goes to its level and stays
@@ -270,59 +247,29 @@ impl LiveRequest {
     pub fn parse(body: &[u8]) -> Result<Self, Problem> {
         let request: Self = read(body)?;
         check_drives(&request.drives)?;
-        check_pose(request.pose)?;
         request.check_object()?;
-        match &request.target {
-            None if request.pose.is_some() => {
-                return Err(bad("`pose` is that of a `target`: add one, or leave it out"));
-            }
-            Some(_) if request.pose.is_some_and(|pose| pose.depth_um.is_some()) => {
-                return Err(bad("`pose.depth_um` is that of an `object`: leave it out"));
-            }
-            Some(_) if !request.drives.is_empty() => {
-                return Err(bad("`target` and `drives` exclude each other: leave one out"));
-            }
-            Some(target) if !target.is_string() && !target.is_object() => {
-                return Err(bad(
-                    "`target` must be the name of a target, or an object with the keys of a target file",
-                ));
-            }
-            _ => {}
-        }
         check_labels(&request.labels)?;
         check_scale(request.scale).and_then(|()| check_trigger(request.trigger)).map_err(bad)?;
         let ranges = [
             ("timeout_ms", request.timeout_ms, 50.0, 60_000.0, "50 to 60000 ms"),
             ("max_frequency_hz", request.max_frequency_hz, 0.1, 300.0, "0.1 to 300 Hz"),
-            ("budget_ms", request.budget_ms, 5.0, 200.0, "5 to 200 ms"),
             ("updates_hz", request.updates_hz, 1.0, 1000.0, "1 to 1000 Hz"),
         ];
         for (key, value, least, most, wanted) in ranges {
             let Some(value) = value else { continue };
             document::in_range(key, value, (least..=most).contains(&value), wanted).map_err(problem)?;
         }
-        if request.target.is_some() && request.most_hz() < LIVE_TARGET_LEAST_HZ {
-            return Err(bad(format!(
-                "`max_frequency_hz` is {}: the drives of a target have at least {LIVE_TARGET_LEAST_HZ} Hz",
-                request.most_hz()
-            )));
-        }
         Ok(request)
     }
 
     fn check_object(&self) -> Result<(), Problem> {
         let Some(object) = &self.object else { return Ok(()) };
-        if self.target.is_some() || !self.drives.is_empty() {
-            return Err(bad("`object` excludes `target` and `drives`: leave them out"));
-        }
-        if self.pose.is_some() {
-            return Err(bad(
-                "`pose`: an object touches from the first message on: send its pose as a message",
-            ));
+        if !self.drives.is_empty() {
+            return Err(bad("`object` and `drives` exclude each other: leave one out"));
         }
         if !object.is_string() && !object.is_object() {
             return Err(bad(
-                "`object` must be the name of a target, or an object with the keys of an object file",
+                "`object` must be the name of an object, or an object with the keys of an object file",
             ));
         }
         Ok(())
@@ -331,13 +278,6 @@ impl LiveRequest {
     /// The highest frequency of any update, Hz.
     #[must_use]
     pub fn most_hz(&self) -> f64 {
-        if self.target.is_some() {
-            let most_hz = match self.setting {
-                SearchSetting::Default => 150.0,
-                SearchSetting::AlwaysOn => 300.0,
-            };
-            return self.max_frequency_hz.unwrap_or(most_hz);
-        }
         let initial = self.drives.iter().map(|drive| drive.frequency_hz).fold(60.0, f64::max);
         self.max_frequency_hz.unwrap_or(initial)
     }
@@ -420,11 +360,11 @@ mod tests {
         }
         for (text, says) in [
             (r#"{"timeout_ms":10}"#, "`timeout_ms` is 10: must be 50 to 60000 ms"),
-            (r#"{"target":"dot","max_frequency_hz":30}"#, "of a target have at least 40 Hz"),
-            (r#"{"object":"dot","target":"dot"}"#, "`object` excludes `target`"),
-            (r#"{"object":"dot","pose":{}}"#, "send its pose as a message"),
-            (r#"{"object":3}"#, "`object` must be the name of a target"),
-            (r#"{"target":"dot","pose":{"depth_um":100}}"#, "`pose.depth_um` is that of an `object`"),
+            (
+                r#"{"object":"dot","drives":[{"motor":1,"frequency_hz":60,"amplitude_um":80}]}"#,
+                "`object` and `drives` exclude each other",
+            ),
+            (r#"{"object":3}"#, "`object` must be the name of an object"),
             (r#"{"updates_hz":0}"#, "`updates_hz` is 0: must be 1 to 1000 Hz"),
             (r#"{"max_frequency_hz":301}"#, "`max_frequency_hz` is 301"),
         ] {

@@ -10,10 +10,9 @@ use crate::route::{Answer, Body, Method, Operation, Query, Route};
 use crate::{
     ArmRequest, CalibrateRequest, CalibrationReport, DisarmRequest, DoctorReport, EdgeRequest, Event,
     ImportedPattern, LiveAccepted, LiveAnswer, LiveMessage, LiveRequest, PatternDetails, PatternList,
-    PatternPreview, PlanCheck, PlayAccepted, PlayRequest, Receipt, RemovedPattern, RemovedTarget,
-    ResetRequest, Search, SearchRequest, SequenceRequest, Session, SessionList, SessionPlays, SessionRequest,
-    SessionStarted, Status, StoredTarget, TargetDetails, TargetList, TokenCreated, TokenInfo, TokenList,
-    TokenRequest,
+    PatternPreview, PlanCheck, PlayAccepted, PlayRequest, Receipt, RemovedPattern, Rendering,
+    RenderingRequest, ResetRequest, SequenceRequest, Session, SessionList, SessionPlays, SessionRequest,
+    SessionStarted, Status, TokenCreated, TokenInfo, TokenList, TokenRequest,
 };
 use serde_json::{Map, Value, json};
 use std::collections::BTreeMap;
@@ -47,9 +46,8 @@ use utoipa::OpenApi;
     Problem,
     Receipt,
     RemovedPattern,
-    RemovedTarget,
-    Search,
-    SearchRequest,
+    Rendering,
+    RenderingRequest,
     Session,
     SessionList,
     SessionPlays,
@@ -57,9 +55,6 @@ use utoipa::OpenApi;
     SessionStarted,
     SequenceRequest,
     Status,
-    StoredTarget,
-    TargetDetails,
-    TargetList,
     TokenCreated,
     TokenInfo,
     TokenList,
@@ -70,9 +65,6 @@ struct Schemas;
 /// A pattern file, as the example of a body.
 const PATTERN: &str = "format = 1\nname = \"two-pins\"\nduration_s = 1.0\n\n[[drive]]\nmotor = 9\nfrequency_hz = 60.0\n\
                        amplitude_um = 40.0\nstop_s = 0.5\n";
-
-/// A target file.
-const TARGET: &str = "name = \"my-edge\"\nshape = \"segment\"\npoints = [[-4.0, 0.0], [4.0, 0.0]]\n";
 
 /// A calibration file.
 const CALIBRATION: &str = "format = 1\n\n[[motor]]\nmotor = 3\nup = { gain = 1.05, slope_um_per_pulse = 0.1425, \
@@ -195,9 +187,6 @@ fn described(route: Route, operation: &Operation, example: &dyn Fn(&str) -> Valu
         Body::Toml => {
             Some((json!({"application/toml": {"schema": {"type": "string"}, "example": PATTERN}}), true))
         }
-        Body::Target => {
-            Some((json!({"application/toml": {"schema": {"type": "string"}, "example": TARGET}}), true))
-        }
         Body::Calibration => {
             Some((json!({"application/toml": {"schema": {"type": "string"}, "example": CALIBRATION}}), true))
         }
@@ -249,7 +238,7 @@ mod tests {
     use super::*;
     use crate::{
         ArmRequest, CalibrateRequest, DisarmRequest, LiveMessage, LiveRequest, PlayAnswer, PlayRequest,
-        ResetRequest, SearchRequest, SequenceRequest, SessionRequest, TokenRequest,
+        RenderingRequest, ResetRequest, SequenceRequest, SessionRequest, TokenRequest,
     };
     use std::collections::BTreeSet;
 
@@ -264,8 +253,9 @@ mod tests {
         }
         let play: (Value, Read) = (json!({"pattern": "a", "trigger": {}}), read!(PlayRequest));
         let sequence: (Value, Read) = (json!({"items": [{"pattern": "a"}]}), read!(SequenceRequest));
-        let live: (Value, Read) = (json!({"target": "dot", "pose": {}}), read!(LiveRequest));
-        let drive = json!({"seq": 1, "drives": [{"motor": 1, "frequency_hz": 60, "amplitude_um": 80}]});
+        let live: (Value, Read) = (json!({}), read!(LiveRequest));
+        let drive =
+            json!({"seq": 1, "pose": {}, "drives": [{"motor": 1, "frequency_hz": 60, "amplitude_um": 80}]});
         let message: (Value, Read) = (drive, read!(LiveMessage));
         let schemas = document()["components"]["schemas"].clone();
         let cases = [
@@ -274,15 +264,15 @@ mod tests {
             ("SequenceRequest", "", &sequence),
             ("SequenceItem", "/items/0", &sequence),
             ("LiveRequest", "", &live),
-            ("LivePose", "/pose", &live),
             ("LiveMessage", "", &message),
+            ("LivePose", "/pose", &message),
             ("LiveDrive", "/drives/0", &message),
             ("ArmRequest", "", &(json!({}), read!(ArmRequest))),
             ("ResetRequest", "", &(json!({}), read!(ResetRequest))),
             ("DisarmRequest", "", &(json!({}), read!(DisarmRequest))),
             ("EdgeRequest", "", &(json!({}), read!(EdgeRequest))),
             ("CalibrateRequest", "", &(json!({}), read!(CalibrateRequest))),
-            ("SearchRequest", "", &(json!({"target": "dot"}), read!(SearchRequest))),
+            ("RenderingRequest", "", &(json!({"object": "dot"}), read!(RenderingRequest))),
             ("SessionRequest", "", &(json!({"participant": "P07"}), read!(SessionRequest))),
             ("PlayAnswer", "", &(json!({"response": "left"}), read!(PlayAnswer))),
             ("TokenRequest", "", &(json!({"role": "observe", "name": "a"}), read!(TokenRequest))),

@@ -24,7 +24,7 @@ const LONG: usize = 4096;
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[serde(untagged)]
 pub enum PatternChoice {
-    /// The name of a stored pattern; `search:ID` for one that a search has found.
+    /// The name of a stored pattern; `rendering:ID` for that of a rendering.
     Name(String),
     /// The pattern, with the keys of its file.
     Inline(Box<Map<String, Value>>),
@@ -127,7 +127,7 @@ pub(crate) fn schema() -> Schema {
     let inline = ObjectBuilder::new()
         .schema_type(Type::Object)
         .additional_properties(Some(AdditionalProperties::FreeForm(true)));
-    let text = "The pattern's name, or `search:ID` for the pattern that a search has found; or the pattern itself: an object with the \
+    let text = "The pattern's name, or `rendering:ID` for the pattern of a rendering; or the pattern itself: an object with the \
                 keys of a [pattern file](pattern.md). `format` is then 2 and `name` is `inline` unless given. The play's hash is that \
                 of its text as a file, which the session record keeps.";
     OneOfBuilder::new().item(name).item(inline).description(Some(text)).into()

@@ -22,8 +22,6 @@ pub enum Code {
     BadRequest,
     /// The text is not a valid pattern, or not one of this name.
     BadPattern,
-    /// The text is not a valid target, or not one of this name.
-    BadTarget,
     /// The pattern is for another array than the daemon's, and `map` was not given.
     OtherArray,
     /// The pattern, or the play of it, has no stroke.
@@ -62,8 +60,8 @@ pub enum Code {
     TooManyPlays,
     /// A limit of `[participant]` does not allow the play, or not now.
     ParticipantLimit,
-    /// A search runs already: wait for its end, or cancel it.
-    SearchRunning,
+    /// A rendering runs already: wait for its end, or cancel it.
+    RenderingRunning,
     /// A session's owner alone may do that.
     SessionExclusive,
     /// Another session runs, or none.
@@ -137,7 +135,7 @@ impl Code {
         Self::ParticipantLimit,
         Self::SessionExclusive,
         Self::SessionRunning,
-        Self::SearchRunning,
+        Self::RenderingRunning,
         Self::BehindEndless,
         Self::TooSoon,
         Self::Overlaps,
@@ -156,7 +154,6 @@ impl Code {
         Self::LevelNotChecked,
         Self::TooLarge,
         Self::BadPattern,
-        Self::BadTarget,
         Self::Empty,
         Self::QueueFull,
         Self::TooManyPlays,
@@ -174,7 +171,6 @@ impl Code {
         match self {
             Self::BadRequest => ("bad-request", 400, "The request cannot be read"),
             Self::BadPattern => ("bad-pattern", 422, "Not a valid pattern"),
-            Self::BadTarget => ("bad-target", 422, "Not a valid target"),
             Self::OtherArray => ("other-array", 409, "The pattern is for another array"),
             Self::Empty => ("empty", 422, "Nothing would be played"),
             Self::NotFound => ("not-found", 404, "There is no such thing"),
@@ -196,7 +192,7 @@ impl Code {
             Self::ParticipantLimit => ("participant-limit", 409, "A participant's limit does not allow it"),
             Self::SessionExclusive => ("session-exclusive", 409, "Only the session's owner may do that"),
             Self::SessionRunning => ("session-running", 409, "Another session runs, or none"),
-            Self::SearchRunning => ("search-running", 409, "A search runs already"),
+            Self::RenderingRunning => ("rendering-running", 409, "A rendering runs already"),
             Self::BehindEndless => ("behind-endless", 409, "The play in front has no end"),
             Self::TooSoon => ("too-soon", 409, "The onset cannot be kept"),
             Self::Overlaps => ("overlaps", 409, "The onset lies within a queued play"),

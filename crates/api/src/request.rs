@@ -22,7 +22,7 @@ use utoipa::openapi::schema::{ArrayBuilder, ObjectBuilder, Schema, Type};
 #[serde(deny_unknown_fields)]
 #[schema(examples(json!({"pattern": "edge-45", "seconds": 2.0, "at_ms": 500.0, "late": "abort"})))]
 pub struct PlayRequest {
-    /// The pattern's name; `search:ID` for the pattern that a search has found; or the pattern itself.
+    /// The pattern's name; `rendering:ID` for the pattern of a rendering; or the pattern itself.
     #[schema(schema_with = pattern_choice::schema)]
     pub pattern: PatternChoice,
     /// Play the text with this SHA-256 (hexadecimal): the stored pattern, or else the text that the session record keeps. Without

@@ -35,13 +35,9 @@ pub enum Route {
     Preview,
     Import,
     Remove,
-    Targets,
-    Target,
-    StoreTarget,
-    RemoveTarget,
-    SearchStart,
-    SearchShow,
-    SearchCancel,
+    RenderingStart,
+    RenderingShow,
+    RenderingCancel,
     Calibrate,
     Calibration,
     StoreCalibration,
@@ -80,8 +76,6 @@ pub enum Body {
     OptionalJson(&'static str),
     /// A pattern file.
     Toml,
-    /// A target file.
-    Target,
     /// A calibration file.
     Calibration,
 }
@@ -205,7 +199,7 @@ const STATUS: Answer = Answer::Json("Status");
 
 impl Route {
     /// Every route.
-    pub const ALL: [Self; 44] = [
+    pub const ALL: [Self; 40] = [
         Self::Play,
         Self::Sequence,
         Self::SequenceCheck,
@@ -230,13 +224,9 @@ impl Route {
         Self::Preview,
         Self::Import,
         Self::Remove,
-        Self::Targets,
-        Self::Target,
-        Self::StoreTarget,
-        Self::RemoveTarget,
-        Self::SearchStart,
-        Self::SearchShow,
-        Self::SearchCancel,
+        Self::RenderingStart,
+        Self::RenderingShow,
+        Self::RenderingCancel,
         Self::Calibrate,
         Self::Calibration,
         Self::StoreCalibration,
@@ -279,11 +269,9 @@ impl Route {
             Self::Home => "home",
             Self::Edge => "edge",
             Self::Import => "import",
-            Self::StoreTarget => "store-target",
-            Self::RemoveTarget => "remove-target",
-            Self::SearchStart => "search",
+            Self::RenderingStart => "render",
             Self::Withdraw => "withdraw",
-            Self::SearchCancel => "search-cancel",
+            Self::RenderingCancel => "render-cancel",
             Self::Calibrate => "calibrate",
             Self::StoreCalibration => "store-calibration",
             Self::SessionStart => "session-start",
@@ -544,7 +532,7 @@ impl Route {
             Self::Pattern => Operation {
                 summary: "Show a pattern",
                 description: "The pattern has the keys of its file.",
-                parameter: Some("The pattern's name, or `search:ID` for the pattern that a search has found"),
+                parameter: Some("The pattern's name, or `rendering:ID` for the pattern of a rendering"),
                 queries: &[Query::Sha256 {
                     name: "sha256",
                     about: "Which text of that name: the stored one's SHA-256, or that of a text that was played and is in the session \
@@ -558,9 +546,9 @@ impl Route {
                 summary: "Show what pins and afferents do under a pattern",
                 description: "The heights of the pins by the motor model, every millisecond, and the spikes of the finger that also judges \
                               renderings. A pattern is played once, on ideal motors of its own array; one without end goes on. A process like \
-                              that of a search computes it, within 30 s (`timeout`), and ends when the client hangs up. One preview is computed at a time; 8 \
+                              that of a rendering computes it, within 30 s (`timeout`), and ends when the client hangs up. One preview is computed at a time; 8 \
                               wait, and further ones are refused (`busy`). The pattern's file may have 4 MiB.",
-                parameter: Some("The pattern's name, or `search:ID` for the pattern that a search has found"),
+                parameter: Some("The pattern's name, or `rendering:ID` for the pattern of a rendering"),
                 queries: &[
                     Query::Number {
                         name: "from_s",
@@ -616,79 +604,37 @@ impl Route {
                 errors: &[CHANGE, &[Code::NotFound, Code::Exists, Code::Store, Code::Busy], ANY],
                 ..Operation::get("/v1/patterns/{name}")
             },
-            Self::Targets => Operation {
-                summary: "List the targets",
-                description: "The built-in ones and those in the folder `targets` of the pattern directory, which the daemon reads anew.",
-                answer: Answer::Json("TargetList"),
-                errors: &[&[Code::Store], ANY],
-                ..Operation::get("/v1/targets")
-            },
-            Self::Target => Operation {
-                summary: "Show a target",
-                description: "The target has the keys of its file.",
-                parameter: Some("The target's name"),
-                answer: Answer::Json("TargetDetails"),
-                errors: &[&[Code::BadRequest, Code::NotFound, Code::BadTarget, Code::Store], ANY],
-                ..Operation::get("/v1/targets/{name}")
-            },
-            Self::StoreTarget => Operation {
-                method: Method::Put,
-                summary: "Store a target",
-                description: "The daemon checks the file and writes it to the folder `targets` of its pattern directory. With \
-                              `?replace=true` it replaces an older one of that name, and tells its SHA-256; without, it refuses \
-                              (`exists`). The file must bear the name of the address, and have at most 64 KiB.",
-                parameter: Some("The target's name"),
-                queries: &[Query::Flag {
-                    name: "replace",
-                    about: "Whether to replace a target of that name; without it the daemon does not",
-                }],
-                body: Body::Target,
-                statuses: &[(201, "Stored under a new name"), (200, "Stored in place of an older target")],
-                answer: Answer::Json("StoredTarget"),
-                errors: &[BODY, &[Code::BadTarget, Code::Exists, Code::Store, Code::Busy], ANY],
-                ..Operation::get("/v1/targets/{name}")
-            },
-            Self::RemoveTarget => Operation {
-                method: Method::Delete,
-                summary: "Remove a target",
-                description: "The daemon removes the file. Built-in targets stay, and so do patterns that were found for the target.",
-                parameter: Some("The target's name"),
-                answer: Answer::Json("RemovedTarget"),
-                errors: &[CHANGE, &[Code::NotFound, Code::Exists, Code::Store, Code::Busy], ANY],
-                ..Operation::get("/v1/targets/{name}")
-            },
-            Self::SearchStart => Operation {
-                summary: "Search for a pattern for a target, or render an object",
-                description: "One search runs at a time, in a process of its own with low priority and at most 256 MiB. The event \
-                              `search` reports how far it is and its end. The found pattern plays as `search:ID`; \
-                              `PUT /v1/patterns/{name}` stores its text. For an `object` it can be played as soon as the event says \
-                              `found`; until the search is `done`, one finger judges it. The body has at most 4 MiB.",
-                body: Body::Json("SearchRequest"),
+            Self::RenderingStart => Operation {
+                summary: "Render an object",
+                description: "One rendering runs at a time, in a process of its own with low priority and at most 256 MiB. The event \
+                              `rendering` reports how it stands. Its pattern plays as `rendering:ID` as soon as the event says \
+                              `found`; until the rendering is `done`, one finger judges it. The body has at most 4 MiB.",
+                body: Body::Json("RenderingRequest"),
                 statuses: &[(202, "Started")],
-                answer: Answer::Json("Search"),
+                answer: Answer::Json("Rendering"),
                 errors: &[
                     BODY,
-                    &[Code::NotFound, Code::BadTarget, Code::SearchRunning, Code::ShuttingDown, Code::Store],
+                    &[Code::NotFound, Code::RenderingRunning, Code::ShuttingDown, Code::Store],
                     ANY,
                 ],
-                ..Operation::post("/v1/searches")
+                ..Operation::post("/v1/renderings")
             },
-            Self::SearchShow => Operation {
-                summary: "Show a search",
+            Self::RenderingShow => Operation {
+                summary: "Show a rendering",
                 description: "The daemon keeps the one that runs and the last 4 that have ended.",
-                parameter: Some("The search's id, or `last`"),
-                answer: Answer::Json("Search"),
+                parameter: Some("The rendering's id, or `last`"),
+                answer: Answer::Json("Rendering"),
                 errors: &[&[Code::BadRequest, Code::NotFound, Code::Store], ANY],
-                ..Operation::get("/v1/searches/{id}")
+                ..Operation::get("/v1/renderings/{id}")
             },
-            Self::SearchCancel => Operation {
+            Self::RenderingCancel => Operation {
                 method: Method::Delete,
-                summary: "Cancel a search",
-                description: "Its process ends at once, without a result. A search that is over stays as it is.",
-                parameter: Some("The search's id, or `last`"),
-                answer: Answer::Json("Search"),
+                summary: "Cancel a rendering",
+                description: "Its process ends at once, without a result. A rendering that is over stays as it is.",
+                parameter: Some("The rendering's id, or `last`"),
+                answer: Answer::Json("Rendering"),
                 errors: &[CHANGE, &[Code::NotFound, Code::Store], ANY],
-                ..Operation::get("/v1/searches/{id}")
+                ..Operation::get("/v1/renderings/{id}")
             },
             Self::Calibrate => Operation {
                 summary: "Measure the gains of the motors",

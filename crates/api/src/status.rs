@@ -273,7 +273,7 @@ pub struct ArmedStatus {
     "device_identity": "seed 0, gain_sd 0.1, asymmetry_sd 0.02, transient_gain 0.8, end_stop_um 500",
     "wanted": "mock", "missing": null,
     "play": {"id": 7, "pattern": "edge-45", "played_s": 0.52},
-    "queued": [{"id": 8, "pattern": "pin-60", "waits_for_edge": false}], "last_play": 8, "last_search": null,
+    "queued": [{"id": 8, "pattern": "pin-60", "waits_for_edge": false}], "last_play": 8, "last_rendering": null,
     "tick": 6442450944_u64, "clock_uncertainty_us": 9.6,
     "clock": {
         "tick": 6442450944_u64, "tick_hz": 85000, "monotonic_ns": 75793540741176_u64, "wall_ns": 1767225600000000000_u64,
@@ -353,10 +353,10 @@ pub struct Status {
     #[serde(default)]
     #[schema(required)]
     pub last_play: Option<u64>,
-    /// The number of the newest search; null before the first, or from an older daemon.
+    /// The number of the newest rendering; null before the first, or from an older daemon.
     #[serde(default)]
     #[schema(required)]
-    pub last_search: Option<u64>,
+    pub last_rendering: Option<u64>,
     /// The device's clock now, ticks since the device's start; null without a device.
     #[schema(required)]
     pub tick: Option<u64>,

@@ -10,12 +10,10 @@
 
 use crate::goal::Goal;
 use crate::naive::Rule;
-use crate::objective::{Answered, Fidelity, Incumbent, Objective, Populations, Score, Task, Tried};
+use crate::objective::{Fidelity, Incumbent, Objective, Score, Task, Tried};
 use crate::point::Point;
-use meissner_skin::membrane::Position;
 use meissner_skin::{MethodError, ModelName};
 use serde::{Deserialize, Serialize};
-use std::sync::Arc;
 
 /// The models under which a search scores points.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
@@ -100,57 +98,6 @@ impl Aim {
         Ok(Self { first, versus })
     }
 
-    /// The aim for afferents at these places, wherever the shape lies: for [`Self::for_shape`]. Until then it has no rule to
-    /// compare with.
-    pub(crate) fn anywhere(
-        models: Models,
-        task: Task<'_>,
-        places: &[Vec<Position>],
-        fidelity: Fidelity,
-    ) -> Self {
-        let under = |model| Objective::anywhere(model, task, places, fidelity);
-        let versus = (models == Models::Both).then(|| Versus {
-            goal: task.goal,
-            second: under(ModelName::Afferents),
-            rule: [Score::default(); 2],
-        });
-        Self { first: under(models.first()), versus }
-    }
-
-    /// The same afferents with another shape, and the counts of the rule [`Rule::Reach`] there. Nothing is simulated.
-    pub(crate) fn for_shape(&self, populations: &Arc<Populations>, rule: &Counts) -> Self {
-        let of = |objective: &Objective| objective.with_populations(Arc::clone(populations));
-        let first = of(&self.first);
-        let versus = self.versus.as_ref().map(|versus| {
-            let second = of(&versus.second);
-            let rule = [first.score(&rule.first), second.score(&rule.second)];
-            Versus { goal: versus.goal, second, rule }
-        });
-        Self { first, versus }
-    }
-
-    /// The score of counts.
-    pub(crate) fn score(&self, counts: &Counts) -> Score {
-        let mut score = self.first.score(&counts.first);
-        if let Some(versus) = &self.versus {
-            let second = versus.second.score(&counts.second);
-            score.value = versus.gain(0, score).min(versus.gain(1, second));
-        }
-        score
-    }
-
-    /// Resumes at the point where a search of the same afferents stood, perhaps with another shape. Nothing is simulated.
-    pub(crate) fn stand(&self, stood: Stood) -> Standing<'_> {
-        let first = self.first.answered(stood.first);
-        let mut score = first.score();
-        let second = self.versus.as_ref().zip(stood.second).map(|(versus, second)| {
-            let second = versus.second.answered(second);
-            score.value = versus.gain(0, score).min(versus.gain(1, second.score()));
-            second
-        });
-        Standing { aim: self, first, second, score }
-    }
-
     /// Simulates a point, and makes it the current point of a search.
     pub(crate) fn at(&self, point: Point) -> Result<Standing<'_>, MethodError> {
         let first = self.first.at(point)?;
@@ -173,20 +120,6 @@ impl Aim {
     pub(crate) const fn duration_s(&self) -> f64 {
         self.first.duration_s()
     }
-}
-
-/// The number of spikes of each afferent under the models in use; `second` is empty under one model.
-#[derive(Clone, Debug, Default)]
-pub(crate) struct Counts {
-    pub(crate) first: Vec<u64>,
-    pub(crate) second: Vec<u64>,
-}
-
-/// A [`Standing`] without its aim.
-#[derive(Clone, Debug)]
-pub(crate) struct Stood {
-    first: Answered,
-    second: Option<Answered>,
 }
 
 /// The current point of a search, with its score: rates of the first model in use, and the value.
@@ -227,31 +160,6 @@ impl<'o> Standing<'o> {
 
     pub(crate) const fn aim(&self) -> &'o Aim {
         self.aim
-    }
-
-    /// The number of spikes of each afferent.
-    pub(crate) fn counts(&self) -> Counts {
-        let second = self.second.as_ref().map_or_else(Vec::new, |second| second.counts().to_vec());
-        Counts { first: self.first.counts().to_vec(), second }
-    }
-
-    /// Moves to another point, whether or not it is better.
-    pub(crate) fn go_to(&mut self, point: Point) {
-        for incumbent in [Some(&mut self.first), self.second.as_mut()].into_iter().flatten() {
-            if let Some(tried) = incumbent.try_all(vec![point]).pop() {
-                incumbent.move_to(tried);
-            }
-        }
-        self.score = self.first.score();
-        if let (Some(versus), Some(second)) = (&self.aim.versus, &self.second) {
-            self.score.value = versus.gain(0, self.score).min(versus.gain(1, second.score()));
-        }
-    }
-
-    /// Separates it from its aim, to use it with another aim of the same afferents.
-    pub(crate) fn into_stood(self) -> Stood {
-        let second = self.second.map(Incumbent::into_answered);
-        Stood { first: self.first.into_answered(), second }
     }
 
     /// Scores other points, in their order.

@@ -17,11 +17,8 @@
 //! 7. `search`: [`search()`] goes from a start to better points.
 //! 8. `judge`: [`judge()`] simulates a pattern exactly; [`robustness()`] does so in other conditions.
 //! 9. `make`: [`make()`] searches frame by frame, judges the result and writes the pattern.
-//! 10. `render`: a [`Renderer`] gives the drives for each [`Pose`] of a shape that a client moves, within a time;
-//!     [`compare_live()`] computes afterwards what they reached.
-//! 11. `response`: [`response()`] gives the rate of each afferent, for a map.
-//! 12. `prediction`: [`predict_response()`] compares the bursts of a play with those of its pattern.
-//! 13. `discriminate`: [`discriminate()`] says how well an ideal observer of the spikes tells two patterns apart, [`confusion()`] which
+//! 10. `prediction`: [`predict_response()`] compares the bursts of a play with those of its pattern.
+//! 11. `discriminate`: [`discriminate()`] says how well an ideal observer of the spikes tells two patterns apart, [`confusion()`] which
 //!     of a set it names.
 //!
 //! Invariant: results depend on the request alone, bit for bit on every machine. Only if a clock or the caller ends a search, the
@@ -58,8 +55,6 @@ mod partition;
 mod point;
 mod prediction;
 mod quality;
-mod render;
-mod response;
 mod search;
 mod shape;
 mod shipped;
@@ -87,11 +82,6 @@ pub use prediction::{
     ClassResponse, MOST_OBSERVED_S, Play, PredictedResponse, PredictionError, Rates, predict_response,
 };
 pub use quality::{Named, OfClass, Quality, name_targets, quality, skin_model};
-pub use render::{
-    Compared, LIVE_FIDELITY, LIVE_LEAST_DECIHERTZ, LiveBrief, LiveComparison, LiveSample, Pose, RenderError,
-    Rendered, Renderer, Start, compare_live,
-};
-pub use response::{Response, response};
 pub use search::{Brief, Ended, Found, Limit, SEARCH_MIN_SHARES, Spent, Step, resume, search};
 pub use shape::{Shape, to_segment};
 pub use shipped::{YARDSTICK, shipped, shipped_names};

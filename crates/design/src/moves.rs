@@ -52,24 +52,6 @@ pub(crate) fn of_motor(point: &Point, motor: usize, space: &Space, jitter: f64) 
     found.into_iter().map(|vibration| point.with(&[motor], |_| vibration)).collect()
 }
 
-/// Moves of one motor after a small movement of the shape: off, or into unison with a neighbour, at the neighbour's phase.
-pub(crate) fn to_follow(point: &Point, motor: usize, space: &Space) -> Vec<Point> {
-    let mut found = Vec::new();
-    if space.may_be_off && point.0[motor].is_some() {
-        found.push(None);
-    }
-    for neighbour in neighbours(space.array, motor) {
-        let Some(vibration) = point.0[neighbour] else { continue };
-        let phase =
-            if space.phases { vibration.phase() } else { point.0[motor].map_or(0.0, Vibration::phase) };
-        let vibration = space.motion(vibration.frequency_hz(), phase);
-        if vibration != point.0[motor] && !found.contains(&vibration) {
-            found.push(vibration);
-        }
-    }
-    found.into_iter().map(|vibration| point.with(&[motor], |_| vibration)).collect()
-}
-
 /// Moves of a unison: up and down in frequency by the share `radius` and by twice that. With `merge`, also to the
 /// frequency of each other unison less than an octave away, in phase and in antiphase.
 pub(crate) fn of_unison(

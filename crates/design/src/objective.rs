@@ -107,11 +107,6 @@ impl Populations {
             |places: &Vec<Position>| (places.len(), Population::new(goal, shape, reach_mm, pitch_mm, places));
         Self(places.iter().map(of).collect())
     }
-
-    /// The populations that have ON and OFF afferents.
-    pub(crate) fn counting(&self) -> impl Iterator<Item = &Population> {
-        self.0.iter().filter_map(|(_, population)| population.as_ref())
-    }
 }
 
 /// A goal for a frame, over the populations of some seeds. `noise_seed` seeds the threshold noise.
@@ -160,22 +155,6 @@ impl Objective {
         let kept = task.populations.iter().zip(of).filter(|(_, (_, population))| population.is_some());
         let (seeds, kept): (Vec<u64>, _) = kept.unzip();
         Self::over(model, Task { populations: &seeds, ..task }, Populations(kept), fidelity)
-    }
-
-    /// The same over all populations, also those that have no ON or no OFF afferents in this frame: for [`Self::with_populations`].
-    pub(crate) fn anywhere(
-        model: ModelName,
-        task: Task<'_>,
-        places: &[Vec<Position>],
-        fidelity: Fidelity,
-    ) -> Self {
-        let populations = Populations::new(task.goal, task.target, &task.frame.shape, places);
-        Self::over(model, task, populations, fidelity)
-    }
-
-    /// The same afferents with another shape. Nothing is simulated.
-    pub(crate) fn with_populations(&self, populations: Arc<Populations>) -> Self {
-        Self { populations, ..self.clone() }
     }
 
     fn over(model: ModelName, task: Task<'_>, kept: Populations, fidelity: Fidelity) -> Self {
@@ -238,14 +217,8 @@ impl Objective {
                 Simulated::Near(evaluator)
             }
         };
-        Ok(self.answered(Answered { point, simulated }))
-    }
-
-    /// Makes an earlier answer of the same afferents the incumbent. Nothing is simulated, because counts do not depend on the
-    /// shape.
-    pub(crate) fn answered(&self, answered: Answered) -> Incumbent<'_> {
-        let Answered { point, simulated } = answered;
-        Incumbent { objective: self, point, score: self.score(simulated.counts()), simulated }
+        let score = self.score(simulated.counts());
+        Ok(Incumbent { objective: self, point, score, simulated })
     }
 
     /// The number of afferents in all populations.
@@ -323,13 +296,6 @@ impl Simulated {
     }
 }
 
-/// A point with its answer, from which nearby points are simulated: an [`Incumbent`] without its shape.
-#[derive(Clone, Debug)]
-pub(crate) struct Answered {
-    point: Point,
-    simulated: Simulated,
-}
-
 /// The part of an answer that differs from the incumbent's.
 #[derive(Clone, Debug)]
 enum Differing {
@@ -361,16 +327,6 @@ pub struct Tried {
 }
 
 impl Incumbent<'_> {
-    /// The number of spikes of each afferent.
-    pub(crate) fn counts(&self) -> &[u64] {
-        self.simulated.counts()
-    }
-
-    /// The point and its answer, for an objective with the same afferents and another shape.
-    pub(crate) fn into_answered(self) -> Answered {
-        Answered { point: self.point, simulated: self.simulated }
-    }
-
     /// The point.
     #[must_use]
     pub const fn point(&self) -> &Point {

@@ -49,17 +49,11 @@ class Started:
 
 def start(
     core: Core,
-    target: str | Mapping[str, Any] | None = None,
-    *,
     object: str | Mapping[str, Any] | None = None,
+    *,
     drives: Drives | None = None,
-    pose: Pose | None = None,
     scale: float | None = None,
     timeout: float | None = None,
-    budget: float | None = None,
-    objective: str | None = None,
-    model: str | None = None,
-    setting: str | None = None,
     updates_hz: float | None = None,
     max_frequency_hz: float | None = None,
     trigger: Trigger = None,
@@ -71,26 +65,19 @@ def start(
 ) -> Op[Started]:
     """Start a live play, whose drives change while it runs: use it in a `with` block, which ends it.
 
-    `target` is the name of a shape that your poses move, or a dict with the keys of a target file; `pose` is where it
-    begins, with any of `x_mm`, `y_mm` and `angle_deg`. Without a target, `drives` are those at the onset: dicts with `motor`,
-    `frequency_hz`, `amplitude_um` and perhaps `phase`. `object` is a thing that your poses press and move: a dict with the keys of an
-    object file, or the name of a target at rest; its pins are at rest until the first pose. `budget`: how long the search for a pose's drives may take, s.
+    `object` is a thing that your poses press and move: a dict with the keys of an object file, or the name of a shipped one; its
+    pins are at rest until the first pose. Without an object, `drives` are those at the onset: dicts with `motor`, `frequency_hz`,
+    `amplitude_um` and perhaps `phase`.
 
     The play ends when the program sends nothing for `timeout` s (0.5; the first message may take 2 s), and the pins return.
     No thread keeps it alive: a program that hangs must not leave pins moving. A loop without a change calls `keep()`.
     """
     array = yield from ops.array(core)
     body = {
-        "target": target,
         "object": object,
         "drives": None if drives is None else plain_drives(drives, array),
-        "pose": None if pose is None else plain_pose(pose),
         "scale": scale,
         "timeout_ms": milliseconds("timeout", timeout),
-        "budget_ms": milliseconds("budget", budget),
-        "objective": objective,
-        "model": model,
-        "setting": setting,
         "updates_hz": updates_hz,
         "max_frequency_hz": max_frequency_hz,
         "trigger": trigger_of(trigger),

@@ -170,8 +170,8 @@ class SessionOver(SessionRunning):
     advice = "start another session, or leave this one with its `end()`"
 
 
-class SearchRunning(ApiError, code="search-running", advice="wait for its end, or cancel it"):
-    """A search runs already."""
+class RenderingRunning(ApiError, code="rendering-running", advice="wait for its end, or cancel it"):
+    """A rendering runs already."""
 
 
 class BehindEndless(ApiError, code="behind-endless", advice="call `stop()`, or pass `replace=True`"):
@@ -248,10 +248,6 @@ class TooLarge(ApiError, code="too-large", advice="split the request"):
 
 class BadPattern(ApiError, code="bad-pattern", advice="correct the line that the message names"):
     """The text is not a valid pattern."""
-
-
-class BadTarget(ApiError, code="bad-target", advice="correct the line that the message names"):
-    """The text is not a valid target, or not one of this name."""
 
 
 class Empty(ApiError, code="empty", advice="give more `seconds` or amplitude: no stroke fits"):

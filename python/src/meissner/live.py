@@ -67,7 +67,7 @@ class Live(KnownPlay):
     def pose(
         self, x_mm: float = 0.0, y_mm: float = 0.0, angle_deg: float = 0.0, depth_um: float | None = None
     ) -> Update:
-        """Move the target or the object: it turns anticlockwise about the array's middle, then shifts. As `send`.
+        """Move the object: it turns anticlockwise about the array's middle, then shifts. As `send`.
 
         `depth_um`: how far the object's highest point is below the skin at rest, 0 to 2000; without it the depth of the object's press.
         """

@@ -1,6 +1,6 @@
 """The program `meissner` on this machine: a daemon with the simulated array, simulation of afferents, search for patterns.
 
-The client has no calls for the daemon's searches, renderings and previews, so `simulate`, `design` and `render` run the installed program. It is found by
+The client has no calls for the daemon's renderings and previews, so `simulate`, `design` and `render` run the installed program. It is found by
 `$MEISSNER_PROGRAM`, else in the wheel that was installed, else on the `PATH`. NumPy is used where it is installed.
 """
 
@@ -164,7 +164,7 @@ def design(
 ) -> Design:
     """Find a pattern for a target shape: the name of a shipped target, or the path of a target file.
 
-    It runs `meissner optimise` on this machine, because the client has no call for the daemon's searches. `objective`, `setting` and
+    It runs `meissner optimise` on this machine. `objective`, `setting` and
     `model` are as there. `budget` is a number of evaluations or seconds as in `"20s"`; without it the search goes on until
     nothing improves. `name`: the pattern's; without it `TARGET-found`. `array`: the name of a shipped array, or the file of a
     description; without it the target's.
@@ -224,7 +224,7 @@ def render(
     name: str | None = None,
     array: str | os.PathLike[str] | None = None,
 ) -> Rendering:
-    """Render an object's touch: a dict with the keys of an object file, the path of one, or the name of a shipped target at rest.
+    """Render an object's touch: a dict with the keys of an object file, the path of one, or the name of a shipped one.
 
     It runs `meissner render` on this machine. `touch` is the object's `[touch]`, such as `{"press": {"depth_um": 500}}`, for a dict
     that has none. A dict may hold NumPy values; the files that it names are found from the working directory. `method` is `auto`,
@@ -334,7 +334,7 @@ def toml_value(value: Any) -> str:
 _PATIENT = {"lead_ms": 500, "lease_ms": 5000}
 """A long lead and host watchdog timeout: a simulated array on a busy machine should outlast its stalls.
 
-With a lead of 1 s the line would not carry the 50 updates per second of a live target.
+With a lead of 1 s the line would not carry the 50 updates per second of a live object.
 """
 
 

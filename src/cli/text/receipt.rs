@@ -5,9 +5,9 @@
 use super::{counters, pairs};
 use crate::receipts::end_text;
 use meissner_api::{
-    BoardRecord, BurstCounts, ClassResponse, DurationRecord, ErrorSource, ItemState, LiveContrast,
-    LiveRecord, MotorRestError, OrderedCounts, PlayAccepted, PredictedResponse, Prediction, PulseCounts,
-    Rates, ReachedContrast, ReachedDrive, Receipt, UpdateTimes,
+    BoardRecord, BurstCounts, ClassResponse, DurationRecord, ErrorSource, ItemState, LiveRecord,
+    MotorRestError, OrderedCounts, PlayAccepted, PredictedResponse, Prediction, PulseCounts, Rates,
+    ReachedDrive, Receipt, UpdateTimes,
 };
 
 pub(in crate::cli) fn receipt(receipt: &Receipt) -> String {
@@ -52,7 +52,6 @@ pub(in crate::cli) fn receipt(receipt: &Receipt) -> String {
     }
     if let Some(live) = &receipt.live {
         lines.push(("updates", updates(live)));
-        lines.extend(live.contrast.as_ref().map(|reached| ("contrast", contrast(reached))));
     }
     if let Some(items) = &receipt.items {
         let count = |state| items.iter().filter(|item| item.state == state).count();
@@ -107,19 +106,6 @@ fn updates(live: &LiveRecord) -> String {
         times(decided, "decided"),
         times(first_motor, "first new stroke")
     )
-}
-
-/// The contrast that a live target reached.
-pub(super) fn contrast(of: &LiveContrast) -> String {
-    let LiveContrast { poses, converged, membrane, afferents } = of;
-    let models = [("membrane", membrane), ("afferents", afferents)];
-    let reached = models.into_iter().filter_map(|(name, reached)| Some((name, reached.as_ref()?)));
-    let models = reached.map(|(name, ReachedContrast { reached, searched, rule, least_share })| {
-        let least = least_share
-            .map_or_else(String::new, |least| format!(", at each pose at least {least:.2} of the search's"));
-        format!("; {name} {reached:.1} impulses/s, a search {searched:.1}, the naive rule {rule:.1}{least}")
-    });
-    format!("at {poses} poses, {converged} searches converged{}", models.collect::<String>())
 }
 
 /// The largest rest errors of driven pins, at onset and end, and where each comes from.

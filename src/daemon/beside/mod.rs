@@ -1,7 +1,7 @@
 //! What runs beside the requests, on threads and tasks of its own.
 //!
 //! [`event_loop`] processes the streamer's events; [`connector`] opens devices; [`predictor`] runs the skin model for plays that are over;
-//! [`calibration`] fits and stores calibrations; [`search`] follows a search's process, [`preview`] that of a preview, which its request awaits;
+//! [`calibration`] fits and stores calibrations; [`rendering`] follows a rendering's process, [`preview`] that of a preview, which its request awaits;
 //! [`service`] speaks with the service manager.
 
 pub(in crate::daemon) mod calibration;
@@ -9,6 +9,6 @@ pub(in crate::daemon) mod connector;
 mod event_loop;
 pub(in crate::daemon) mod predictor;
 pub(in crate::daemon) mod preview;
-mod search;
-pub(in crate::daemon) mod search_process;
+mod render_process;
+mod rendering;
 pub(in crate::daemon) mod service;

@@ -5,8 +5,8 @@
 //! Bounds: one preview is computed at a time, and [`WAITING`] requests wait. Invariant: when a [`Running`] preview is dropped, its process is killed, and
 //! its place is free once the process has ended.
 
-use crate::daemon::beside::search_process::SearchProcess;
-use crate::search::{self, Job, MEMORY, Report};
+use crate::daemon::beside::render_process::RenderProcess;
+use crate::render_process::{self, Job, MEMORY, Report};
 use meissner_api::{Code, PatternPreview, Problem};
 use rustix::process::{Pid, Signal, kill_process};
 use std::process::Command;
@@ -44,7 +44,7 @@ pub(in crate::daemon) async fn begin(job: Job) -> Result<(Running, SemaphorePerm
     let waits = WAITS.try_acquire().map_err(busy)?;
     let place = PLACE.acquire().await;
     let failed = |detail: String| Problem::new(Code::Store, detail);
-    let command = search::command().ok_or_else(|| {
+    let command = render_process::command().ok_or_else(|| {
         failed("this program is not meissner and cannot compute previews: start `meissner daemon`".to_owned())
     })?;
     let process = Arc::default();
@@ -63,7 +63,7 @@ pub(in crate::daemon) async fn begin(job: Job) -> Result<(Running, SemaphorePerm
 
 /// The preview as JSON; an error is one line.
 fn compute(command: Command, job: &Job, shared: &Mutex<Process>) -> Result<Vec<u8>, String> {
-    let started = SearchProcess::start(command);
+    let started = RenderProcess::start(command);
     let mut process = started.map_err(|error| format!("the preview's process cannot start: {error}"))?;
     match &mut *lock(shared) {
         Process::Over => return Err(String::new()),

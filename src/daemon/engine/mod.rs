@@ -15,8 +15,8 @@ mod status;
 use crate::daemon::engine::estop::{EStops, Origin};
 use crate::daemon::network::{Gate, TokenStore};
 use crate::daemon::state::{
-    Armed, Calibration, Commands, Connection, Exposure, LivePlays, Plays, Publisher, Reply, Rights, Searches,
-    Sessions, State, frame,
+    Armed, Calibration, Commands, Connection, Exposure, LivePlays, Plays, Publisher, Renderings, Reply,
+    Rights, Sessions, State, frame,
 };
 use crate::daemon::system::names::Names;
 use crate::receipts::refusal;
@@ -83,7 +83,7 @@ impl Engine {
             publisher: Publisher::new(SessionRecord::none()),
             exposure: Exposure::default(),
             sessions: Sessions::default(),
-            searches: Searches::default(),
+            renderings: Renderings::default(),
             live: LivePlays::default(),
             rights: Rights::default(),
             armed: Armed::default(),

@@ -26,7 +26,7 @@ impl From<StoreError> for Problem {
     }
 }
 
-/// A pattern, and its place among the lane's patterns. Patterns of the library and of searches need no place, because they are in
+/// A pattern, and its place among the lane's patterns. Patterns of the library and of renderings need no place, because they are in
 /// memory anyway. With `sha256` it is the pattern of that text: the stored one, or the one that the session record keeps.
 pub(in crate::daemon) async fn find(
     store: Arc<Store>,
@@ -40,7 +40,7 @@ pub(in crate::daemon) async fn find(
         return Ok((stored.clone(), None));
     }
     if let Some(id) = name.strip_prefix(FOUND_PREFIX) {
-        let stored = engine.lock().searches.found(id)?;
+        let stored = engine.lock().renderings.found(id)?;
         let other =
             || StoreError::OtherText { name: name.to_owned(), sha256: sha256.unwrap_or_default().to_owned() };
         return Ok((Some(stored).filter(|stored| is_it(&stored)).ok_or_else(other)?, None));

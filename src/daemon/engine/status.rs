@@ -55,7 +55,7 @@ impl Engine {
                 })
                 .collect(),
             last_play: receipts.last().map(|receipt| receipt.id),
-            last_search: daemon.searches.last_id(),
+            last_rendering: daemon.renderings.last_id(),
             tick: clock.map(|(tick, _)| tick.0),
             clock_uncertainty_us: clock.map(|(_, uncertainty_us)| uncertainty_us),
             clock: clock.map(|(tick, uncertainty_us)| ClockSample {

@@ -23,8 +23,8 @@ pub(in crate::daemon) mod server;
 use crate::daemon::http::answer::ErrorResponse;
 use crate::daemon::http::app::App;
 use crate::daemon::http::handlers::{
-    calibration, events, live, metrics, motors, patterns, plays, previews, searches, sessions, status,
-    targets, tokens,
+    calibration, events, live, metrics, motors, patterns, plays, previews, renderings, sessions, status,
+    tokens,
 };
 use crate::daemon::page;
 use axum::Router;
@@ -99,13 +99,9 @@ fn handler(route: Route) -> MethodRouter<App> {
         Route::Preview => on(method, previews::show),
         Route::Import => on(method, patterns::import),
         Route::Remove => on(method, patterns::remove),
-        Route::Targets => on(method, targets::list),
-        Route::Target => on(method, targets::show),
-        Route::StoreTarget => on(method, targets::store),
-        Route::RemoveTarget => on(method, targets::remove),
-        Route::SearchStart => on(method, searches::start),
-        Route::SearchShow => on(method, searches::show),
-        Route::SearchCancel => on(method, searches::cancel),
+        Route::RenderingStart => on(method, renderings::start),
+        Route::RenderingShow => on(method, renderings::show),
+        Route::RenderingCancel => on(method, renderings::cancel),
         Route::Calibrate => on(method, calibration::calibrate),
         Route::Calibration => on(method, calibration::show),
         Route::StoreCalibration => on(method, calibration::store),

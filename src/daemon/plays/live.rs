@@ -7,10 +7,7 @@
 use crate::daemon::engine::Engine;
 use crate::daemon::engine::right::Right;
 use crate::daemon::plays::begin::Compiled;
-use crate::daemon::plays::renderer::{PrepareError, Prepared};
 use crate::daemon::plays::terms::{Terms, trigger};
-use crate::daemon::state::poses::Poses;
-use crate::daemon::state::render_job::pose;
 use crate::daemon::state::{LivePlay, NewPlay, State};
 use crate::daemon::system::runtime::PLAYS;
 use crate::exposure::Vibration;
@@ -22,11 +19,9 @@ use meissner_api::{
     LiveRequest, Problem, Receipt,
 };
 use meissner_array::motor::MotorError;
-use meissner_array::pattern::Drive;
 use meissner_array::spec::Array;
 use meissner_array::strokes::{LiveStrokes, StrokeOptions};
-use meissner_design::Target;
-use meissner_render::Poses as Heights;
+use meissner_render::Poses;
 use meissner_stream::queues::{Command, HOLD_ALWAYS, Item};
 use meissner_stream::time::HostInstant;
 use meissner_stream::{Bandwidth, Source};
@@ -43,9 +38,8 @@ const END_AGAIN: Duration = Duration::from_millis(100);
 impl Engine {
     /// Begins a live play and waits until the streamer accepts it.
     pub(in crate::daemon) async fn start_live(
-        self: &Arc<Self>,
+        &self,
         request: &LiveRequest,
-        target: Option<Target>,
         object: Option<Object>,
         client: Peer,
     ) -> Result<LiveAccepted, Problem> {
@@ -57,18 +51,6 @@ impl Engine {
         live = live.with_levels(request.levels).with_open_loop(request.open_loop);
         let levels = request.levels || object.is_some();
         live = live.with_heights(self.heights(settings.array, object, &reach).await?);
-        let prepared = match target {
-            Some(target) => {
-                let (prepared, drives) = prepare(request, target).await?;
-                live.set_pattern(&drives)?;
-                Some(prepared)
-            }
-            None => None,
-        };
-        let poses = Arc::new(Poses::default());
-        if prepared.is_some() {
-            live = live.with_poses(Arc::clone(&poses));
-        }
         live.check_at_once(&settings)?;
         let waves = live.waves()?;
         let updates_hz = request.updates_hz.unwrap_or(LIVE_UPDATES_HZ);
@@ -106,14 +88,7 @@ impl Engine {
         let session = request.session.as_deref();
         let sent = |state: &mut State, id| state.live.add(id, live);
         let accepted = self.begin(&terms, compiled, |state| state.check_before_play(session), sent).await?;
-        let id = accepted.id;
-        if let Some(prepared) = prepared
-            && let Err(error) = prepared.start(Arc::clone(self), id, poses)
-        {
-            self.end_live(id);
-            return Err(Problem::new(Code::Store, format!("the renderer's thread cannot start: {error}")));
-        }
-        Ok(LiveAccepted { id, path })
+        Ok(LiveAccepted { id: accepted.id, path })
     }
 
     /// Solves the contact of an object. Plays of stored patterns do not wait for it. No pin goes above what participants may get.
@@ -122,10 +97,10 @@ impl Engine {
         array: Array,
         object: Option<Object>,
         reach: &[f64],
-    ) -> Result<Option<Arc<Heights>>, Problem> {
+    ) -> Result<Option<Arc<Poses>>, Problem> {
         let Some(object) = object else { return Ok(None) };
         let most_mm = self.lock().most_amplitude_um() / reach.iter().copied().fold(1.0, f64::max) / 1000.0;
-        let made = PLAYS.computing(move || Heights::new(array, &object)).await?;
+        let made = PLAYS.computing(move || Poses::new(array, &object)).await?;
         made.map(|heights| Some(Arc::new(heights.at_most(most_mm))))
             .map_err(|error| Problem::new(Code::BadRequest, error.to_string()))
     }
@@ -179,7 +154,7 @@ impl Engine {
 }
 
 /// A message to a live object: its pose becomes levels of all pins.
-fn touched(message: LiveMessage, heights: &Heights) -> Result<LiveMessage, Problem> {
+fn touched(message: LiveMessage, heights: &Poses) -> Result<LiveMessage, Problem> {
     let bad = |detail: String| Problem::new(Code::BadRequest, detail);
     if message.drives.is_some() || !message.um.is_empty() {
         return Err(bad(
@@ -194,15 +169,4 @@ fn touched(message: LiveMessage, heights: &Heights) -> Result<LiveMessage, Probl
     // Whole hundredths, rounded down: none is above the travel by a last bit.
     let um = heights_mm.into_iter().map(|mm| (mm * 1e5).floor() / 100.0);
     Ok(LiveMessage { pose: None, um: (0..).zip(um).collect(), ..message })
-}
-
-/// Makes the renderer of a target, and the drives of its first pose.
-async fn prepare(request: &LiveRequest, target: Target) -> Result<(Prepared, Vec<Drive>), Problem> {
-    let (first, request) = (pose(request.pose.unwrap_or_default()), request.clone());
-    let made = PLAYS.computing(move || {
-        let mut prepared = Prepared::new(&target, &request)?;
-        let drives = prepared.first(first)?;
-        Ok::<_, PrepareError>((prepared, drives))
-    });
-    made.await?.map_err(|error| Problem::new(Code::BadTarget, error.to_string()))
 }

@@ -1,15 +1,12 @@
 //! What every play goes through: its terms are read, its strokes are compiled, and it begins.
 //!
 //! [`pattern`] compiles a play of one pattern, [`sequence`] one of many, [`live`] one that its client moves, [`calibrate`] that of a
-//! calibration. All of them share their [`terms`] and [`begin`]. The thread that turns the poses of a live target into drives is the
-//! [`renderer`]; [`live_contrast`] compares what it has found.
+//! calibration. All of them share their [`terms`] and [`begin`].
 
 mod begin;
 mod calibrate;
 mod live;
-mod live_contrast;
 mod pattern;
-mod renderer;
 mod sequence;
 mod terms;
 

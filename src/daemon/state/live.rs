@@ -5,24 +5,18 @@
 
 use crate::daemon::state::State;
 use crate::daemon::state::limits::too_many;
-use crate::daemon::state::poses::Poses;
-use crate::daemon::state::render_job::{Job, pose};
 use crate::daemon::state::session::random_hex;
-use meissner_api::{
-    Code, EndCause, LIVE_GLIDE_MS, LiveAnswer, LiveApplied, LiveContrast, LiveDrive, LiveMessage, Problem,
-};
+use meissner_api::{Code, EndCause, LIVE_GLIDE_MS, LiveAnswer, LiveApplied, LiveDrive, LiveMessage, Problem};
 use meissner_array::motor::SquareWave;
 use meissner_array::pattern::Drive;
 use meissner_array::per_motor::PerMotor;
 use meissner_array::power::Group;
 use meissner_array::spec::Array;
 use meissner_array::strokes::{DriveStrokes, LiveMotion, StrokeOptions};
-use meissner_design::RenderError;
-use meissner_render::Poses as Heights;
+use meissner_render::Poses;
 use meissner_stream::Settings;
 use meissner_stream::queues::{Applied, Command, LiveResult, LiveUpdate, StreamEvent};
 use meissner_stream::time::HostInstant;
-use rustix::process::{Pid, Signal, kill_process};
 use std::collections::HashMap;
 use std::sync::Arc;
 use tokio::sync::mpsc;
@@ -48,13 +42,9 @@ pub(in crate::daemon) struct LivePlay {
     options: StrokeOptions,
     most_hz: f64,
     seq: Option<u64>,
-    /// The number of the message that set the scale.
-    scaled_by: u64,
     under_way: usize,
-    /// The poses of its target that wait to be rendered; none for a play without a target.
-    poses: Option<Arc<Poses>>,
     /// The heights of pins for poses of its object.
-    heights: Option<Arc<Heights>>,
+    heights: Option<Arc<Poses>>,
     answers: Option<mpsc::Sender<LiveAnswer>>,
 }
 
@@ -62,8 +52,6 @@ pub(in crate::daemon) struct LivePlay {
 #[derive(Debug, Default)]
 pub(in crate::daemon) struct LivePlays {
     plays: HashMap<u64, LivePlay>,
-    /// The play that is being compared with searches, and the process that does so, which was not yet waited for.
-    comparison: Option<(u64, Pid)>,
 }
 
 impl LivePlay {
@@ -93,9 +81,7 @@ impl LivePlay {
             options,
             most_hz,
             seq: None,
-            scaled_by: 0,
             under_way: 0,
-            poses: None,
             heights: None,
             answers: None,
         };
@@ -103,13 +89,8 @@ impl LivePlay {
         Ok(new)
     }
 
-    /// The same play with a target, whose waiting poses are in `poses`.
-    pub(in crate::daemon) fn with_poses(self, poses: Arc<Poses>) -> Self {
-        Self { poses: Some(poses), ..self }
-    }
-
     /// The same play with an object, whose poses become levels.
-    pub(in crate::daemon) fn with_heights(self, heights: Option<Arc<Heights>>) -> Self {
+    pub(in crate::daemon) fn with_heights(self, heights: Option<Arc<Poses>>) -> Self {
         Self { takes_levels: self.takes_levels || heights.is_some(), heights, ..self }
     }
 
@@ -192,25 +173,6 @@ impl LivePlay {
         Ok(motions)
     }
 
-    /// Sets the scale, unless a later message has set it.
-    fn scale(&mut self, scale: Option<(u64, f64)>) {
-        if let Some((by, scale)) = scale.filter(|(by, _)| *by >= self.scaled_by) {
-            (self.options.scale, self.scaled_by) = (scale, by);
-        }
-    }
-
-    /// Takes over the drives of a pattern. A motor without one falls silent, and keeps its frequency.
-    pub(in crate::daemon) fn set_pattern(&mut self, drives: &[Drive]) -> Result<(), Problem> {
-        let mut all = self.drives;
-        all.iter_mut().for_each(|drive| drive.amplitude_um = 0.0);
-        for &Drive { motor, frequency_hz, amplitude_um, phase, .. } in drives {
-            if let Some(drive) = all.get_mut(usize::from(motor)) {
-                *drive = LiveDrive { motor, frequency_hz, amplitude_um, phase };
-            }
-        }
-        self.set(&all)
-    }
-
     /// Answers its client. A client that does not read its answers loses them.
     fn answer(&self, answer: LiveAnswer) {
         if let Some(answers) = &self.answers {
@@ -271,29 +233,16 @@ impl LivePlay {
 
 impl LivePlays {
     pub(in crate::daemon) fn add(&mut self, id: u64, play: LivePlay) {
-        if play.poses.is_some() {
-            self.end_comparison();
-        }
         self.plays.insert(id, play);
     }
 
-    /// Ends the process that compares a play, which takes processor time from a renderer.
-    fn end_comparison(&mut self) {
-        if let Some((_, process)) = self.comparison.take() {
-            // An error means that it has just ended.
-            let _ = kill_process(process, Signal::KILL);
-        }
-    }
-
     /// The heights of pins for poses of a play's object.
-    pub(in crate::daemon) fn heights(&self, id: u64) -> Option<Arc<Heights>> {
+    pub(in crate::daemon) fn heights(&self, id: u64) -> Option<Arc<Poses>> {
         self.plays.get(&id)?.heights.clone()
     }
 
     pub(super) fn forget(&mut self, id: u64) {
-        if let Some(poses) = self.plays.remove(&id).and_then(|play| play.poses) {
-            poses.close();
-        }
+        self.plays.remove(&id);
     }
 
     /// Opens the connection of the play with this key, once. Returns the play and where its answers arrive.
@@ -325,9 +274,6 @@ impl LivePlays {
             }
             StreamEvent::PlayEnded { id, outcome } => {
                 let Some(play) = self.plays.remove(id) else { return };
-                if let Some(poses) = &play.poses {
-                    poses.close();
-                }
                 let ended = outcome.cause.clone().or_else(|| Some(EndCause::Other("done".into())));
                 play.answer(LiveAnswer { ended, ..LiveAnswer::default() });
             }
@@ -358,29 +304,6 @@ fn answer(update: &LiveUpdate) -> LiveAnswer {
 }
 
 impl State {
-    /// Notes that a process compares a play, until [`Self::end_comparison`]. False if a live target plays, or the daemon is ending.
-    pub(in crate::daemon) fn begin_comparison(&mut self, id: u64, process: Pid) -> bool {
-        let renders = self.live.plays.values().any(|play| play.poses.is_some());
-        if renders || self.commands.is_closing() {
-            return false;
-        }
-        self.live.end_comparison();
-        self.live.comparison = Some((id, process));
-        true
-    }
-
-    /// Forgets the process of this play's comparison, which is about to be waited for.
-    pub(in crate::daemon) fn end_comparison(&mut self, id: u64) {
-        self.live.comparison.take_if(|(of, _)| *of == id);
-    }
-
-    /// Puts the contrast that a live target has reached into its play's receipt.
-    pub(in crate::daemon) fn set_live_contrast(&mut self, id: u64, contrast: LiveContrast) {
-        if let Some(event) = self.plays.receipts.set_live_contrast(id, contrast) {
-            self.publish(&event);
-        }
-    }
-
     /// Carries out a message of a live play's client, whose answer comes later.
     ///
     /// # Errors
@@ -398,68 +321,17 @@ impl State {
                 format!("`seq` is {}: must be above that of the message before, {last}", message.seq);
             return Err(Problem::new(Code::BadRequest, detail));
         }
-        match (&message.pose, &play.poses) {
-            (Some(_), None) => {
-                let detail =
-                    "`pose` is that of a target or an object: this live play was started with drives";
-                return Err(Problem::new(Code::BadRequest, detail));
-            }
-            (_, Some(_)) if message.drives.is_some() => {
-                let detail = "`drives`: this live play has a target, whose poses decide: send `pose`";
-                return Err(Problem::new(Code::BadRequest, detail));
-            }
-            (Some(at), Some(_)) if at.depth_um.is_some() => {
-                let detail = "`pose.depth_um` is that of an object: this live play has a target";
-                return Err(Problem::new(Code::BadRequest, detail));
-            }
-            (Some(at), Some(poses)) => {
-                play.seq = Some(message.seq);
-                // The drives of the pose carry the scale.
-                let scale = message.scale.map(|scale| (message.seq, scale));
-                let merged = poses.put(Job { seq: message.seq, received_at, pose: pose(*at), scale });
-                // Keep the play alive: the renderer may take longer than a client may be silent.
-                let _ = self.commands.send_unanswered(Command::KeepLive(id));
-                if let Some(job) = merged {
-                    self.plays.receipts.live_merged(id);
-                    play.answer(LiveAnswer {
-                        seq: Some(job.seq),
-                        merged_into: Some(message.seq),
-                        ..LiveAnswer::default()
-                    });
-                }
-                return Ok(());
-            }
-            (None, _) => {}
+        if message.pose.is_some() {
+            let detail = "`pose` is that of an object: this live play was started with drives";
+            return Err(Problem::new(Code::BadRequest, detail));
         }
         let changes = message.drives.is_some() || message.scale.is_some() || !message.um.is_empty();
         self.change_live(id, message.seq, received_at, changes, Some(message), |play| {
-            play.scale(message.scale.map(|scale| (message.seq, scale)));
+            play.options.scale = message.scale.unwrap_or(play.options.scale);
             play.seq = Some(message.seq);
             play.set(message.drives.as_deref().unwrap_or_default())?;
             play.set_levels(message)
         })
-    }
-
-    /// Takes the renderer's drives for a pose, or its error. Returns whether the drives were sent.
-    pub(in crate::daemon) fn live_rendered(
-        &mut self,
-        id: u64,
-        job: &Job,
-        rendered: Result<&[Drive], &RenderError>,
-    ) -> bool {
-        let &Job { seq, received_at, scale, .. } = job;
-        let drives = rendered.map_err(|error| Problem::new(Code::BadRequest, error.to_string()));
-        let sent = drives.and_then(|drives| {
-            self.change_live(id, seq, received_at, true, None, |play| {
-                play.scale(scale);
-                play.set_pattern(drives)
-            })
-        });
-        let is_sent = sent.is_ok();
-        if let (Err(problem), Some(play)) = (sent, self.live.plays.get(&id)) {
-            play.answer(LiveAnswer::refused(Some(seq), problem));
-        }
-        is_sent
     }
 
     /// Changes a live play and sends its drives to the streamer. A refused change has no effect.
@@ -474,7 +346,7 @@ impl State {
     ) -> Result<(), Problem> {
         let (array, reach) = (self.settings.array, [false, true].map(|open_loop| self.reach(open_loop)));
         let play = self.live.plays.get_mut(&id).ok_or_else(over)?;
-        let before = (play.drives, play.levels, play.options.scale, play.scaled_by, play.seq);
+        let before = (play.drives, play.levels, play.options.scale, play.seq);
         let settings = self.settings;
         let changed =
             change(play).and_then(|()| play.check_at_once(&settings)).and_then(|()| play.motions(message));
@@ -493,7 +365,7 @@ impl State {
         if let Some(play) = self.live.plays.get_mut(&id) {
             match &sent {
                 Ok(()) => play.under_way += 1,
-                Err(_) => (play.drives, play.levels, play.options.scale, play.scaled_by, play.seq) = before,
+                Err(_) => (play.drives, play.levels, play.options.scale, play.seq) = before,
             }
         }
         sent

@@ -9,7 +9,7 @@
 //! - [`Sessions`]: the running session, and who may act meanwhile.
 //! - [`Rights`]: the client by whose right each play was ordered, and what a client may do ([`Caller`]).
 //! - [`Armed`]: the client for which the motors are armed, and the silence that disarms them.
-//! - [`Searches`]: the running search, and the results of earlier ones.
+//! - [`Renderings`]: the running rendering, and the results of earlier ones.
 //! - [`LivePlays`]: live plays, and the channels to their clients.
 //!
 //! A part uses no other part; a rule that concerns several is a method of [`State`]. There is one lock because such rules hold
@@ -27,11 +27,9 @@ mod exposure;
 pub(in crate::daemon) mod limits;
 mod live;
 mod plays;
-pub(in crate::daemon) mod poses;
 mod publisher;
-pub(in crate::daemon) mod render_job;
+mod renderings;
 mod rights;
-mod searches;
 mod session;
 pub(in crate::daemon) mod stored_calibration;
 
@@ -44,8 +42,8 @@ pub(super) use exposure::Exposure;
 pub(super) use live::{LivePlay, LivePlays};
 pub(super) use plays::{MeasuredPlay, NewPlay, Plays, check_samples};
 pub(super) use publisher::{Publisher, frame};
+pub(super) use renderings::Renderings;
 pub(super) use rights::{NoRight, Rights, going_on};
-pub(super) use searches::{Found, Searches};
 pub(super) use session::{Sessions, no_play, no_session};
 
 use crate::receipts::{NoPrediction, refusal};
@@ -68,7 +66,7 @@ pub(super) struct State {
     pub(super) settings: Settings,
     pub(super) exposure: Exposure,
     pub(super) sessions: Sessions,
-    pub(super) searches: Searches,
+    pub(super) renderings: Renderings,
     pub(super) live: LivePlays,
     pub(super) rights: Rights,
     pub(super) armed: Armed,

@@ -67,10 +67,10 @@ mod tests {
     use super::*;
     use meissner_api::{
         AfferentClass, BurstCounts, ClassResponse, DurationRecord, ErrorSource, FollowedMotion, LateCause,
-        LateCounts, LateStroke, LatenessRecord, LinkTraffic, LiveContrast, LiveRecord, LoweredPin,
-        LoweredReason, LoweredRecord, MAX_DRIVES_LISTED, MAX_LISTED, MAX_WARNINGS_LISTED, MotorRestError,
-        MovedPin, OffsetRecord, OnsetRecord, OrderedCounts, PlayState, PredictedResponse, Prediction,
-        PulseCounts, Rates, ReachedContrast, ReachedDrive, Receipt, RefusedStroke, UpdateTimes,
+        LateCounts, LateStroke, LatenessRecord, LinkTraffic, LiveRecord, LoweredPin, LoweredReason,
+        LoweredRecord, MAX_DRIVES_LISTED, MAX_LISTED, MAX_WARNINGS_LISTED, MotorRestError, MovedPin,
+        OffsetRecord, OnsetRecord, OrderedCounts, PlayState, PredictedResponse, Prediction, PulseCounts,
+        Rates, ReachedDrive, Receipt, RefusedStroke, UpdateTimes,
     };
 
     #[test]
@@ -99,8 +99,6 @@ mod tests {
             unmeasured: most,
         };
         let times = UpdateTimes { p50_ms: number, p99_ms: number, longest_ms: number };
-        let reached =
-            ReachedContrast { reached: number, searched: number, rule: number, least_share: Some(number) };
         let late = LateStroke { motor: 23, tick: most, late_ms: number, cause: LateCause::Device };
         let reason = "the motor's on-time limit: fewer pulses per second, please".to_owned();
         let refused = RefusedStroke { motor: 23, tick: most, reason };
@@ -134,12 +132,6 @@ mod tests {
                 decided: Some(times),
                 first_motor: Some(times),
                 last_motor: Some(times),
-                contrast: Some(LiveContrast {
-                    poses: 8,
-                    converged: 8,
-                    membrane: Some(reached),
-                    afferents: Some(reached),
-                }),
             }),
             lateness: LatenessRecord {
                 counts: LateCounts { host: most, link: most, device: most, worst_ms: number },

@@ -1,6 +1,6 @@
-//! Rights of clients. They are checked at each use, and when one ends, the plays and searches that it allowed end, too.
+//! Rights of clients. They are checked at each use, and when one ends, the plays and renderings that it allowed end, too.
 //!
-//! Work that outlives its request holds the request's [`Caller`]: plays, edges to come, homing and searches here, and event streams,
+//! Work that outlives its request holds the request's [`Caller`]: plays, edges to come, homing and renderings here, and event streams,
 //! live connections and waiting requests through [`Right`](crate::daemon::engine::right::Right). A right ends in four cases: its access
 //! token is revoked or gets a lesser role; an exclusive session begins; its owner comes back after others were allowed to act; or
 //! the session that the caller shows is over. Then [`State::rights_changed`] ends the work here, and wakes the others, which check
@@ -104,7 +104,7 @@ pub(in crate::daemon) struct NoRight {
     pub(in crate::daemon) cause: &'static EndCause,
 }
 
-/// The access that a play or search needs to go on: a client may let it go on even when its own session is over.
+/// The access that a play or rendering needs to go on: a client may let it go on even when its own session is over.
 pub(in crate::daemon) const fn going_on(access: Access) -> Access {
     match access.session {
         SessionRule::Owner => Access { session: SessionRule::Starts, ..access },
@@ -162,14 +162,14 @@ impl State {
         self.rights.changed.send_replace(());
     }
 
-    /// Ends the plays, the edges to come, the homing and the search of clients that may not order them any more. What does not fit
+    /// Ends the plays, the edges to come, the homing and the rendering of clients that may not order them any more. What does not fit
     /// into the queue of commands is tried again with the streamer's next report.
     pub(super) fn end_forbidden(&mut self) {
         let needs = going_on(Route::Play.access());
         let forbidden = |caller: &Caller| self.check_right(caller, needs).err().map(|no| no.cause.clone());
         let plays: Vec<_> =
             self.rights.plays.iter().filter_map(|(&id, caller)| Some((id, forbidden(caller)?))).collect();
-        let ends_search = self.searches.caller().and_then(forbidden).is_some();
+        let ends_rendering = self.renderings.caller().and_then(forbidden).is_some();
         let stops_homing = self.rights.homing.as_ref().and_then(|(_, caller)| forbidden(caller));
         let orders = Route::Edge.access();
         let lost = |(_, caller): &&(u64, Caller)| self.check_right(caller, orders).is_err();
@@ -177,8 +177,8 @@ impl State {
         for (id, cause) in plays {
             self.cancel_play(id, cause);
         }
-        if ends_search {
-            self.cancel_running_search();
+        if ends_rendering {
+            self.cancel_running_rendering();
         }
         if let Some(cause) = stops_homing
             && self.commands.send_unanswered(Command::Stop).is_ok()

@@ -35,8 +35,6 @@ pub enum Command {
     Play(Box<Play>),
     /// Change the drives of a live play, or show that its client is there.
     UpdateLive(Box<LiveUpdate>),
-    /// The client of this live play is there.
-    KeepLive(u64),
     /// End this live play, if it runs, and clear the queue; stay armed.
     EndLive(u64),
     /// End this play, for this cause. If nothing of it was sent, the others stay; else as [`Self::Stop`].

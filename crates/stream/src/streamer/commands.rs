@@ -66,10 +66,6 @@ impl Streamer {
                 self.update_live(given, update, emit);
                 return;
             }
-            Command::KeepLive(id) => {
-                self.keep_live(given, id, emit);
-                return;
-            }
             Command::EndLive(id) => self.end_live(id),
             // Nothing changes, so no report is due: the daemon answers each report with the same order.
             Command::Cancel { id, .. }

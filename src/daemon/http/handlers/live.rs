@@ -9,8 +9,9 @@ use crate::daemon::engine::right::Right;
 use crate::daemon::http::answer::{Answer, ErrorResponse, path};
 use crate::daemon::http::app::App;
 use crate::daemon::http::body;
-use crate::daemon::http::handlers::targets;
+use crate::daemon::http::handlers::renderings::keys;
 use crate::daemon::http::request_log::LoggedRequest;
+use crate::daemon::system::runtime::PLAYS;
 use crate::session_record::Peer;
 use axum::Json;
 use axum::body::Body;
@@ -23,6 +24,8 @@ use axum::response::{IntoResponse, Response};
 use hyper_util::rt::TokioIo;
 use meissner_api::{Code, LIVE_UPGRADE, LiveAccepted, LiveAnswer, LiveRequest, MAX_LIVE_MESSAGE, Problem};
 use meissner_stream::time::HostInstant;
+use meissner_touch::{Object, no_files};
+use serde_json::Value;
 use std::io;
 use std::pin::pin;
 use std::sync::Arc;
@@ -47,20 +50,24 @@ pub(in crate::daemon::http) async fn start(
         let mut request = LiveRequest::parse(&body::read_command(body).await?)?;
         request.session = app.engine.lock().session_of_play(request.session.as_deref())?;
         logged.set_arguments(&request);
-        let target = match &request.target {
-            Some(target) => Some(targets::find(&app, target).await?),
-            None => None,
-        };
         let object = match &request.object {
-            Some(object) => Some(targets::find_object(&app, object).await?),
+            Some(object) => Some(find_object(object).await?),
             None => None,
         };
-        let accepted = app.engine.start_live(&request, target, object, peer).await?;
+        let accepted = app.engine.start_live(&request, object, peer).await?;
         logged.set_play(accepted.id);
         Ok((StatusCode::ACCEPTED, Json(accepted)))
     }
     .await;
     logged.result(result)
+}
+
+/// The object of a request, which holds it, or names a shipped one.
+async fn find_object(object: &Value) -> Answer<Object> {
+    let text = Value::from(keys(object)?).to_string();
+    let read = PLAYS.computing(move || Object::read_json(&text, &mut no_files)).await?;
+    let bad = |error| Problem::new(Code::BadRequest, format!("the object is refused: {error}"));
+    Ok(read.map_err(bad)?)
 }
 
 /// Opens the connection of a live play.

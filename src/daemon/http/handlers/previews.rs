@@ -8,7 +8,7 @@ use crate::daemon::http::answer::{Answer, json_response, path};
 use crate::daemon::http::app::App;
 use crate::daemon::sockets::activity::Activity;
 use crate::daemon::system::runtime::{OTHERS, computing};
-use crate::search::{Job, Preview};
+use crate::render_process::{Job, Preview};
 use crate::session_record::Peer;
 use axum::extract::rejection::PathRejection;
 use axum::extract::{Extension, Path, State};

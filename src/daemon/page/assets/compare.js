@@ -2,8 +2,8 @@
 // how near they come. Each afferent is a dot; a prediction is not a sensation.
 
 import { element } from "./control.js";
-import { make } from "./finger.js";
-import { map } from "./maps.js";
+import { colour, make } from "./finger.js";
+import { drawing, line } from "./pad.js";
 
 const CLASSES = ["SA1", "RA", "PC"];
 const NAMES = { rule: "The plain press", "vibrate-60": "The vibration at 60 Hz" };
@@ -17,6 +17,23 @@ const BANDS = [60, 80, 40];
 const dash = (value) => value?.toFixed(2) ?? "–";
 const of = (response, kind) => response.class.flatMap((name, i) => (name === kind ? [i] : []));
 const count = (spikes, which) => which.reduce((sum, i) => sum + spikes[i].length, 0);
+
+// `rates`: of the afferents at `places`; the largest of all maps is `most`. `outline`: lines that draw the shape.
+function map(title, text, places, rates, most, outline) {
+  const svg = drawing(`${title}: ${text}`);
+  places.forEach(([x, y], i) => {
+    const share = rates[i] / most;
+    svg.append(make("circle", { cx: x, cy: -y, r: (0.14 + 0.24 * share).toFixed(2), ...(share > 0 ? { fill: colour(100 * share), class: "dot" } : { class: "dot still" }) }));
+  });
+  const lines = make("g", { class: "over" });
+  lines.append(...outline.map(line));
+  svg.append(lines);
+  const figure = document.createElement("figure");
+  const caption = document.createElement("figcaption");
+  caption.append(element("strong", title), element("span", text));
+  figure.append(svg, caption);
+  return figure;
+}
 
 // The maps: for each class the real thing and the display beside each other, with one scale of colours.
 export function responses({ response, outline }) {

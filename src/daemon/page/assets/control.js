@@ -180,7 +180,7 @@ function unsay(status) {
 }
 
 // Refusals because of the state, which another state may take back.
-const OF_STATE = new Set(["disarmed", "faulted", "returning", "playing", "not-home", "nothing-to-go-by", "session-exclusive", "session-running", "position-unknown", "no-device", "behind-endless", "queue-full", "search-running", "not-known", "unreachable", "slow", "stopped"]);
+const OF_STATE = new Set(["disarmed", "faulted", "returning", "playing", "not-home", "nothing-to-go-by", "session-exclusive", "session-running", "position-unknown", "no-device", "behind-endless", "queue-full", "rendering-running", "not-known", "unreachable", "slow", "stopped"]);
 
 // Says beside a control that something was refused, or failed, in the page's words.
 export function refuse(control, error) {

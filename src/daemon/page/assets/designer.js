@@ -1,17 +1,14 @@
-// The view Design: the person draws a thing, and the page renders it, shows how near it comes, plays it and stores it. Folded away, the paper's
-// search looks for a vibration for the same drawing.
+// The view Design: the person draws a thing, and the page renders it, shows how near it comes, plays it and stores it.
 //
 // A drawing (`doc`) has: `shape`; `lines`, its points; `at`, the middle of what is not drawn point by point; `text`; `numbers`, by the id of
-// their fields; `picture`, a height map's file; `loaded`, a target as the daemon has it; `touch` and `method`.
+// their fields; `picture`, a height map's file; `touch` and `method`.
 
-import { call } from "./api.js";
 import { array } from "./array.js";
-import { built, element, may, refuse, say, speak } from "./control.js";
+import { may, refuse, say, speak } from "./control.js";
 import { History, keep, kept } from "./history.js";
 import { Live } from "./live.js";
 import { complain, forgive, number, numbers, right } from "./number.js";
 import { Pad } from "./pad.js";
-import { Paper } from "./paper.js";
 import { picture } from "./picture.js";
 import { Rendering } from "./rendering.js";
 import { drawn, live, off, rendering } from "./thing.js";
@@ -35,7 +32,6 @@ const SHAPES = {
 const TOUCHES = { depth: ["press", "scan"], rise: ["press"], hold: ["press"], fall: ["press"], speed: ["scan"], direction: ["scan"], distance: ["scan"] };
 const NUMBERS = ["width", "diameter", "pitch", "mm", "white", "angle", ...Object.keys(TOUCHES)];
 const TEXTS = ["text", "contact", "method"];
-const DRAWABLE = { segment: "bar", polyline: "polyline", dots: "dots" };
 
 // The middle of a Braille cell near the array's middle, mm. Dots that are two pitches apart then lie right above pins.
 function cellCenter() {
@@ -49,12 +45,9 @@ export class Designer {
   #saved;
   #pad;
   #live;
-  #paper;
   #rendering;
   #history = new History();
   #picture = null;
-  // The loaded target in full, to keep the keys that the page does not show.
-  #loaded = null;
   #numbers = {};
   #timer = 0;
   // Whether a field has what cannot be drawn: then the drawing is older than the fields.
@@ -71,8 +64,6 @@ export class Designer {
     this.#saved = saved;
     this.#pad = new Pad($("pad"), (by) => this.#drawn(by), (text) => speak(text, "pad"));
     const changed = () => this.#buttons();
-    const doc = () => this.#doc();
-    this.#paper = new Paper({ doc, pad: this.#pad, changed, saved: () => (saved(), this.#list()) });
     this.#rendering = new Rendering(() => (this.#question(null), this.#keep(), this.#buttons()));
     const request = () => {
       const [object] = live(this.#doc());
@@ -85,23 +76,20 @@ export class Designer {
       view: "design",
       at: "designer-title",
       load: () => this.#start(),
-      state: () => (this.#paper.doubt(), this.#rendering.doubt(), this.#rights()),
-      on: { search: (event) => this.#handle(event) },
-      hide: () => (this.#live.end(), this.#paper.end()),
+      state: () => (this.#rendering.doubt(), this.#rights()),
+      on: { rendering: (event) => this.#rendering.handle(event) },
+      hide: () => this.#live.end(),
     });
-    part({ view: "design", at: "load", load: () => this.#list(), again: true });
   }
 
   #bind() {
     const on = (id, event, run) => $(id).addEventListener(event, run);
     on("shape", "change", () => this.#changed());
     on("points", "change", () => this.#typed());
-    on("load", "change", () => this.#load($("load").value).then(() => say($("load"), ""), (error) => refuse($("load"), error)));
     on("undo", "click", () => this.#step(-1));
     on("redo", "click", () => this.#step(1));
     on("clear", "click", () => (this.#pad.set([]), this.#changed()));
     on("turn", "click", () => (this.#pad.set([this.#pad.points.toReversed()]), this.#changed()));
-    on("edit", "click", () => this.#edit());
     for (const id of [...NUMBERS, ...TEXTS]) {
       on(id, "change", () => this.#changed());
       on(id, "input", () => {
@@ -115,7 +103,6 @@ export class Designer {
     panel.addEventListener("dragover", (event) => event.preventDefault());
     panel.addEventListener("drop", (event) => (event.preventDefault(), this.#take(event.dataTransfer.files[0])));
     document.addEventListener("keydown", (event) => this.#key(event));
-    on("paper", "toggle", () => this.#mode());
     on("thing-name", "input", () => this.#question(null));
     on("thing-save-form", "submit", (event) => (event.preventDefault(), this.#save()));
     on("thing-replace", "click", () => this.#replace());
@@ -125,16 +112,15 @@ export class Designer {
   // The fields that the chosen thing and touch have.
   #fields() {
     const [shape, touch] = [$("shape").value, $("contact").value];
-    const isLoaded = shape === "loaded";
     const of = (fields, choice) => Object.keys(fields).filter((id) => fields[id].includes(choice));
-    return [...of(SHAPES, shape), ...(isLoaded ? [] : ["contact", ...of(TOUCHES, touch)])];
+    return [...of(SHAPES, shape), "contact", ...of(TOUCHES, touch)];
   }
 
   #doc() {
     // While a number is wrong, the one before it is drawn.
     for (const id of NUMBERS) if (!Number.isNaN(number(id))) this.#numbers[id] = number(id);
     return {
-      shape: $("shape").value, lines: this.#pad.lines, at: this.#pad.at, text: $("text").value.toLowerCase(), picture: this.#picture, loaded: this.#loaded,
+      shape: $("shape").value, lines: this.#pad.lines, at: this.#pad.at, text: $("text").value.toLowerCase(), picture: this.#picture,
       numbers: { ...this.#numbers }, touch: $("contact").value, method: $("method").value,
     };
   }
@@ -142,19 +128,18 @@ export class Designer {
   // What can be undone, and survives a reload.
   #state() {
     const fields = Object.fromEntries([...NUMBERS, ...TEXTS].map((id) => [id, $(id).value]));
-    return { shape: $("shape").value, lines: this.#pad.lines, at: this.#pad.at, picture: this.#picture, loaded: this.#loaded, fields };
+    return { shape: $("shape").value, lines: this.#pad.lines, at: this.#pad.at, picture: this.#picture, fields };
   }
 
-  #restore({ shape, lines, at, picture, loaded, fields }) {
+  #restore({ shape, lines, at, picture, fields }) {
     for (const [id, value] of Object.entries(fields)) if ($(id)) $(id).value = value;
-    [this.#picture, this.#loaded] = [picture, loaded];
+    this.#picture = picture;
     $("shape").value = shape;
     [this.#pad.lines, this.#pad.at] = [lines, at];
     this.#show();
   }
 
   #arrange() {
-    this.#paper.arrange();
     if (!this.#history.now) {
       $("pitch").value = digits(2 * array().pitch_mm);
       this.#pad.at = cellCenter();
@@ -174,55 +159,13 @@ export class Designer {
     }
   }
 
-  // Loads the paper's search and the rendering.
+  // Loads the rendering.
   async #start() {
-    await this.#paper.start();
-    const before = this.#before?.search ?? undefined;
+    const before = this.#before?.rendering ?? undefined;
     this.#before = null;
     // The person may have drawn meanwhile. A daemon that was started again has no result.
     if (!this.#rendering.isAsking && !(await this.#rendering.resume(before))) this.#ask(false);
     this.#buttons();
-  }
-
-  async #handle(event) {
-    if (this.#rendering.isMine(event.id)) await this.#rendering.handle(event);
-    else await Promise.all([this.#rendering.handle(event), this.#paper.handle(event)]);
-  }
-
-  async #list() {
-    const { targets } = await call("GET", "/v1/targets");
-    const option = (text, value) => element("option", text, { value });
-    const kind = (target) => `${target.name} (${target.shape}${target.moves ? ", moves" : ""}${target.library ? "" : ", site"})`;
-    const options = await built(targets, (target) => option(kind(target), target.name));
-    $("load").replaceChildren(option(targets.length ? "Choose" : "No target is stored", ""), ...options);
-    this.#showLoaded();
-    // Another client may have stored another one under the name of the loaded one.
-    const loaded = this.#loaded && targets.find(({ name }) => name === this.#loaded.target.name);
-    if (loaded && loaded.sha256 !== this.#loaded.sha256 && $("shape").value === "loaded") await this.#load(loaded.name);
-  }
-
-  #showLoaded() {
-    $("load").value = this.#loaded?.target.name ?? "";
-    if (!$("load").value) $("load").value = "";
-  }
-
-  async #load(name) {
-    if (!name) return;
-    const loaded = await call("GET", `/v1/targets/${encodeURIComponent(name)}`);
-    this.#loaded = loaded;
-    $("shape").value = "loaded";
-    this.#paper.loaded(loaded.target);
-    $("thing-name").value = `${name}-rendered`.slice(0, 64);
-    this.#changed();
-  }
-
-  // Makes a drawing of the loaded target.
-  #edit() {
-    const { target } = this.#loaded;
-    $("shape").value = DRAWABLE[target.shape];
-    this.#pad.set([target.points]);
-    $("thing-name").value = `${target.name}-new`.slice(0, 64);
-    this.#changed();
   }
 
   async #take(file) {
@@ -297,20 +240,17 @@ export class Designer {
   #keep() {
     const state = this.#history.now;
     if (!state) return;
-    const search = this.#rendering.kept;
-    const isKept = keep({ state, search });
-    if (!isKept && state.picture) keep({ state: { ...state, picture: null }, search: null });
+    const rendering = this.#rendering.kept;
+    const isKept = keep({ state, rendering });
+    if (!isKept && state.picture) keep({ state: { ...state, picture: null }, rendering: null });
     $("picture-kept").hidden = isKept || !state.picture;
   }
 
-  // Asks for the rendering of the drawing, or, in the other mode, for nothing but a search that the person wants.
+  // Asks for the rendering of the drawing.
   #ask(byPen) {
     this.#rights();
     if (!may()) {
       this.#isKept = true;
-    } else if ($("paper").open) {
-      this.#rendering.ask(null);
-      if (byPen && $("at-once").checked) this.#paper.find(true);
     } else if (array()) {
       this.#rendering.ask(rendering(this.#doc()), byPen && $("thing-at-once").checked);
     }
@@ -323,15 +263,6 @@ export class Designer {
     if (isNew && !may()) speak($("thing-may-not").textContent, "rendering");
     if (!may() || !this.#isKept) return;
     this.#isKept = false;
-    this.#ask(false);
-  }
-
-  // Shows the fields of the mode: the thing, or the paper's search.
-  #mode() {
-    $("thing").hidden = $("thing-out").hidden = $("paper").open;
-    $("paper-out").hidden = !$("paper").open;
-    this.#live.end();
-    this.#paper.end();
     this.#ask(false);
   }
 
@@ -378,16 +309,12 @@ export class Designer {
     this.#pad.shape = shape;
     const fields = this.#fields();
     for (const id of [...Object.keys(SHAPES), ...Object.keys(TOUCHES), "contact"]) $(`${id}-label`).hidden = !fields.includes(id);
-    const isLoaded = shape === "loaded";
-    $("touch-own").hidden = !isLoaded;
-    $("points-label").hidden = isLoaded;
     $("points-text").textContent = this.#pad.isDrawn ? (shape === "polyline" ? "Points, mm: x y; x y / next line" : "Points, mm: x y; x y") : "Middle, mm: x y";
     $("points").value = (this.#pad.isDrawn ? doc.lines : [[doc.at]]).map((places) => places.map((place) => place.join(" ")).join("; ")).join(" / ");
-    this.#showLoaded();
     $("white-text").textContent = doc.picture?.levels === 1 ? "µm for 1" : "µm for white";
     $("picture-note").textContent = shape !== "heightmap" ? "" : doc.picture ? `${doc.picture.name}: ${doc.picture.size.map((pixels) => digits(pixels * doc.numbers.mm)).join(" × ")} mm. ${doc.picture.note}` : "Drop a PNG or NPY file here, or choose one.";
     $("pitch-note").hidden = shape !== "braille";
-    const isTraced = shape !== "heightmap" && (isLoaded || doc.touch === "press");
+    const isTraced = shape !== "heightmap" && doc.touch === "press";
     $("method").querySelector('[value="trace"]').disabled = !isTraced;
     if (!isTraced && doc.method === "trace") $("method").value = "auto";
     $("method-note").textContent = METHODS[$("method").value];
@@ -404,10 +331,8 @@ export class Designer {
     $("clear").disabled = this.#pad.isTaken || !this.#pad.lines.length;
     $("turn").hidden = shape !== "edge";
     $("turn").disabled = this.#pad.points.length < 2;
-    $("edit").hidden = shape !== "loaded" || !(this.#loaded?.target.shape in DRAWABLE) || Boolean(this.#loaded.target.motion);
     $("thing-live-why").textContent = live(this.#doc())[1];
     $("thing-live-help").hidden = !this.#pad.isTaken;
     this.#live.buttons();
-    this.#paper.buttons();
   }
 }

@@ -1,5 +1,4 @@
-// A live play: a thing, or a target's shape, follows the pen, the wheel or the keys on the pad, and the daemon finds the pins' heights or
-// drives at each place. Meanwhile nothing is drawn on the pad.
+// A live play: a thing follows the pen, the wheel or the keys on the pad, and the daemon finds the pins' heights at each place. Meanwhile nothing is drawn on the pad.
 //
 // The page sends signs of life while its window is visible. When hidden, closed or hung it sends none, and the daemon ends the
 // play.
@@ -33,7 +32,7 @@ export class Live {
   #socket = null;
   #timer = 0;
   #pose = { x_mm: 0, y_mm: 0, angle_deg: 0 };
-  // How deep an object presses, µm; null for a target.
+  // How deep the thing presses, µm.
   #depth = null;
   #isLifted = false;
   // Where the pen and the shape were when the pen came down.

@@ -1,9 +1,8 @@
-// What a person draws, as the daemon takes it: an object (`docs/reference/object.md`), or a target for the paper's search. And how the pad
-// shows it. `doc`: the drawing, see `designer.js`. Lengths are in mm, places from the array's middle, y towards the fingertip.
+// What a person draws, as the daemon takes it: an object (`docs/reference/object.md`). And how the pad shows it. `doc`: the drawing, see `designer.js`. Lengths are in mm, places from the array's middle, y towards the fingertip.
 
 import { array } from "./array.js";
 import { make } from "./finger.js";
-import { isOnPad, line } from "./pad.js";
+import { isOnPad } from "./pad.js";
 
 const BRAILLE = "⠁⠃⠉⠙⠑⠋⠛⠓⠊⠚⠅⠇⠍⠝⠕⠏⠟⠗⠎⠞⠥⠧⠺⠭⠽⠵";
 // The name of a drawing, until its pattern is stored under another one.
@@ -61,7 +60,6 @@ function shape(doc) {
 
 // The request that renders the thing; null if it is not complete.
 export function rendering(doc) {
-  if (doc.shape === "loaded") return doc.loaded && { object: doc.loaded.target.name, method: doc.method };
   const keys = shape(doc);
   if (!keys || !array()) return null;
   const files = doc.shape === "heightmap" ? { files: { [doc.picture.name]: doc.picture.data } } : {};
@@ -71,25 +69,8 @@ export function rendering(doc) {
 // The object of a live play: null, and why there is none.
 export function live(doc) {
   if (doc.shape === "heightmap") return [null, "A height map cannot move live: its contact takes too long to compute."];
-  if (doc.shape === "loaded") return doc.loaded?.target.motion ? [null, "It moves by itself, so it cannot be moved live."] : [doc.loaded?.target.name ?? null, ""];
   const keys = shape(doc);
   return [keys && { kind: "object", name: NAME, ...keys, touch: { press: { depth_um: doc.numbers.depth } } }, ""];
-}
-
-// The shape of a target for the paper's search: null, and why there is none.
-export function target(doc) {
-  const two = ends(doc);
-  switch (doc.shape) {
-    case "edge":
-    case "bar": return [two && { shape: "segment", points: two }, ""];
-    case "polyline": return doc.lines.length > 1 ? [null, "The search takes one line."] : [points(doc).length > 1 ? { shape: "polyline", points: points(doc) } : null, ""];
-    case "dots": return [points(doc).length ? { shape: "dots", points: points(doc) } : null, ""];
-    case "braille":
-      if (!/^[a-z]$/.test(doc.text) || doc.numbers.angle !== 0) return [null, "The search takes one letter, not turned."];
-      return [{ shape: "braille", character: doc.text, center_mm: doc.at, dot_pitch_mm: doc.numbers.pitch }, ""];
-    case "heightmap": return [null, "The search takes lines and points, no height map."];
-    default: return [doc.loaded && {}, ""];
-  }
 }
 
 const dot = ([cx, y], diameter) => make("circle", { cx, cy: -y, r: diameter / 2, class: "shape-dot" });
@@ -127,7 +108,7 @@ export function drawn(doc) {
     case "dots": return points(doc).map((place) => dot(place, of.diameter));
     case "braille": return placed(doc.at, of.angle, braille(doc.text, of.pitch)).map((place) => dot(place, of.diameter));
     case "heightmap": return doc.picture ? cells(doc) : [];
-    default: return (doc.loaded?.outline ?? []).map(line);
+    default: return [];
   }
 }
 
@@ -136,7 +117,7 @@ export function off(doc) {
   if (!array()) return "";
   const { positions_mm: pins, pitch_mm: pitch } = array();
   const [places, what] = { braille: [placed(doc.at, doc.numbers.angle, braille(doc.text, doc.numbers.pitch)), "dots"] }[doc.shape] ?? [points(doc), "points"];
-  if (doc.shape === "heightmap" || doc.shape === "loaded" || !places.length) return "";
+  if (doc.shape === "heightmap" || !places.length) return "";
   const said = [];
   const outside = places.filter((place) => !isOnPad(place)).length;
   if (outside) said.push(`${outside} of ${places.length} ${what} ${outside === 1 ? "lies" : "lie"} off the finger's pad.`);

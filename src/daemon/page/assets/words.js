@@ -3,7 +3,7 @@
 
 // Keys of the API, and the labels that the page has for them.
 const LABELS = {
-  amplitude_um: "Amplitude", character: "Letter", motor: "Motor", name: "Name", points: "Points", reach_mm: "Reach", scale: "Amplitude scale",
+  amplitude_um: "Amplitude", character: "Letter", motor: "Motor", name: "Name", points: "Points", scale: "Amplitude scale",
   seconds: "Seconds", participant: "Participant", experiment: "Experiment",
 };
 
@@ -36,7 +36,7 @@ const WORDS = [
   ...BUTTONS,
   [/, or see `meissner status`/, ""],
   [/`meissner status` shows/, "“Each pin as a table” shows"],
-  [/(`meissner list`|`GET \/v1\/targets`) shows all/, "the list shows all"],
+  [/`meissner list` shows all/, "the list shows all"],
   [/`meissner receipt`/, "“Last play”"],
   [/`meissner session list` shows/, "the view Record shows"],
   [/ with `meissner session end`/, ""],

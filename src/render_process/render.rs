@@ -3,7 +3,6 @@
 //! The daemon checks a [`Render`] with [`Render::check`] and sends it to the process, which carries it out. Files come with the request; only the process
 //! reads them, because a small file may hold a large image.
 
-use super::convert::way;
 use super::finger::{OF_PATTERN, afferents, finger, piece};
 use crate::rendering::{
     AFTER_S, RenderingError, Way, contact, judged_s, keys_or_name, levels, pattern, provenance,
@@ -170,6 +169,17 @@ pub fn file_hashes(files: &BTreeMap<String, String>) -> Map<String, Value> {
     files.iter().map(|(name, text)| (name.clone(), of(text))).collect()
 }
 
+/// How the API's method finds heights.
+const fn way(of: RenderMethod) -> Way {
+    match of {
+        RenderMethod::Auto => Way::Touch(Method::Auto),
+        RenderMethod::Rate => Way::Touch(Method::Rate),
+        RenderMethod::Field => Way::Touch(Method::Field),
+        RenderMethod::Rule => Way::Touch(Method::Rule),
+        RenderMethod::Trace => Way::Trace,
+    }
+}
+
 fn no_file(name: &str) -> io::Error {
     io::Error::other(format!("`files` has no {}: add it in base64", quote(&cut(name, 100))))
 }
@@ -222,6 +232,14 @@ mod tests {
         let files = [("map.png", "AAEC"), ("bad.png", "A*")];
         let files = files.map(|(name, text)| (name.to_owned(), text.to_owned())).into();
         Render { object, files, method: RenderMethod::Auto, seed: 0 }
+    }
+
+    #[test]
+    fn methods_have_the_names_of_the_command() {
+        for of in ["auto", "rate", "field", "rule", "trace"] {
+            let method = serde_json::from_value(of.into()).unwrap();
+            assert_eq!(serde_json::to_value(way(method)).unwrap(), of);
+        }
     }
 
     #[test]
