@@ -62,9 +62,9 @@ pub(super) struct LeftOut {
     pub(super) why: String,
 }
 
-/// Compares all methods on a scene with the finest. `progress` gets the completed share, 0 to 1, on any thread.
+/// Compares all methods on a scene with the exact one. `progress` gets the completed share, 0 to 1, on any thread.
 pub(super) fn compare(scene: &Scene, progress: &(dyn Fn(f64) + Sync)) -> Result<MethodTradeoff, MethodError> {
-    let (finest, afferents) = (Method::finest(scene.array()), scene.afferents().len());
+    let afferents = scene.afferents().len();
     let feasible =
         |step_us: &u32| scene.duration_s() * 1e6 / f64::from(*step_us) * afferents as f64 <= MOST_STEPS;
     let (steps, too_fine): (Vec<u32>, Vec<u32>) = STEPS_US.into_iter().partition(feasible);
@@ -73,10 +73,10 @@ pub(super) fn compare(scene: &Scene, progress: &(dyn Fn(f64) + Sync)) -> Result<
 
     let afferent_s = afferents as f64 * scene.duration_s();
     let run = |method, done: &(dyn Fn(f64) + Sync)| timed(|| simulate(scene, &Options::spikes(method), done));
-    let (exact, exact_wall_s) = run(finest, &|part| progress(part / all))?;
+    let (exact, exact_wall_s) = run(Method::Exact, &|part| progress(part / all))?;
     let reference = Reference::new(scene, exact);
     let itself = reference.difference(reference.answer());
-    let mut rows = vec![row(finest, afferent_s, Ok((exact_wall_s, itself)))];
+    let mut rows = vec![row(Method::Exact, afferent_s, Ok((exact_wall_s, itself)))];
     for (index, method) in methods.into_iter().enumerate() {
         let done = |part: f64| progress((index as f64 + 1.0 + part) / all);
         let found = run(method, &done).map(|(answer, wall_s)| (wall_s, reference.difference(&answer)));
