@@ -17,6 +17,7 @@ pytest.importorskip("matplotlib", reason="matplotlib is not installed")
 np = pytest.importorskip("numpy", reason="NumPy is not installed")
 from meissner import figures  # noqa: E402
 
+CALIBRATION = Path(__file__).parent / "data" / "laser" / "plain.json"
 SCENE = Path(__file__).parents[2] / "scenes" / "one-pin.toml"
 
 
@@ -29,7 +30,7 @@ def test_amplitude_has_the_model_and_what_simulated_motors_reach() -> None:
     models = {label: line for label, line in lines(axes).items() if label.endswith("µm")}
     assert list(models) == [f"{um} µm" for um in (10, 20, 40, 80, 160, 320)]
     for um, place in ((10, 0), (80, 100), (320, 50)):
-        hz, found = models[f"{um} µm"][place]
+        hz, found = models[f"{um} µm"][place].tolist()
         answer = program._run(["motor", f"--frequency-hz={hz!r}", f"--amplitude-um={um}"])
         assert found == pytest.approx(answer["peak_to_peak_um"], rel=1e-6)
     for (label, line), measured in zip(models.items(), axes.containers, strict=True):
@@ -49,7 +50,7 @@ def test_pulses_shows_each_burst_of_a_simulated_motor() -> None:
 
 
 def test_pulses_has_the_points_and_lines_of_a_calibration() -> None:
-    data = json.loads((Path(__file__).parent / "data" / "laser" / "plain.json").read_text(encoding="utf-8"))
+    data = json.loads(CALIBRATION.read_text(encoding="utf-8"))
     keys = ("pulses", "travel_um", "sd_um", "bursts")
     for line in data.values():
         line["points"] = [dict(zip(keys, point, strict=True)) for point in line["points"]]
@@ -99,17 +100,37 @@ def test_tradeoff_has_a_series_for_each_method() -> None:
     assert euler[:, 1].max() > 10 * euler[:, 1].min()
 
 
-@pytest.mark.parametrize("end", ["svg", "pdf", "png"])
-def test_a_figure_is_written_by_the_end_of_its_name(end: str, tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "meissner.figures"]
-    files = [tmp_path / f"{name}.{end}" for name in ("one", "two")]
+@pytest.mark.parametrize(
+    ("end", "begins", "arguments"),
+    [
+        ("svg", b"<?xml", ["amplitude"]),
+        ("svg", b"<?xml", ["felt", "edge-45-rendered", "edge-45"]),
+        ("pdf", b"%PDF-", ["pulses"]),
+        ("png", b"\x89PNG\r", ["tradeoff", str(SCENE)]),
+    ],
+)
+def test_a_figure_is_written_by_the_end_of_its_name(
+    end: str, begins: bytes, arguments: list[str], tmp_path: Path
+) -> None:
+    files = [tmp_path / f"{name}.{end}" for name in ("one", "two")[: 1 + (end == "svg")]]
     for file in files:
-        subprocess.run([*command, "amplitude", "-o", str(file)], check=True)
-    assert files[0].read_bytes()[:5] == {"svg": b"<?xml", "pdf": b"%PDF-", "png": b"\x89PNG\r"}[end]
-    if end == "svg":
-        assert files[0].read_bytes() == files[1].read_bytes()
-        ended = subprocess.run(
-            [*command, "felt", "no", "edge-45", "-o", "x.svg"], capture_output=True, text=True, check=False
-        )
-        assert (ended.returncode, ended.stderr.count("\n")) == (1, 1)
-        assert ended.stderr.startswith("meissner.figures: `meissner judge` failed")
+        subprocess.run([sys.executable, "-m", "meissner.figures", *arguments, "-o", str(file)], check=True)
+    written = [file.read_bytes() for file in files]
+    assert written[0].startswith(begins)
+    assert written[0] == written[-1], "the same numbers give the same bytes"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["felt", "no", "edge-45"], "`meissner judge` failed"),
+        (["pulses", "no.json"], "no.json"),
+        (["pulses", str(CALIBRATION)], "is no answer of `meissner calibrate --json`"),
+    ],
+)
+def test_what_cannot_be_drawn_is_told_in_a_line(arguments: list[str], says: str, tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "meissner.figures", *arguments, "-o", str(tmp_path / "x.svg")]
+    ended = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (ended.returncode, ended.stderr.count("\n")) == (1, 1), ended.stderr
+    assert ended.stderr.startswith("meissner.figures: ")
+    assert says in ended.stderr

@@ -187,11 +187,7 @@ def main() -> None:
         ("amplitude", [], "Draw the amplitude of a motor against frequency"),
         ("edge", ["pattern"], "Draw the motors and rates of a pattern that `meissner optimise` wrote to a file"),
         ("felt", ["pattern", "object"], "Draw what a finger feels of an object and of a pattern"),
-        (
-            "pulses",
-            ["calibration"],
-            "Draw travel against pulses; CALIBRATION: what `meissner calibrate --json` printed",
-        ),
+        ("pulses", [], "Draw travel of bursts against their pulses"),
         ("tradeoff", [], "Draw time against error of the methods of simulation"),
     ):
         command = commands.add_parser(name, help=help, description=help)
@@ -208,11 +204,13 @@ def main() -> None:
     )
     asked = vars(parser.parse_args())
     draw, output = asked.pop("figure"), asked.pop("output")
-    if asked.get("calibration"):
-        asked["calibration"] = json.loads(Path(asked["calibration"]).read_text(encoding="utf-8"))
     if draw == "edge":
         asked["pattern"] = Path(asked["pattern"])
     try:
+        if file := asked.get("calibration"):
+            asked["calibration"] = json.loads(Path(file).read_text(encoding="utf-8"))
+            if "motors" not in asked["calibration"]:
+                raise ValueError(f"{file} is no answer of `meissner calibrate --json`")
         # The same numbers give the same bytes.
         with mpl.rc_context({"svg.hashsalt": "meissner"}):
             figure: Figure = globals()[draw](**asked)
