@@ -7,7 +7,7 @@ use crate::harness::{
 use crate::renderings::long_touch;
 use meissner_api::{
     EndCause, Event, LiveAccepted, LiveAnswer, Method, PlayState, Receipt, RenderingState, Role, Route,
-    Session, SessionStarted, Status, TokenCreated, TokenList,
+    Session, SessionStarted, Status, TokenCreated,
 };
 use meissner_client::Client;
 use serde_json::{Value, json};

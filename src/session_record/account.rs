@@ -156,11 +156,6 @@ impl Account {
         is_new
     }
 
-    /// Notes that the record moves: the lines so far stay elsewhere.
-    pub(super) const fn moved(&mut self) {
-        (self.torn, self.gone) = (0, self.settled());
-    }
-
     /// Sets what the numbers of the lines say is missing.
     pub(super) fn set_gaps(&self, gaps: Option<String>) {
         self.lock_ledger().gaps = gaps;

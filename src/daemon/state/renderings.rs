@@ -41,10 +41,6 @@ struct Ended {
 }
 
 impl Renderings {
-    pub(in crate::daemon) const fn is_running(&self) -> bool {
-        self.running.is_some()
-    }
-
     /// The client that has started the running rendering.
     pub(super) fn caller(&self) -> Option<&Caller> {
         self.running.as_ref()?.caller.as_ref()
