@@ -115,7 +115,7 @@ fn starts() -> Vec<(&'static str, Pattern, f64, u64)> {
         ("0.14 um at 300 Hz", all("least", 1, &strokes(0.14)), 0.05, 13),
         ("a hold of 1.5 s at 40 um", all("hold", 2, hold), 1.6, 22),
         ("all-in-phase", named("all-in-phase").unwrap(), 0.05, 22),
-        ("rough-noise", named("motions/rough-noise").unwrap(), 0.3, 17),
+        ("rough-noise", named("motions/rough-noise").unwrap(), 0.3, 18),
     ]
 }
 
