@@ -23,6 +23,9 @@ use firmware_protocol::urgent::{Urgent, Watch};
 /// Number of turns the shell has taken. The watchdog is fed only while it grows.
 static TURNS: AtomicU32 = AtomicU32::new(0);
 
+/// Most bytes of a packet decoded at a time.
+const DECODED: usize = 32;
+
 struct Owned<T>(UnsafeCell<T>);
 // SAFETY: only `start` touches the content before the interrupt is enabled, and only the interrupt after that.
 unsafe impl<T> Sync for Owned<T> {}
@@ -230,11 +233,13 @@ impl Shell {
             // The hello may have begun in an earlier packet. If it is all in this one, what follows is a repetition.
             self.controller.open_session(now, session);
         }
-        let mut rest = &packet.bytes()[at..];
+        let left = &packet.bytes()[at..];
+        let mut rest = &left[..left.len().min(DECODED)];
+        let begun = rest.len();
         self.controller.read(now, &mut rest);
-        if !rest.is_empty() {
-            let read = packet.bytes().len() - rest.len();
-            self.packet = Some((pipe, packet, read));
+        let read = begun - rest.len();
+        if read < left.len() {
+            self.packet = Some((pipe, packet, at + read));
         }
         true
     }

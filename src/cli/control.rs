@@ -87,10 +87,10 @@ fn stop_at(endpoint: Endpoint) -> Result<(bool, Option<Status>), ClientError> {
         stopped => stopped.map(|()| true)?,
     };
     let status = Client::at(endpoint).and_then(|mut client| client.get("/v1/status"));
-    let status = status.map_err(|error| {
+    let warn = |error: &ClientError| {
         tell(&format!("warning: {place}: {}, but no status came: {error}", done(is_confirmed)))
-    });
-    Ok((is_confirmed, status.ok()))
+    };
+    Ok((is_confirmed, status.inspect_err(warn).ok()))
 }
 
 /// What an e-stop has done.

@@ -497,7 +497,7 @@ mod tests {
         let document = meissner_api::openapi::document();
         let example = document["components"]["schemas"]["Status"]["examples"][0].clone();
         let mut status: Status = serde_json::from_value(example).unwrap();
-        let motor = status.motors[0].clone();
+        let motor = status.motors[0];
         let mut shown = |sources: &[(f32, ErrorSource)]| {
             status.motors = sources
                 .iter()

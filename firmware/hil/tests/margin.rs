@@ -111,11 +111,11 @@ fn starts() -> Vec<(&'static str, Pattern, f64, u64)> {
     let hold = "ramp]]\nto_um = 40.0\nrise_s = 0.0\nhold_s = 1.5\nfall_s = 0.0";
     vec![
         ("8 um at 300 Hz", all("eight", 1, &strokes(8.0)), 0.05, 22),
-        ("2 um at 300 Hz", all("two", 1, &strokes(2.0)), 0.05, 17),
-        ("0.14 um at 300 Hz", all("least", 1, &strokes(0.14)), 0.05, 9),
+        ("2 um at 300 Hz", all("two", 1, &strokes(2.0)), 0.05, 20),
+        ("0.14 um at 300 Hz", all("least", 1, &strokes(0.14)), 0.05, 13),
         ("a hold of 1.5 s at 40 um", all("hold", 2, hold), 1.6, 22),
         ("all-in-phase", named("all-in-phase").unwrap(), 0.05, 22),
-        ("rough-noise", named("motions/rough-noise").unwrap(), 0.3, 16),
+        ("rough-noise", named("motions/rough-noise").unwrap(), 0.3, 18),
     ]
 }
 

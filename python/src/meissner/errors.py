@@ -186,7 +186,7 @@ class Overlaps(ApiError, code="overlaps", advice="give an `at` after the end of 
     """The onset lies within a queued play."""
 
 
-class LineTooSlow(ApiError, code="line-too-slow", advice="use fewer drives or lower frequencies"):
+class LineTooSlow(ApiError, code="line-too-slow", advice="use fewer drives, lower frequencies or fewer live updates"):
     """The line to the device does not carry the pattern."""
 
 

@@ -145,13 +145,13 @@ impl Player {
     #[inline(never)]
     pub(super) fn end(&mut self, motor: usize) {
         let now = self.rendered;
-        let Some((ended, played)) = self.motors[motor].end(now) else { return };
-        self.allowance.end(motor, ended.pulses, played);
-        if ended.pushes > 0 {
-            self.allowance.end_pushes(motor, ended.pushes, ended.pushed(now.0 as u32));
+        let Some((begun, played)) = self.motors[motor].end(now) else { return };
+        self.allowance.end(motor, begun.pulses, played.pulses);
+        if begun.pushes > 0 {
+            self.allowance.end_pushes(motor, begun.pushes, played.pushes);
         }
         self.still_from = now;
-        if ended.end() != now.0 as u32 {
+        if begun.end() != now.0 as u32 {
             self.make_room(motor);
         }
     }
@@ -236,7 +236,7 @@ impl Player {
     }
 
     /// Whether a burst up to the goal may begin; then it counts. Its way back must fit the on-time limits, too.
-    #[inline(never)]
+    #[inline(always)]
     fn begin_up(&mut self, motor: usize, pulses: u16) -> Result<(), Refusal> {
         self.allowance.begin_move()?;
         if self.takes_turns {
@@ -314,7 +314,7 @@ impl Player {
 
     /// Begins the way down to the goal, or returns when to look again. No limit on pulses refuses it: it leaves out what a correction and a
     /// surplus would add beyond the limit.
-    #[inline(never)]
+    #[inline(always)]
     fn descend(&mut self, motor: usize) -> Option<u32> {
         let later = self.waits_until(motor);
         if later.is_some() {

@@ -32,7 +32,9 @@ struct Uneven {
 /// How many uneven bursts of a motor may have ticks within the horizon.
 const UNEVEN: usize = 4;
 
+/// In this order, what rendering uses most lies where the chip's short loads reach it.
 #[derive(Clone, Copy, Debug)]
+#[repr(C)]
 pub(super) struct Motor {
     /// Where the pin is, or where the running burst began.
     pub(super) height: u16,
@@ -84,18 +86,21 @@ impl Running {
         }
     }
 
-    /// By how many pulses it brings the pin lower than its height, if it ends at the tick `now` and the height was `from` before.
-    fn below(&self, from: u16, now: u32) -> i16 {
-        let (height, pulses) = (self.height(from, now), self.played(now).min(self.pulses - self.pushes));
-        match self.direction {
-            Direction::Up => height.wrapping_sub(from).wrapping_sub(pulses).cast_signed(),
-            Direction::Down => pulses.wrapping_sub(from.wrapping_sub(height)).cast_signed(),
-        }
+    /// The burst as it is if it ends at the tick `now`, and the height was `from` before.
+    #[inline(never)]
+    fn until(&self, from: u16, now: u32) -> Self {
+        let pulses = self.played(now);
+        let pushes = pulses.saturating_sub(self.pulses - self.pushes);
+        Self { pulses, pushes, to: self.height(from, now), ..*self }
     }
 
-    /// How many pulses before the tick `now` push against the lower stop.
-    pub(super) fn pushed(&self, now: u32) -> u16 {
-        self.played(now).saturating_sub(self.pulses - self.pushes)
+    /// By how many pulses it brings the pin lower than its height, which was `from` before.
+    fn below(&self, from: u16) -> i16 {
+        let (higher, pulses) = (self.to.wrapping_sub(from), self.pulses - self.pushes);
+        match self.direction {
+            Direction::Up => higher.wrapping_sub(pulses).cast_signed(),
+            Direction::Down => higher.wrapping_add(pulses).cast_signed(),
+        }
     }
 }
 
@@ -150,33 +155,28 @@ impl Motor {
         self.running.is_none() && self.height == self.goal && self.surplus == 0
     }
 
-    /// Ends the burst that runs, at `now`. Returns it and how many of its pulses were played.
+    /// Ends the burst that runs, at `now`. Returns it as it was begun, and as it was played.
     #[inline(always)]
-    pub(super) fn end(&mut self, now: Tick) -> Option<(Running, u16)> {
-        let ended = self.running?;
-        let low = now.0 as u32;
-        let before = self.height;
-        let played = if ended.end() == low {
-            self.height = ended.to;
-            ended.pulses
-        } else {
-            self.height = self.height(low);
-            ended.played(low)
-        };
+    pub(super) fn end(&mut self, now: Tick) -> Option<(Running, Running)> {
+        let begun = self.running?;
+        let played = if begun.end() == now.0 as u32 { begun } else { self.cut_short(begun, now.0 as u32) };
+        let before = core::mem::replace(&mut self.height, played.to);
+        // Only an uneven burst takes the pin to another place than its height says.
         if self.below > 0 || self.uneven[0].is_some() {
-            self.end_uneven(ended, before, low);
+            self.go_below(played.below(before));
         }
         (self.running, self.still_since) = (None, now);
-        Some((ended, played))
+        Some((begun, played))
     }
 
-    /// Only an uneven burst takes the pin to another place than its height says.
+    /// The burst that runs ends early.
     #[inline(never)]
-    fn end_uneven(&mut self, ended: Running, before: u16, now: u32) {
-        self.go_below(ended.below(before, now));
-        if let Some(Uneven { of, .. }) = self.uneven[0].as_mut().filter(|uneven| uneven.of == ended) {
-            (of.pulses, of.pushes, of.to) = (ended.played(now), ended.pushed(now), self.height);
+    fn cut_short(&mut self, begun: Running, now: u32) -> Running {
+        let played = begun.until(self.height, now);
+        if let Some(uneven) = self.uneven[0].as_mut().filter(|uneven| uneven.of == begun) {
+            uneven.of = played;
         }
+        played
     }
 
     /// Where the pin is, and where it should be, without a burst.
@@ -244,9 +244,10 @@ impl Motor {
         match (within, direction) {
             (Some(&Uneven { of, from }), _) => {
                 let end = begin.wrapping_add(pulses.into());
-                self.height = of.height(from, begin);
-                self.go_below(of.below(from, begin).saturating_sub(of.below(from, end)));
-                return of.pushed(end) - of.pushed(begin);
+                let [left, undone] = [begin, end].map(|now| of.until(from, now));
+                self.height = left.to;
+                self.go_below(left.below(from).saturating_sub(undone.below(from)));
+                return undone.pushes - left.pushes;
             }
             (None, Direction::Up) => self.height = self.height.saturating_sub(pulses),
             (None, Direction::Down) => self.height = self.height.saturating_add(pulses),
