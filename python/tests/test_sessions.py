@@ -353,7 +353,10 @@ def test_an_answer_that_is_not_recorded_is_an_error_and_so_is_the_end_of_its_ses
         assert m.status().raw["session"] is None
         assert m.play("pin-60", 0.05).wait().raw["session"] is None
         # Now none starts.
-        with pytest.raises(errors.StoreError, match="no session was started: the session record cannot"), m.session("P08"):
+        with (
+            pytest.raises(errors.StoreError, match="no session was started: the session record cannot"),
+            m.session("P08"),
+        ):
             pass
     # An error of the block goes first.
     with unrecorded() as (daemon, damage), meissner.connect(daemon.socket) as m:

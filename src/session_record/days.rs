@@ -2,13 +2,10 @@
 //!
 //! A line is anything that ends with a newline.
 
-use super::lines::{head, read_line};
-use crate::file::open_regular;
 use jiff::civil::Date;
 use std::fs::File;
-use std::io::{self, BufReader};
+use std::io;
 use std::os::unix::fs::FileExt;
-use std::path::Path;
 
 /// Bytes read at a time.
 const PIECE: u64 = 1 << 16;
@@ -22,19 +19,6 @@ pub(super) fn name(day: Date) -> String {
 pub(super) fn day(file: &str) -> Option<Date> {
     let day: Date = file.strip_suffix(".jsonl")?.parse().ok()?;
     (name(day) == file).then_some(day)
-}
-
-/// Whether the record has plays of a day.
-#[must_use]
-pub fn has_plays(dir: &Path, day: Date) -> bool {
-    let Ok(file) = open_regular(&dir.join(name(day))) else { return false };
-    let (mut file, mut line) = (BufReader::new(file), Vec::new());
-    while let Ok(Some(is_whole)) = read_line(&mut file, &mut line) {
-        if is_whole && head(&line).is_some_and(|head| head.event == "began") {
-            return true;
-        }
-    }
-    false
 }
 
 /// The whole lines within the last `most` bytes of a file; the first of them may be torn.

@@ -183,6 +183,19 @@ pub(super) fn read_line(file: &mut impl BufRead, line: &mut Vec<u8>) -> io::Resu
     }
 }
 
+/// Whether the record has plays of a day.
+#[must_use]
+pub fn has_plays(dir: &Path, day: Date) -> bool {
+    let Ok(file) = open_regular(&dir.join(days::name(day))) else { return false };
+    let (mut file, mut line) = (BufReader::new(file), Vec::new());
+    while let Ok(Some(is_whole)) = read_line(&mut file, &mut line) {
+        if is_whole && head(&line).is_some_and(|head| head.event == "began") {
+            return true;
+        }
+    }
+    false
+}
+
 /// Calls `see` with each whole line of the wanted files, in order; a line that it cannot read counts as unreadable.
 pub(super) fn each(
     dir: &Path,

@@ -25,10 +25,9 @@ mod users;
 mod writer;
 
 pub use budget::BYTES_PER_DAY;
-pub use days::has_plays;
 pub use entry::{CommandEntry, Entry, NetworkPeer, Note, Peer, TokenId};
 pub use ledger::SessionLosses;
-pub use lines::RecordError;
+pub use lines::{RecordError, has_plays};
 pub use texts::{keeps_text, read_text};
 pub use users::Users;
 pub use writer::{Location, SYNC_AFTER, local_time, utc_now};
