@@ -103,15 +103,6 @@ impl Beside {
     }
 }
 
-/// Makes a directory if it does not exist.
-pub(super) fn directory(dir: &Path) -> Result<()> {
-    if fs::metadata(dir).is_ok_and(|found| !found.is_dir()) {
-        bail!("{}: is not a directory: name a directory or a new one", shown(dir));
-    }
-    fs::create_dir_all(dir)
-        .map_err(|error| anyhow!("{}: cannot be made; check that you may write there ({error})", shown(dir)))
-}
-
 /// A path, escaped to fit on one line.
 pub(super) fn shown(place: &Path) -> String {
     place.to_string_lossy().escape_debug().to_string()

@@ -106,7 +106,6 @@ fn every_toml_and_json_snippet_is_good() {
         "calibration",
         "scene",
         "sequence",
-        "plan",
         "configuration",
     ]);
     assert_eq!(kinds, all, "the book has an example of each kind of file");
