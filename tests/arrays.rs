@@ -87,7 +87,7 @@ fn an_array_of_ones_own_takes_a_file_and_no_code() {
     let text = printed(&mut in_dir(&new));
     assert!(text.starts_with(" 0   1\n\n 2   3\n\n 4   5\n") && text.contains("70000 per second"), "{text}");
     let line = complaint(&mut in_dir(&new));
-    assert!(line.starts_with("meissner: lab-3x2.toml exists: give another --file"), "{line}");
+    assert!(line.starts_with("meissner: lab-3x2.toml exists: give another --output"), "{line}");
     let shown = document(&mut in_dir(&["array", "show", "lab-3x2.toml", "--json"]));
     assert_eq!((&shown["tick_hz"], &shown["grid"]["columns"]), (&json!(70_000), &json!(2)));
 

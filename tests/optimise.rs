@@ -29,7 +29,7 @@ fn the_document_is_complete_and_its_pattern_is_the_file() {
     let mut keys: Vec<_> = found.as_object().unwrap().keys().map(String::as_str).collect();
     keys.sort_unstable();
     let wanted = "auc baselines cost_hz ended evaluations file model models objective off_hz on_hz pattern populations pulses_per_s \
-                  receptor_s robust robustness seed setting target value wall_s warnings";
+                  receptor_s robust robustness seed setting start target trace value wall_s warnings";
     assert_eq!(keys, wanted.split_whitespace().collect::<Vec<_>>());
     assert_eq!(
         (&found["ended"], &found["setting"], &found["seed"]),

@@ -44,7 +44,7 @@ pub(super) struct New {
     #[arg(long, value_name = "NAME")]
     name: Option<String>,
     /// Write it to FILE [default: NAME.toml]
-    #[arg(long, value_name = "FILE")]
+    #[arg(short = 'o', long = "output", value_name = "FILE")]
     file: Option<PathBuf>,
 }
 
@@ -71,14 +71,15 @@ fn new(asked: New) -> Result<ExitCode> {
     let shown_file = file.display();
     let mut to = match OpenOptions::new().write(true).create_new(true).open(&file) {
         Err(error) if error.kind() == std::io::ErrorKind::AlreadyExists => {
-            bail!("{shown_file} exists: give another --file, or remove it")
+            bail!("{shown_file} exists: give another --output, or remove it")
         }
         opened => opened.with_context(|| {
-            format!("{shown_file} cannot be written: give a place that can be, with --file")
+            format!("{shown_file} cannot be written: give a place that can be, with --output")
         })?,
     };
-    to.write_all(text.as_bytes())
-        .with_context(|| format!("{shown_file} cannot be written: give a place that can be, with --file"))?;
+    to.write_all(text.as_bytes()).with_context(|| {
+        format!("{shown_file} cannot be written: give a place that can be, with --output")
+    })?;
     super::output::say(&format!(
         "{}\n\nwritten to {shown_file}; change it to your wiring and motors",
         shown(&array)

@@ -36,7 +36,7 @@ pub(super) struct Calibrate {
     #[arg(long, value_name = "N,N,...", value_delimiter = ',')]
     pulses: Option<Vec<u16>>,
     /// Write the calibration to FILE, too; with --from, add it to FILE and do not ask a daemon
-    #[arg(short, long, value_name = "FILE")]
+    #[arg(short = 'o', long = "output", value_name = "FILE")]
     out: Option<PathBuf>,
     /// For a laser, without telemetry: play the bursts of --motor and write them with their ticks to PLAN; with --from,
     /// read them from PLAN [default: calibration-plan.json]

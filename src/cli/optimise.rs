@@ -34,7 +34,7 @@ pub(super) struct Optimise {
     /// Find a pattern for this target: the name of a shipped one, or a file (TOML)
     target: String,
     /// Write the pattern to PATTERN and name it after the file [default: stdout]
-    #[arg(short = 'o', long = "out", value_name = "PATTERN")]
+    #[arg(short = 'o', long = "output", value_name = "PATTERN")]
     file: Option<PathBuf>,
     /// Seed the search with N
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u64).range(..=i64::MAX as u64))]

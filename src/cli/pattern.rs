@@ -22,7 +22,7 @@ pub(super) enum Pattern {
         /// Read the pattern from this file (TOML); its sample files lie in the same directory, or where their names lead
         file: PathBuf,
         /// Write the packed pattern to FILE [default: stdout]
-        #[arg(short = 'o', long = "out", value_name = "FILE")]
+        #[arg(short = 'o', long = "output", value_name = "FILE")]
         to: Option<PathBuf>,
         /// Print one JSON document on stdout and nothing else
         #[arg(long, requires = "to")]

@@ -37,7 +37,7 @@ pub(super) struct Render {
     /// Render this object: a file (TOML with kind = "object"), or the name of a shipped one
     object: String,
     /// Write the pattern to PATTERN and name it after the file [default: stdout]
-    #[arg(short = 'o', long = "out", value_name = "PATTERN")]
+    #[arg(short = 'o', long = "output", value_name = "PATTERN")]
     file: Option<PathBuf>,
     /// Choose how heights are found
     #[arg(long, default_value = "auto", value_parser = choice::<Way>(METHODS))]

@@ -96,16 +96,8 @@ fn every_toml_and_json_snippet_is_good() {
             }
         }
     }
-    let all = BTreeSet::from([
-        "pattern",
-        "target",
-        "object",
-        "calibration",
-        "scene",
-        "sequence",
-        "plan",
-        "configuration",
-    ]);
+    let all =
+        BTreeSet::from(["pattern", "target", "object", "calibration", "scene", "sequence", "configuration"]);
     assert_eq!(kinds, all, "the book has an example of each kind of file");
 }
 
