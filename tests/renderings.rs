@@ -196,8 +196,8 @@ fn a_height_map_comes_with_its_file() {
     assert!(near < 0.1 * bar.highest_um, "{} {}", found.highest_um, bar.highest_um);
     // The session record keeps the hash of the file, not the file.
     let record = || -> String {
-        let days = std::fs::read_dir(daemon.path("state/meissner/logbook")).unwrap();
-        days.filter_map(|day| std::fs::read_to_string(day.unwrap().path()).ok()).collect()
+        let days = fs::read_dir(daemon.path("state/meissner/logbook")).unwrap();
+        days.filter_map(|day| fs::read_to_string(day.unwrap().path()).ok()).collect()
     };
     let hash = request["files"]["ridge.npy"].as_str().map(|text| STANDARD.decode(text).unwrap());
     let hash = format!("{:x}", sha2::Sha256::digest(hash.unwrap()));
@@ -387,7 +387,7 @@ fn a_preview_shows_pins_and_spikes_of_any_pattern() {
     assert!(times().count() > 100, "{}", times().count());
     assert!(times().all(|at_s| (0.1..=0.35).contains(at_s)));
     // A site's own pattern.
-    let text = String::from_utf8(std::fs::read("patterns/dot.toml").unwrap()).unwrap();
+    let text = String::from_utf8(fs::read("patterns/dot.toml").unwrap()).unwrap();
     let _: Value =
         client.put("/v1/patterns/my-dot", text.replace("name = \"dot\"", "name = \"my-dot\"")).unwrap();
     let own: PatternPreview = client.get_within(TIMEOUT, "/v1/patterns/my-dot/preview?seconds=0.1").unwrap();

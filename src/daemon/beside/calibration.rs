@@ -300,7 +300,7 @@ mod tests {
         calibrate(0.6);
         let drive = LiveDrive { motor: 9, frequency_hz: 60.0, amplitude_um: 80.0, phase: 0.0 };
         let request = LiveRequest { drives: vec![drive], ..LiveRequest::default() };
-        let live = engine.start_live(&request, None, None, Peer::local(1, 0));
+        let live = engine.start_live(&request, None, Peer::local(1, 0));
         let refused = runtime.block_on(live).unwrap_err();
         assert!(
             refused.detail.contains("`the live play` asks for 80 um, whose pulses reach 104.0 um"),
