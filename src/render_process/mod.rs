@@ -1,8 +1,9 @@
 //! Renderings and previews in a separate process: its job, its reports, and its work.
 //!
 //! The daemon starts this program again ([`command`]) and writes a [`Job`] to its stdin; [`work`] answers on stdout with
-//! [`Report`]s, one line of JSON each. A job is the rendering of an object (`render`) or the preview of a pattern (`preview`). A separate process keeps their memory, threads and faults away from the streaming process: its memory is
-//! bounded ([`MEMORY`]) and not locked, it has low priority, and the daemon can kill it at any time.
+//! [`Report`]s, one line of JSON each. A job is the rendering of an object (`render`) or the preview of a pattern (`preview`). A separate
+//! process keeps their memory, threads and faults away from the streaming process: its memory is bounded ([`MEMORY`]) and not locked, it
+//! has low priority, and the daemon can kill it at any time.
 //!
 //! Invariant: the process ends when the other end of its stdin closes, however the daemon ends.
 
