@@ -324,6 +324,7 @@ impl MotorSpec {
         let Self { um_per_pulse, window_half_ticks, travel_um, .. } = *self;
         let Self { least_pulses, most_pulses, seek_pulses, transient_rest_ticks, transient_gain, .. } = *self;
         let pulses = [least_pulses, most_pulses, seek_pulses];
+        // Flashed boards have the hash of this text, `None` included.
         format!(
             "{um_per_pulse:?} None {window_half_ticks} {travel_um:?} {pulses:?} {transient_rest_ticks} {transient_gain:?}"
         )
