@@ -56,6 +56,7 @@ fn wanted(key: &str) -> &'static str {
         "up" | "down" => "the share of a tick for which a line is high",
         "motor" => "a table [motor] with step_um, window_ms, travel_um and most_pulses",
         "step_um" => "the travel of a shaft per pulse, um",
+        "window_ms" => "the time over which a shaft averages its pulses, ms",
         "travel_um" => "the largest amplitude, um peak to peak",
         "most_pulses" => "the most pulses of a burst, which bounds the travel whatever a host asks",
         "rest_s" => "the rest after which a first burst falls short, s",
