@@ -18,7 +18,6 @@ use crate::scene::Scene;
 use crate::stepped::{self, Block, StepModel};
 use crate::time::end;
 use crate::track::{self, Column, Sample, Track, Tracks};
-use meissner_array::motor::Response;
 use meissner_array::per_motor::PerMotor;
 use pulp::Arch;
 use rayon::prelude::*;
@@ -193,10 +192,6 @@ impl<'w> Work<'w> {
 
     /// Takes out the members that cannot reach their threshold, and returns their numbers.
     fn silent(&self, members: &mut Vec<Member>) -> Vec<u32> {
-        // The bound is one of straight lines.
-        if self.scene.array().motor().response != Response::Average {
-            return Vec::new();
-        }
         let step = match self.options.method {
             Method::Exact => 0.0,
             Method::Stepped(stepping @ Stepping { integrator: Integrator::Propagator, .. }) => {

@@ -11,7 +11,7 @@ use crate::membrane::equation::Membrane;
 use crate::membrane::{AfferentModel, Rectify, population};
 use crate::time::end;
 use crate::track::{Track, Tracks, of_scene};
-use crate::{Integrator, Method, Options, Precision, Ramps, Scene, Stepping, simulate};
+use crate::{Integrator, Method, Options, Precision, Ramps, Scene, Stepping};
 use firmware_protocol::stroke::Direction;
 use firmware_protocol::tick::Tick;
 use meissner_array::motor::{HalfTick, Ramp, Shaft};
