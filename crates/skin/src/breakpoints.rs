@@ -7,7 +7,7 @@
 //! bursts differ in their travel, D is counted in [`Parts`] of a half pulse of the motor's fastest burst.
 //!
 //! That a shaft follows its pulses as their mean over a window is known here alone; `cycle`, `blocks` and `choose` know how long a
-//! pulse has an effect. A shaft that follows them otherwise has no breakpoints: `lagging` samples its displacement, in the same units.
+//! pulse has an effect.
 //!
 //! Invariant: a motor's breakpoints are in order of time.
 

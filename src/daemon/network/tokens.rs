@@ -3,7 +3,8 @@
 //! A token holds 256 random bits, so its SHA-256 needs no salt and cannot be guessed. The store compares a token with all valid
 //! ones in constant time. The file is replaced atomically, and only the daemon's user can read it.
 //!
-//! A daemon that has tokens in a file holds a lock beside it (`.lock`), so that two daemons with one file do not undo each other's changes.
+//! A daemon that has tokens in a file holds a lock beside it (`.lock`), so that two daemons with one
+//! file do not undo each other's changes.
 //!
 //! Invariant: a file that cannot be read or locked admits no token, and is not overwritten.
 
@@ -29,6 +30,7 @@ use tracing::warn;
 const LENGTH: usize = TOKEN_PREFIX.len() + 64;
 /// The most bytes of the file.
 const MAX_FILE: u64 = 1 << 20;
+
 #[derive(Clone, Debug)]
 struct Token {
     id: TokenId,

@@ -444,6 +444,7 @@ most_pulses = 2000
             ("tick_hz = 70000", "tick_hz = 4294967296", "`tick_hz`"),
             ("tick_hz = 70000\n", "", "`tick_hz` is missing: add the carrier"),
             ("window_ms = 3.0", "window_ms = nan", "`motor.window_ms` is NaN: must be 0.1 to 50 ms"),
+            ("window_ms = 3.0\n", "", "`motor.window_ms` is missing: add the time over which"),
             ("step_um = 0.2", "step_um = 0.1", "`motor.most_pulses` is 2000: 300 um are 3000 pulses"),
             ("most_pulses = 2000", "most_pulses = 60000", "`motor.most_pulses` is 60000: must be 1 to 10000"),
             (

@@ -56,6 +56,7 @@ fn wanted(key: &str) -> &'static str {
         "up" | "down" => "the share of a tick for which a line is high",
         "motor" => "a table [motor] with step_um, window_ms, travel_um and most_pulses",
         "step_um" => "the travel of a shaft per pulse, um",
+        "window_ms" => "the time over which a shaft averages its pulses, ms",
         "travel_um" => "the largest amplitude, um peak to peak",
         "most_pulses" => "the most pulses of a burst, which bounds the travel whatever a host asks",
         "rest_s" => "the rest after which a first burst falls short, s",
@@ -324,6 +325,7 @@ impl MotorSpec {
         let Self { um_per_pulse, window_half_ticks, travel_um, .. } = *self;
         let Self { least_pulses, most_pulses, seek_pulses, transient_rest_ticks, transient_gain, .. } = *self;
         let pulses = [least_pulses, most_pulses, seek_pulses];
+        // Flashed boards have the hash of this text, `None` included.
         format!(
             "{um_per_pulse:?} None {window_half_ticks} {travel_um:?} {pulses:?} {transient_rest_ticks} {transient_gain:?}"
         )
