@@ -261,6 +261,11 @@ impl Estimator {
         self.last_end = self.last_end.max(Some(tick));
     }
 
+    /// The device's clock has begun again: the motor counts as rested.
+    pub(super) fn restarted(&mut self) {
+        self.last_end = None;
+    }
+
     /// When the last burst ends that has begun.
     pub(super) fn last_end(&self) -> Option<Tick> {
         self.last_end

@@ -84,6 +84,8 @@ pub(super) struct PositionControl {
     unseen_since: Option<Tick>,
     /// Pins that a cut may have left above rest.
     standing: Standing,
+    /// The device seeks the lower stop, or such a seek was cut.
+    seeks: bool,
 }
 
 impl PositionControl {
@@ -104,6 +106,7 @@ impl PositionControl {
             seen: false,
             unseen_since: None,
             standing: Standing::none(array),
+            seeks: false,
         };
         let has_stop = settings.lower_stop.is_some();
         control.motors.iter_mut().for_each(|motor| motor.set_lower_stop(has_stop));
@@ -151,12 +154,31 @@ impl PositionControl {
 
     /// The device has cut its moves at a tick, and had so many return pulses outstanding then.
     pub(super) fn was_cut(&mut self, cut: Cutting, outstanding: u32) {
+        if self.seeks {
+            return;
+        }
         let Self { standing, motors, .. } = self;
-        standing.cut(cut, outstanding, |motor| motors[usize::from(motor)].height_at(cut.at));
+        let before = *standing.heights();
+        if standing.cut(cut, outstanding, |motor| motors[usize::from(motor)].height_at(cut.at)) {
+            for ((motor, before), after) in motors.iter_mut().zip(&before).zip(standing.heights()) {
+                motor.came_down(before - after, cut.at, cut.returned.is_none());
+            }
+        }
+    }
+
+    /// The device seeks the lower stop: until that is over it knows of no heights, and each pin stands at most as high as before.
+    pub(super) const fn will_seek(&mut self) {
+        self.seeks = true;
+    }
+
+    /// Whether the device seeks the lower stop, or such a seek was cut.
+    pub(super) const fn seeks(&self) -> bool {
+        self.seeks
     }
 
     /// The device does nothing, knows where its pins are, and has so many return pulses outstanding.
     pub(super) fn stands(&mut self, outstanding: u32, tick: Tick) {
+        self.seeks = false;
         if outstanding == 0 {
             self.returned(tick);
         } else {
@@ -171,14 +193,21 @@ impl PositionControl {
 
     /// The device has brought all pins down.
     fn returned(&mut self, tick: Tick) {
-        if self.standing.end() {
-            self.motors.iter_mut().for_each(|motor| motor.returned(tick));
+        self.seeks = false;
+        if let Some(heights) = self.standing.end() {
+            self.motors.iter_mut().zip(&heights).for_each(|(motor, &pulses)| motor.returned(pulses, tick));
         }
     }
 
     /// The highest pin that a cut may have left above rest, pulses; 0: none.
     pub(super) fn highest_standing(&self) -> u16 {
         self.standing.highest()
+    }
+
+    /// The device has started again, and its clock with it: it does not return the pins that stand.
+    pub(super) fn restarted(&mut self) {
+        self.leave_standing();
+        self.motors.iter_mut().for_each(BurstController::restarted);
     }
 
     /// The device does not return the pins that stand, and no person has checked them: from here on their height counts as an
@@ -189,15 +218,6 @@ impl PositionControl {
             motor.stay_up(pulses);
         }
         self.standing.clear();
-    }
-
-    /// The largest distance from rest by dead reckoning, µm, if pins that stand count as at rest.
-    pub(super) fn unchecked_um(&self, now: Tick) -> f32 {
-        let um_per_pulse = self.array.motor().um_per_pulse as f32;
-        let of = |(motor, pulses): (u8, &u16)| {
-            self.dead_reckoning_um(now, [motor].into_iter()) + f32::from(*pulses) * um_per_pulse
-        };
-        (0..).zip(self.standing.heights()).map(of).fold(0.0, f32::max)
     }
 
     /// A command was sent that cuts the play, at a tick unknown until the answer.

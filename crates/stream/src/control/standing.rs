@@ -30,7 +30,7 @@ impl Standing {
         Self { heights: PerMotor::all(array, 0), is_cut: false, reported: None }
     }
 
-    pub(super) fn heights(&self) -> &[u16] {
+    pub(super) const fn heights(&self) -> &PerMotor<u16> {
         &self.heights
     }
 
@@ -57,8 +57,8 @@ impl Standing {
     }
 
     /// The device has reported a cut of moves or of a return, at which so many return pulses were outstanding; `moves` gives the height of
-    /// a pin by the moves until then.
-    pub(super) fn cut(&mut self, cut: Cutting, outstanding: u32, moves: impl Fn(u8) -> u16) {
+    /// a pin by the moves until then. Returns whether a return explains them.
+    pub(super) fn cut(&mut self, cut: Cutting, outstanding: u32, moves: impl Fn(u8) -> u16) -> bool {
         let mut by_moves = self.heights;
         for (motor, height) in (0..).zip(&mut by_moves) {
             *height = moves(motor);
@@ -66,16 +66,18 @@ impl Standing {
         // A return that was cut: all pins have come down at the same time, unless limits made them wait.
         let down = self.reported.map_or(0, |before| u16::try_from(cut.at - before).unwrap_or(u16::MAX));
         let by_return = self.heights.map(|height| height.saturating_sub(down));
-        match [by_moves, by_return].iter().find(|heights| sum(heights) == outstanding) {
-            Some(&heights) => self.heights = heights,
-            None => {
+        let explained = [by_moves, by_return].map(|heights| sum(&heights) == outstanding);
+        match explained {
+            [true, _] => self.heights = by_moves,
+            [_, true] => self.heights = by_return,
+            _ => {
                 for (height, &moved) in self.heights.iter_mut().zip(&by_moves) {
-                    *height = moved.max(*height);
+                    *height = cap(moved.max(*height), outstanding);
                 }
             }
         }
         (self.is_cut, self.reported) = (true, Some(cut.at));
-        self.heights.iter_mut().for_each(|height| *height = cap(*height, outstanding));
+        explained == [false, true]
     }
 
     /// So many return pulses are outstanding, all in all. If the heights do not explain them, any pin may have up to `most`.
@@ -93,10 +95,11 @@ impl Standing {
         self.reported = None;
     }
 
-    /// All pins are back. Returns whether there was a cut.
-    pub(super) fn end(&mut self) -> bool {
+    /// All pins are back. If there was a cut, returns how high they stood.
+    pub(super) fn end(&mut self) -> Option<PerMotor<u16>> {
+        let heights = self.heights;
         self.clear();
-        std::mem::replace(&mut self.is_cut, false)
+        std::mem::replace(&mut self.is_cut, false).then_some(heights)
     }
 }
 

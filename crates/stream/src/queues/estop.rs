@@ -64,11 +64,16 @@ impl EStopSwitch {
     /// Orders an emergency stop; returns its number.
     #[must_use]
     pub fn request(&self) -> u64 {
-        let now = HostInstant::now();
-        let number = self.0.requested.fetch_add(1, Ordering::AcqRel) + 1;
-        self.0.ordered_at(number).store(now.as_ns(), Ordering::Release);
+        let now = HostInstant::now().as_ns();
+        // The time comes first: the streamer may answer as soon as there is the number. Of two threads that want the same number, the later
+        // time counts.
+        let (Ok(before) | Err(before)) =
+            self.0.requested.fetch_update(Ordering::AcqRel, Ordering::Acquire, |before| {
+                self.0.ordered_at(before + 1).fetch_max(now, Ordering::Release);
+                Some(before + 1)
+            });
         self.0.streamer_wake.ring();
-        number
+        before + 1
     }
 
     /// The streamer's answer to the emergency stop of this number; none if it is still to come. [`CommandError::Timeout`]: the

@@ -5,6 +5,7 @@
 use crate::active::{Active, FIRST_MARGIN, Phase, edge_delay};
 use crate::link::Session;
 use crate::queues::{At, Command, CommandError, Emit, Item, MAX_QUEUED_PLAYS, Play, Request, StreamEvent};
+use crate::streamer::homing::seeks;
 use crate::streamer::{ANSWER_WITHIN, OpResult, Streamer, answer, cuts_play};
 use crate::time::HostInstant;
 use firmware_protocol::message::{Cause, LowerStop, Op, State};
@@ -353,7 +354,7 @@ impl Streamer {
                     if !self.plays.is_empty() || self.homing.is_moving() {
                         return Err(CommandError::Playing);
                     }
-                    self.take_rest(now, rest, is_known)?;
+                    self.take_rest(now, rest)?;
                 }
                 return Ok(None);
             }
@@ -365,7 +366,7 @@ impl Streamer {
             _ if self.operations.wants_armed() => return Err(CommandError::Returning),
             _ => {}
         }
-        self.take_rest(now, rest, is_known)?;
+        self.take_rest(now, rest)?;
         self.operations.want_armed(true);
         self.control.clear_faults();
         let seeks = !is_known || self.homing.needs_seek(now);
@@ -384,11 +385,9 @@ impl Streamer {
 
     /// Takes pins as at rest, because a client says so. If telemetry shows all pins, nothing changes: should it not come back,
     /// the estimate from before stays. Without telemetry, only a look at the pins ends the estimate; until then it sums up over
-    /// all that is played, and over all heights that cuts have left and that no device returns any more.
-    fn take_rest(&mut self, now: HostInstant, rest: Rest, is_known: bool) -> Result<(), CommandError> {
-        // A device that knows where its pins are returns those that stand.
-        let left = if is_known { 0 } else { self.control.highest_standing() };
-        if rest == Rest::Known || (self.control.sees_all() && left == 0) {
+    /// all that is played, and over all heights that cuts have left and that no device returns any more. Those that stand are returned.
+    fn take_rest(&mut self, now: HostInstant, rest: Rest) -> Result<(), CommandError> {
+        if rest == Rest::Known || self.control.sees_all() {
             return Ok(());
         }
         if rest == Rest::Checked {
@@ -401,17 +400,9 @@ impl Streamer {
         }
         let tick = self.tick_at(now).unwrap_or_default();
         self.control.reckon_to(tick);
-        let um = if left == 0 || self.settings.lower_stop.is_some() {
-            // A lower stop brings home what stands.
-            self.control.dead_reckoning_um(tick, self.array().numbers())
-        } else {
-            self.control.unchecked_um(tick)
-        };
+        let um = self.control.dead_reckoning_um(tick, self.array().numbers());
         if um > LEVEL_CHECK_UM {
             return Err(CommandError::LevelNotChecked { um: um.round() as u32 });
-        }
-        if left > 0 {
-            self.control.leave_standing();
         }
         Ok(())
     }
@@ -452,8 +443,10 @@ impl Streamer {
     /// Sends the next operation if none is in flight.
     pub(super) fn send_next_op(&mut self) {
         let sent = self.session.as_mut().and_then(|session| self.operations.send_next(session));
-        if sent.is_some_and(|op| cuts_play(&op)) {
-            self.control.will_be_cut();
+        match sent {
+            Some(op) if cuts_play(&op) => self.control.will_be_cut(),
+            Some(op) if seeks(&op) => self.control.will_seek(),
+            _ => {}
         }
     }
 }

@@ -40,7 +40,7 @@ impl Streamer {
         match event {
             Event::Opened(hello) => {
                 if self.known.opened(&hello) {
-                    self.control.leave_standing();
+                    self.control.restarted();
                 }
                 self.control.connected(self.known.sends_telemetry());
                 emit.event(StreamEvent::Connected(hello));

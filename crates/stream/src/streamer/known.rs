@@ -6,7 +6,7 @@
 
 use crate::control::PositionControl;
 use firmware_protocol::board::Board;
-use firmware_protocol::message::{DeviceHello, State, Status};
+use firmware_protocol::message::{Cause, DeviceHello, State, Status};
 use firmware_protocol::tick::Tick;
 
 /// See the module.
@@ -67,18 +67,27 @@ impl Known {
     /// A device that knows where its pins are has moved them. If that was not this streamer's doing, nothing tells how far they
     /// have drifted since.
     pub(super) fn heard(&mut self, status: Status, tick: Tick, control: &mut PositionControl) -> bool {
-        let Some((before, _)) = self.status.replace((status, tick)) else {
-            if !self.telemetry && status.position_known && self.reckoned_boot != self.boot {
-                control.lose_rest();
-            }
-            self.reckoned_boot = self.boot;
-            return true;
-        };
-        if before.position_known && (status.state, status.position_known) == (State::Faulted, false) {
+        let before = self.status.replace((status, tick)).map(|(before, _)| before);
+        let fails =
+            status.cause == Cause::Output && before.is_none_or(|before| before.cause != Cause::Output);
+        let loses = before.is_some_and(|before| before.position_known)
+            && (status.state, status.position_known) == (State::Faulted, false)
+            && !control.seeks();
+        if fails || loses {
             // The outputs have failed: pins may have moved by anything.
             control.lose_rest();
             control.leave_standing();
         }
+        let Some(before) = before else {
+            if !self.telemetry && status.position_known && self.reckoned_boot != self.boot {
+                control.lose_rest();
+            }
+            if !status.position_known {
+                control.leave_standing();
+            }
+            self.reckoned_boot = self.boot;
+            return true;
+        };
         let key = |of: &Status| (of.state, of.cause, of.position_known, of.outstanding);
         key(&before) != key(&status)
     }

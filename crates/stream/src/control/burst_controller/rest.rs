@@ -4,9 +4,11 @@
 
 use super::{BurstController, moves};
 use crate::control::estimator::{ASYMMETRY, Gains, after_rest, gain_index, sign};
+use crate::control::queued::Queued;
 use firmware_protocol::stroke::Direction;
 use firmware_protocol::tick::Tick;
 use meissner_array::reflected_walk::{Bursts, ReflectedWalk, Spread};
+use meissner_array::strokes::Burst;
 
 impl BurstController {
     /// The device has flushed the queue at `tick` and returns the pin.
@@ -16,7 +18,11 @@ impl BurstController {
             trail.passed(passed);
         }
         trail.cut(tick);
-        let rest_um = self.rest_um();
+        let rest_um = self.cut_rest_um(tick);
+        let begun = self.queue.iter().rev().find(|queued| queued.burst.start < tick);
+        if let Some(end) = begun.map(|last| last.burst.end().min(tick)) {
+            self.estimator.moved(end);
+        }
         // What is cut scatters like any other excursion.
         let um_per_pulse = self.um_per_pulse();
         let highest = self.queue.front().map_or(self.level, |first| self.level.max(first.level));
@@ -33,6 +39,34 @@ impl BurstController {
             self.scattered += 2.0 * unsure * unsure;
         }
         (self.anchored, self.move_from) = (false, None);
+    }
+
+    /// Expected rest position if the queue is cut at `tick`, µm: of the burst under way counts what was played.
+    fn cut_rest_um(&self, tick: Tick) -> f64 {
+        let position = self.estimator.position_um();
+        let Some(last) = self.begun.checked_sub(1).map(|last| self.queue[last]) else {
+            return position - f64::from(self.level) * self.um_per_pulse();
+        };
+        let Queued { burst: Burst { direction, pulses, .. }, counted, .. } = last;
+        let left = ((last.burst.end() - tick) as f64 / f64::from(pulses.max(1))).min(1.0);
+        let unplayed = sign(direction) * left * counted as f64 / 10.0 * self.estimator.gain(direction);
+        position - (unplayed + f64::from(last.level_at(tick))) * self.um_per_pulse()
+    }
+
+    /// The device has brought the pin down by so many pulses of its height, in one burst until `tick` or, if that is not over, longer: not
+    /// by the whole height, if its gain is low or it has rested. A lower stop brings it to rest all the same.
+    pub(crate) fn came_down(&mut self, pulses: u16, tick: Tick, is_over: bool) {
+        if pulses == 0 || self.lower_stop {
+            return;
+        }
+        let start = Tick(tick.0.saturating_sub(pulses.into()));
+        let ideal_um = f64::from(pulses) * self.um_per_pulse();
+        let rest = after_rest(self.estimator.motor(), self.estimator.last_end(), start);
+        self.estimator.shift(ideal_um * (1.0 - rest * self.estimator.gain(Direction::Down)));
+        self.reckoned_um[gain_index(Direction::Down)] += rest * ideal_um;
+        if is_over {
+            self.estimator.moved(tick);
+        }
     }
 
     /// The operator says that the pin is at rest.
