@@ -42,7 +42,7 @@
 //!
 //! # Modules
 //!
-//! `docs/explanation/architecture.md` says which file to open for which change.
+//! `docs/dev/architecture.md` says which file to open for which change.
 //! The modules of this crate: [`log`](mod@log), `file`, [`mod@array`], [`exposure`], [`session_record`],
 //! [`receipts`], [`store`], `rendering`, [`render_process`], [`config`], `doctor`, [`daemon`], [`cli`]. Tests run streamer, link,
 //! controller and simulated motors in virtual time ([`meissner_stream::Simulation`]): the same code without a clock.

@@ -347,18 +347,6 @@ pub(crate) fn assert_accounts(receipt: &Value) {
     assert!(of("planned") > 0, "{receipt}");
 }
 
-/// Asserts that a file of the repository is as the program makes it today. With MEISSNER_RENEW set it writes the file.
-pub(crate) fn assert_up_to_date(file: impl AsRef<Path>, made: &[u8]) {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(&file);
-    if env::var_os("MEISSNER_RENEW").is_some() {
-        fs::create_dir_all(path.parent().unwrap()).unwrap();
-        fs::write(&path, made).unwrap();
-    }
-    let renew = "MEISSNER_RENEW=1 cargo test --test tests up_to_date";
-    let kept = fs::read(&path).unwrap_or_default();
-    assert!(kept == made, "{} is out of date: {renew}", file.as_ref().display());
-}
-
 /// Writes a pattern file.
 pub(crate) fn write_pattern(path: &Path, name: &str, drives: &str) {
     fs::write(path, format!("format = 1\nname = \"{name}\"\n{drives}")).unwrap();

@@ -124,7 +124,7 @@ fn the_bodies_of_64_clients_do_not_pile_up() {
 fn the_page_and_the_unit_name_the_bound() {
     let read = |file: &str| fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join(file)).unwrap();
     let mib = MEMORY_BOUND >> 20;
-    assert!(read("docs/explanation/limits.md").contains(&format!("at most {mib} MiB")));
+    assert!(read("docs/safety.md").contains(&format!("at most {mib} MiB")));
     let unit = read("deploy/meissner.service");
     let most = unit.lines().find_map(|line| line.strip_prefix("MemoryMax=")).unwrap();
     let most: usize = most.strip_suffix('M').unwrap().parse().unwrap();

@@ -13,7 +13,7 @@ classdef Meissner < handle
   % are in seconds of the clock that 'clock' reads: GetSecs of Psychtoolbox, or by default the time since this object was made. What
   % needs no times, such as storing a pattern, the command line does.
   %
-  % The daemon must listen on TCP: see docs/how-to/network.md. MATLAB sends commands by webwrite. Octave's webwrite sends forms
+  % The daemon must listen on TCP: see docs/lab-pc.md. MATLAB sends commands by webwrite. Octave's webwrite sends forms
   % only, and its webread one header, so Octave needs the program curl. An error has the identifier meissner:CODE with the API's
   % code; MATLAB's webwrite and webread hide the code: then it is meissner:http.
   %

@@ -11,7 +11,7 @@ import pytest
 import meissner
 
 pandas = pytest.importorskip("pandas", reason="pandas is not installed")
-PAGE = Path(__file__).parents[2] / "docs" / "how-to" / "motions.md"
+PAGE = Path(__file__).parents[2] / "docs" / "stimuli.md"
 UM = [20 + (n * n) % 30 / 10 for n in range(12)]
 """The same motion in every file, sampled each ms."""
 LVM = """LabVIEW Measurement\t

@@ -17,7 +17,7 @@ from patience import run_kept
 np = pytest.importorskip("numpy", reason="NumPy is not installed")
 from meissner import laser  # noqa: E402
 
-BOOK = Path(__file__).parents[2] / "docs" / "how-to" / "calibrate.md"
+BOOK = Path(__file__).parents[2] / "docs" / "board.md"
 DATA = Path(__file__).parent / "data" / "laser"
 PLAN = json.loads((DATA / "plan.json").read_text(encoding="utf-8"))
 

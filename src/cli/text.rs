@@ -417,7 +417,7 @@ pub(super) fn pattern(shown: &Value, array: &ArrayDetails) -> String {
         ]
     };
     if !rails.is_empty() {
-        // docs/how-to/power.md explains the current that a supply can give.
+        // docs/board.md explains the current that a supply can give.
         let head = ["rail", "motors at once, most", "mean", "mA at 3 nF, most", "mean"];
         let _ = write!(text, "\n\n{}", columns(&head, rails.iter().map(load)));
     }

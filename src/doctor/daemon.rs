@@ -59,7 +59,7 @@ fn network(status: Option<&NetworkStatus>) -> Finding {
         (false, _) => Finding::warn(
             WHAT,
             found,
-            "tokens travel unencrypted: let only machines reach it that you trust, or use a proxy with TLS or ssh: docs/how-to/network.md",
+            "tokens travel unencrypted: let only machines reach it that you trust, or use a proxy with TLS or ssh: docs/lab-pc.md",
         ),
         (true, true) => Finding::warn(
             WHAT,

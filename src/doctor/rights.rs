@@ -7,7 +7,7 @@ use meissner_stream::device::priority::FIFO_PRIORITY;
 use std::fs;
 use std::path::Path;
 
-/// The measured delay of an emergency stop in a daemon without SCHED_FIFO: docs/measurements.md, "E-stop under load".
+/// The measured delay of an emergency stop in a daemon without SCHED_FIFO: docs/dev/measurements.md, "E-stop under load".
 pub(crate) const SLOW_ESTOP: &str = "without SCHED_FIFO an emergency stop waits for other programs: under load its p99 was 27 ms and the \
                                      worst 110 ms; with it p99 stayed below 1.2 ms";
 

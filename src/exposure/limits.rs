@@ -1,6 +1,6 @@
 //! The exposure limits of a participant: the configuration table `[participant]`.
 //!
-//! `docs/explanation/participants.md` gives the reason for each default. Invariant: only the configuration changes a limit.
+//! `docs/safety.md` gives the reason for each default. Invariant: only the configuration changes a limit.
 
 /// See the module.
 #[derive(Clone, Copy, Debug, PartialEq)]

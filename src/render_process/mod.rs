@@ -27,7 +27,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 /// The name (`argv[0]`) that tells the program to be this process.
 const NAME: &str = "meissner-render";
-/// The most data memory of the process, bytes. `docs/explanation/limits.md` names it.
+/// The most data memory of the process, bytes. `docs/safety.md` names it.
 pub const MEMORY: u64 = 256 << 20;
 /// The longest line of either side, bytes: an object with its files.
 pub const MAX_LINE: u64 = 8 << 20;

@@ -228,7 +228,7 @@ part=network
 sed -i 's/^listen = .*/listen = "127.0.0.1:8765"/' $conf
 from=$(now)
 systemctl restart meissner.service || fail "forbidden: restart"
-why() { since "${from%.*}" | grep -m 1 'docs/how-to/network.md'; }
+why() { since "${from%.*}" | grep -m 1 'docs/lab-pc.md'; }
 within 5 why && why >why.log || fail "forbidden: the journal does not say why: $(since "${from%.*}" | tail -n 3)"
 alice status >/dev/null || fail "forbidden: the socket does not answer"
 ok "forbidden: the socket works; $(line why.log)"

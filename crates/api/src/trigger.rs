@@ -1,6 +1,6 @@
 //! The trigger output: the pulse that a play or an item requests, and the pulse that the device gave.
 //!
-//! In a request `trigger` is an object or `false`; without it the output gives one pulse of 10 ms. `docs/how-to/board.md` shows the
+//! In a request `trigger` is an object or `false`; without it the output gives one pulse of 10 ms. `docs/board.md` shows the
 //! pulse train of a code.
 
 use meissner_input::document::given;

@@ -14,7 +14,7 @@
 //! 9. `response`: [`respond`] gives the spikes of afferents of the second model of [`meissner_skin`].
 //!
 //! The half space has no edge and the object is rigid, so loads depend on the depth alone. The pose only moves them over the skin.
-//! There is no friction, and the skin follows at once. `docs/explanation/touch.md` shows the limits of this.
+//! There is no friction, and the skin follows at once. `docs/models.md` shows the limits of this.
 //!
 //! Invariant: results depend on the object, the pitch of its grains, the afferents and the seed alone, bit for bit, on every machine and
 //! for any number of threads. The crate opens no file and reads no clock.

@@ -42,7 +42,7 @@ def find_program() -> str:
             else "neither this package nor the PATH has the program `meissner`"
         )
         raise ProgramError(
-            f"{place}: install the wheel that contains it, or set MEISSNER_PROGRAM to its path (docs/how-to/install.md)"
+            f"{place}: install the wheel that contains it, or set MEISSNER_PROGRAM to its path (docs/start.md)"
         )
     return found
 

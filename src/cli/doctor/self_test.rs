@@ -19,7 +19,7 @@ const READ_APART: f64 = 70.0;
 const SAME_CLOCK_PPM: f64 = 300.0;
 /// Time to read the longest frame in the emulated chip, µs (`cargo test self_test -- --nocapture` in `firmware/hil`).
 const WORK_US: f64 = 167.0;
-/// Ticks in which the board can render a block before the DMA fetches its first word (`docs/explanation/board-timing.md`).
+/// Ticks in which the board can render a block before the DMA fetches its first word (`docs/dev/board-timing.md`).
 const HORIZON_TICKS: f64 = 45.0;
 /// Time that the longest tasks take together in the emulated chip (the same page), µs.
 const WORST_CASE_US: f64 = 235.0;

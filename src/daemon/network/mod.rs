@@ -59,7 +59,7 @@ fn advice(error: &io::Error) -> &'static str {
     match Errno::from_io_error(error) {
         // systemd's RestrictAddressFamilies= causes this error.
         Some(Errno::AFNOSUPPORT) => {
-            "the service's unit forbids the network: docs/how-to/network.md says how to allow it"
+            "the service's unit forbids the network: docs/lab-pc.md says how to allow it"
         }
         _ => "choose an address of this machine and a free port, and restart the daemon",
     }

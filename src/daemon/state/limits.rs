@@ -51,7 +51,7 @@ pub(in crate::daemon) fn too_many(group: Group, has: &str, settings: &Settings) 
     };
     let detail = format!(
         "{} would have {has}; `array.{key}_motors_at_once` allows {most}: play fewer motors of it, smaller amplitudes or other \
-         phases (docs/how-to/power.md)",
+         phases (docs/board.md)",
         group.in_words(&settings.array)
     );
     Problem::new(Code::PowerLimit, detail)

@@ -10,7 +10,7 @@ use crate::session_record::Location;
 use crate::store::{Store, StoreError};
 use rustix::process::{Resource, getrlimit};
 
-/// The most memory that the daemon takes, bytes. `docs/explanation/limits.md` adds it up;
+/// The most memory that the daemon takes, bytes. `docs/safety.md` adds it up;
 /// `cargo bench -p meissner-benches --bench memory` measures it under load.
 pub const MEMORY_BOUND: usize = 1440 << 20;
 

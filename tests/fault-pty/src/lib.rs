@@ -25,7 +25,7 @@ use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::Duration;
 use watch::Watch;
 
-/// Added to each bound on time. The machine stands still for up to 25 ms now and then (`docs/measurements.md`): once for the
+/// Added to each bound on time. The machine stands still for up to 25 ms now and then (`docs/dev/measurements.md`): once for the
 /// daemon and once for the board; and an order comes through a socket.
 pub const ALLOWANCE_MS: f64 = 60.0;
 /// A thread that did not run for so long has shown that the machine stood still, or had too much to do.

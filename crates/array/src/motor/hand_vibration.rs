@@ -2,7 +2,7 @@
 //!
 //! The weighting is that of annex A: a band limit from 6.31 to 1258.9 Hz, and a transition from acceleration to velocity at 15.915
 //! Hz. The motion is the drive's as commanded, at constant velocity during bursts; the motor's averaging only lowers
-//! the result. The standard is about tools that a hand grips; `docs/explanation/participants.md` says what it can tell about pins.
+//! the result. The standard is about tools that a hand grips; `docs/safety.md` says what it can tell about pins.
 //!
 //! Invariant: above 16 Hz the result hardly exceeds 2π · 16 Hz times the velocity of a burst, at any drive.
 

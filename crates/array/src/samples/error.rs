@@ -40,7 +40,7 @@ pub enum SamplesError {
     Sample { number: usize, at_s: f64, value: f64 },
     #[error(
         "line {line}: {found}; a CSV file begins with names such as time_s,height_um, and has numbers with decimal points between \
-         commas: `pandas` reads any other and writes this one, see docs/how-to/motions.md"
+         commas: `pandas` reads any other and writes this one, see docs/stimuli.md"
     )]
     Csv { line: u64, found: String },
     #[error(

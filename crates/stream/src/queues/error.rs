@@ -82,7 +82,7 @@ pub enum CommandError {
     TooSoon,
     /// The device has no trigger input.
     #[error(
-        "the device has no trigger input, so no edge can start a play: see docs/how-to/board.md, or play it without"
+        "the device has no trigger input, so no edge can start a play: see docs/board.md, or play it without"
     )]
     NoTriggerInput,
     /// The device cannot give a code.

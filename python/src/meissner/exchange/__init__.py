@@ -8,7 +8,7 @@
 - `to_touchsim`, `from_touchsim`, `to_touchsim_response`, `from_touchsim_response`: the package TouchSim.
 - `braille_text`: the Braille cells of a text, by liblouis.
 
-Nothing here is needed to use it but the standard library. What each takes and loses stands in `docs/how-to/exchange.md`.
+Nothing here is needed to use it but the standard library. What each takes and loses stands in `docs/stimuli.md`.
 """
 
 from __future__ import annotations
