@@ -261,9 +261,9 @@ impl Estimator {
         self.last_end = self.last_end.max(Some(tick));
     }
 
-    /// The device's clock has begun again: the motor counts as rested.
-    pub(super) fn restarted(&mut self) {
-        self.last_end = None;
+    /// The last burst ended then; `None`: the motor counts as rested.
+    pub(super) fn ended(&mut self, last_end: Option<Tick>) {
+        self.last_end = last_end;
     }
 
     /// When the last burst ends that has begun.

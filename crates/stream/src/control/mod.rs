@@ -159,10 +159,16 @@ impl PositionControl {
         }
         let Self { standing, motors, .. } = self;
         let before = *standing.heights();
-        if standing.cut(cut, outstanding, |motor| motors[usize::from(motor)].height_at(cut.at)) {
-            for ((motor, before), after) in motors.iter_mut().zip(&before).zip(standing.heights()) {
-                motor.came_down(before - after, cut.at, cut.returned.is_none());
-            }
+        if !standing.cut(cut, outstanding, |motor| motors[usize::from(motor)].height_at(cut.at)) {
+            self.lowered(&before, cut.at, cut.returned.is_some());
+        }
+    }
+
+    /// The pins that stand are lower than `before`, at `tick`.
+    fn lowered(&mut self, before: &PerMotor<u16>, tick: Tick, goes_on: bool) {
+        let heights = before.iter().zip(self.standing.heights());
+        for (motor, (before, after)) in self.motors.iter_mut().zip(heights) {
+            motor.lowered(before.saturating_sub(*after), tick, goes_on);
         }
     }
 
@@ -182,7 +188,9 @@ impl PositionControl {
         if outstanding == 0 {
             self.returned(tick);
         } else {
+            let before = *self.standing.heights();
             self.standing.bound_by(outstanding, self.array.layout().max_up_pulses());
+            self.lowered(&before, tick, false);
         }
     }
 

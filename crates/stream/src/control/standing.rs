@@ -57,7 +57,7 @@ impl Standing {
     }
 
     /// The device has reported a cut of moves or of a return, at which so many return pulses were outstanding; `moves` gives the height of
-    /// a pin by the moves until then. Returns whether a return explains them.
+    /// a pin by the moves until then. Returns whether they explain it: if not, a return was cut.
     pub(super) fn cut(&mut self, cut: Cutting, outstanding: u32, moves: impl Fn(u8) -> u16) -> bool {
         let mut by_moves = self.heights;
         for (motor, height) in (0..).zip(&mut by_moves) {
@@ -77,7 +77,7 @@ impl Standing {
             }
         }
         (self.is_cut, self.reported) = (true, Some(cut.at));
-        explained == [false, true]
+        explained[0]
     }
 
     /// So many return pulses are outstanding, all in all. If the heights do not explain them, any pin may have up to `most`.

@@ -340,17 +340,11 @@ impl BurstController {
         cut.into_iter().find(begun).map_or(self.cut_level, |last| last.level_at(tick))
     }
 
-    /// The pin is at rest at `tick`, after a cut: it has come down by so many pulses.
-    pub(crate) fn returned(&mut self, pulses: u16, tick: Tick) {
-        self.came_down(pulses, tick, true);
-        (self.cut_level, self.rested) = (0, tick);
-    }
-
     /// The device's clock has begun again: no tick of the past means anything.
     pub(crate) fn restarted(&mut self) {
         self.cut.clear();
         (self.cut_level, self.rested) = (0, Tick(0));
-        self.estimator.restarted();
+        self.estimator.ended(None);
     }
 
     /// When the last pulse is over of the bursts that began at `from` or later and before `until`. If the device cut

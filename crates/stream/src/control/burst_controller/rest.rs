@@ -53,19 +53,40 @@ impl BurstController {
         position - (unplayed + f64::from(last.level_at(tick))) * self.um_per_pulse()
     }
 
-    /// The device has brought the pin down by so many pulses of its height, in one burst until `tick` or, if that is not over, longer: not
-    /// by the whole height, if its gain is low or it has rested. A lower stop brings it to rest all the same.
-    pub(crate) fn came_down(&mut self, pulses: u16, tick: Tick, is_over: bool) {
+    /// The device has brought the pin down by so many pulses of its height, in one burst until `tick`: not by the whole height, if its
+    /// gain is low or it has rested. A lower stop brings it to rest all the same.
+    fn came_down(&mut self, pulses: u16, tick: Tick) {
         if pulses == 0 || self.lower_stop {
             return;
         }
-        let start = Tick(tick.0.saturating_sub(pulses.into()));
         let ideal_um = f64::from(pulses) * self.um_per_pulse();
-        let rest = after_rest(self.estimator.motor(), self.estimator.last_end(), start);
+        let rest = self.return_rest(pulses, tick);
         self.estimator.shift(ideal_um * (1.0 - rest * self.estimator.gain(Direction::Down)));
         self.reckoned_um[gain_index(Direction::Down)] += rest * ideal_um;
-        if is_over {
-            self.estimator.moved(tick);
+        self.estimator.moved(tick);
+    }
+
+    /// Mean gain, relative to the motor's, of a return by so many pulses until `tick`.
+    fn return_rest(&self, pulses: u16, tick: Tick) -> f64 {
+        let start = Tick(tick.0.saturating_sub(pulses.into()));
+        after_rest(self.estimator.motor(), self.estimator.last_end(), start)
+    }
+
+    /// The pin is at rest at `tick`, after a cut: it has come down by so many pulses.
+    pub(crate) fn returned(&mut self, pulses: u16, tick: Tick) {
+        self.came_down(pulses, tick);
+        (self.cut_level, self.rested) = (0, tick);
+    }
+
+    /// The pin stands so many pulses lower than known so far, at `tick`. If it had rested, its height was known, and this is a part of a
+    /// return; otherwise it may have been a bound. `goes_on`: the rest of the return follows at once.
+    pub(crate) fn lowered(&mut self, pulses: u16, tick: Tick, goes_on: bool) {
+        if self.return_rest(pulses, tick) < 1.0 {
+            let last_end = self.estimator.last_end();
+            self.came_down(pulses, tick);
+            if goes_on {
+                self.estimator.ended(last_end);
+            }
         }
     }
 
