@@ -6,7 +6,7 @@ use crate::harness::{
 };
 use meissner_api::{
     EndCause, Event, LiveAccepted, LiveAnswer, Method, PlayState, Receipt, Role, Route, SearchState, Session,
-    SessionStarted, Status, TokenCreated, TokenList,
+    SessionStarted, Status, TokenCreated,
 };
 use meissner_client::Client;
 use serde_json::{Value, json};

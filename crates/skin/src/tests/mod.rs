@@ -18,7 +18,6 @@ use meissner_array::motor::{HalfTick, Ramp, Shaft};
 use meissner_array::pattern::Drive;
 use meissner_array::random::uniform;
 use meissner_array::spec::{Array, ArraySpec, names};
-use meissner_array::strokes::DriveStrokes;
 use meissner_test_support::patterns::drive;
 use pulp::Arch;
 use std::sync::Arc;
