@@ -12,10 +12,11 @@ use meissner_api::{
     SequenceRequest, SessionRequest, TokenRequest,
 };
 use meissner_array::pattern::Pattern;
+use meissner_array::samples;
 use meissner_design::Target;
 use meissner_research::Trace;
 use meissner_skin::AnyScene;
-use meissner_stream::calibrate::{Calibration, Layout, PlayedPlan, Recording};
+use meissner_stream::calibrate::Calibration;
 use meissner_stream::device::Spec;
 use meissner_sweep::{Document, Plan, Sources};
 use serde::Serialize;
@@ -35,8 +36,8 @@ pub const KINDS: [(&str, Read); 20] = [
     ("calibration", calibration),
     ("trace", trace),
     ("sweep", sweep),
-    ("played plan", played_plan),
-    ("recording", recording),
+    ("table", |bytes| samples(&["a.csv"], bytes)),
+    ("samples", |bytes| samples(&["a.npy", "a.wav"], bytes)),
     ("session record", session_record),
     ("exposure", exposure),
     ("play", |bytes| body(bytes, PlayRequest::parse)),
@@ -148,17 +149,11 @@ fn sweep(bytes: &[u8]) {
     });
 }
 
-fn played_plan(bytes: &[u8]) {
-    text(bytes, |text| {
-        if let Ok(plan) = PlayedPlan::parse(text) {
-            assert_eq!(PlayedPlan::parse(&plan.to_json()).expect("a written plan"), plan);
+fn samples(names: &[&str], bytes: &[u8]) {
+    for name in names {
+        if let Err(error) = samples::read(name, bytes, &samples::Choice::default()) {
+            told(error);
         }
-    });
-}
-
-fn recording(bytes: &[u8]) {
-    if let Err(error) = Recording::read(bytes, &Layout::default()) {
-        told(error);
     }
 }
 

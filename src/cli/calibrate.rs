@@ -1,26 +1,31 @@
 //! `calibrate`: asks the daemon to measure how far each pin really moves, and shows the result.
 //!
 //! The daemon plays, fits and stores; the command waits. Before the minute of playing it checks that it can write to `-o`. With
-//! `--plan` or `--from` a laser measures: see `laser`.
+//! `--plan` a laser measures: the command writes the bursts that were played.
 //!
-//! Invariant: it exits with 0 only if the calibration of every requested motor was stored.
+//! Invariant: it exits with 0 only if the calibration of every requested motor was stored. A plan is written only if every one of its
+//! bursts was played.
 
-use super::arguments::{ArrayOption, ClientOptions};
+use super::arguments::ClientOptions;
 use super::ending::Ending;
 use super::output::give;
 use super::progress::Progress;
-use super::{control, files, laser, session_token, text};
+use super::{control, files, session_token, text};
 use crate::array::shown;
 use crate::receipts::calibration_plan;
+use crate::session_record::utc_now;
 use anyhow::{Result, bail};
 use clap::Args;
-use meissner_api::{CalibrateRequest, CalibratedMotor, CalibrationReport, Event, PlayAccepted};
+use firmware_protocol::tick::Tick;
+use meissner_api::{CalibrateRequest, CalibratedMotor, CalibrationReport, Event, PlayAccepted, Status};
 use meissner_client::Events;
-use meissner_stream::calibrate::{Layout, LengthUnit, TimeUnit};
+use meissner_stream::calibrate::{PlayedOn, PlayedPlan};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::Duration;
 
+/// The plan's file if the command line names none.
+const DEFAULT_PLAN: &str = "calibration-plan.json";
 /// How long the daemon may take from a play's end to its fit.
 const TIMEOUT: Duration = Duration::from_secs(20);
 
@@ -35,63 +40,19 @@ pub(super) struct Calibrate {
     /// Play bursts of these numbers of pulses, up to 200, 3 s each [default: ten numbers, for the paper's motors 14,28,42,56,70,84,98,112,126,140]
     #[arg(long, value_name = "N,N,...", value_delimiter = ',')]
     pulses: Option<Vec<u16>>,
-    /// Write the calibration to FILE, too; with --from, add it to FILE and do not ask a daemon
+    /// Write the calibration to FILE, too
     #[arg(short, long, value_name = "FILE")]
     out: Option<PathBuf>,
-    /// For a laser, without telemetry: play the bursts of --motor and write them with their ticks to PLAN; with --from,
-    /// read them from PLAN [default: calibration-plan.json]
-    #[arg(long, value_name = "PLAN", num_args = 0..=1, default_missing_value = laser::DEFAULT_PLAN)]
+    /// For a laser, without telemetry: play the bursts of --motor and write them with their ticks to PLAN [default:
+    /// calibration-plan.json]
+    #[arg(long, value_name = "PLAN", num_args = 0..=1, default_missing_value = DEFAULT_PLAN)]
     plan: Option<PathBuf>,
-    /// Fit the motor of the plan to a laser's recording: a CSV file of time and displacement, by any clock, or `-` for stdin
-    #[arg(long, value_name = "CSV", conflicts_with_all = ["motor", "repetitions", "pulses"])]
-    from: Option<PathBuf>,
-    /// Read the recording's time in this unit: s, ms, us, ns or min [default: the header's, else s]
-    #[arg(long, value_name = "UNIT", requires = "from")]
-    time_unit: Option<TimeUnit>,
-    /// Read the recording's displacement in this unit: m, mm, um or nm [default: the header's]
-    #[arg(long, value_name = "UNIT", requires = "from")]
-    displacement_unit: Option<LengthUnit>,
-    /// Read the time from this column: its name, or its number from 0 [default: the header says it]
-    #[arg(long, value_name = "COLUMN", requires = "from")]
-    time_column: Option<String>,
-    /// Read the displacement from this column: its name, or its number from 0 [default: the header says it]
-    #[arg(long, value_name = "COLUMN", requires = "from")]
-    column: Option<String>,
-    /// Do not read the time: the recording has HZ rows per second
-    #[arg(long, value_name = "HZ", requires = "from", conflicts_with_all = ["time_column", "time_unit"])]
-    rate_hz: Option<f64>,
-    /// Draw the recording, the fit and the residuals to FILE (SVG)
-    #[arg(long, value_name = "FILE", requires = "from")]
-    plot: Option<PathBuf>,
-    #[command(flatten)]
-    array: ArrayOption,
     #[command(flatten)]
     options: ClientOptions,
 }
 
 pub(super) fn run(asked: &Calibrate) -> Result<ExitCode> {
     let plan = asked.plan.as_deref();
-    if let Some(recording) = &asked.from {
-        // The plan names the array that it was played on.
-        if asked.array.find()?.is_none() {
-            asked.options.learn_array()?;
-        }
-        let layout = Layout {
-            time_unit: asked.time_unit,
-            displacement_unit: asked.displacement_unit,
-            time_column: asked.time_column.clone(),
-            column: asked.column.clone(),
-            rate_hz: asked.rate_hz,
-        };
-        return laser::fit(&laser::Fit {
-            recording,
-            plan: plan.unwrap_or(Path::new(laser::DEFAULT_PLAN)),
-            layout: &layout,
-            plot: asked.plot.as_deref(),
-            out: asked.out.as_deref(),
-            options: &asked.options,
-        });
-    }
     let Calibrate { motor, repetitions, ref pulses, .. } = *asked;
     let request = CalibrateRequest {
         motor,
@@ -101,7 +62,7 @@ pub(super) fn run(asked: &Calibrate) -> Result<ExitCode> {
         session: session_token::session(),
     };
     if let Some(plan) = plan {
-        return laser::play(&request, asked.out.as_deref().unwrap_or(plan), &asked.options);
+        return play_for_laser(&request, asked.out.as_deref().unwrap_or(plan), &asked.options);
     }
     let out = asked.out.as_deref().map(files::beside).transpose()?;
     let mut client = asked.options.client()?;
@@ -122,6 +83,49 @@ pub(super) fn run(asked: &Calibrate) -> Result<ExitCode> {
         plan.motors().filter(|motor| !measured.contains(motor)).map(|motor| motor.to_string()).collect();
     give(json, &report, || summary(&report, &measured, &missing, asked.out.as_deref()))?;
     Ok(if missing.is_empty() { ExitCode::SUCCESS } else { ExitCode::FAILURE })
+}
+
+/// Plays a plan and writes what was played.
+fn play_for_laser(request: &CalibrateRequest, out: &Path, options: &ClientOptions) -> Result<ExitCode> {
+    if request.motor.is_none() {
+        bail!("--motor is missing: name the one motor whose pin the laser measures");
+    }
+    let file = files::beside(out)?;
+    let mut client = options.client()?;
+    let plan = calibration_plan(shown(&client.get("/v1/array")?)?, request)?;
+    let before: Status = client.get("/v1/status")?;
+    let mut events = client.events()?;
+    let ending = Ending::listen(options)?;
+    let PlayAccepted { id, .. } = ending.order(|| client.post("/v1/calibrate", request))?;
+    let mut progress = Progress::new(Some(plan.duration_s()), options.output.json);
+    let receipt = control::follow(&mut client, &mut events, id, &mut progress)?;
+    ending.set_over();
+    let after: Status = client.get("/v1/status")?;
+    let boot = |status: &Status| status.device.as_ref().map(|device| device.boot);
+    let (Some(device), Some(onset)) = (&after.device, receipt.onset) else {
+        bail!("the plan was not played: see `meissner receipt {id}`; nothing was written");
+    };
+    if !receipt.all_played() || boot(&before) != boot(&after) {
+        bail!(
+            "not every burst was played: see `meissner receipt {id}`; nothing was written, play the plan again"
+        );
+    }
+    let motor = request.motor.unwrap_or_default();
+    let on = PlayedOn {
+        device: device.kind.split(':').next().unwrap_or_default().to_owned(),
+        firmware: format!("{} ({})", device.firmware, device.build),
+        identity: after.device_identity.clone(),
+        boot: device.boot,
+        date: utc_now(),
+    };
+    let played = PlayedPlan::new(&plan, motor, Tick(onset.actual_tick), on);
+    file.write(&played.to_json())?;
+    give(options.output.json, &played, || {
+        let bursts =
+            format!("{} of motor {motor} in {:.0} s, all played", played.bursts().len(), plan.duration_s());
+        let next = "fit the recording by `meissner.laser` of Python: docs/how-to/calibrate.md".to_owned();
+        text::pairs(&[("bursts", bursts), ("written", files::shown(out)), ("next", next)])
+    })
 }
 
 /// Waits until the daemon has stored the calibration; returns the motors it measured.

@@ -22,7 +22,6 @@ mod export;
 mod files;
 mod gate;
 mod judge;
-mod laser;
 mod library;
 mod manual;
 mod object;
@@ -179,7 +178,7 @@ enum Command {
         #[command(flatten)]
         options: ClientOptions,
     },
-    /// Measure the gains of the motors and store them: by telemetry, in a minute of bursts, or with a laser (--plan, then --from)
+    /// Measure the gains of the motors and store them: by telemetry, in a minute of bursts, or play the bursts for a laser (--plan)
     Calibrate(calibrate::Calibrate),
     /// List all patterns
     List(ClientOptions),

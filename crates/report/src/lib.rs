@@ -7,7 +7,6 @@
 //!   explains why skipped work does not change the result. [`afferents_tradeoff`] does the same for the second model.
 //! - `motions`: [`Motions`] says what motors do with the motions of a pattern before it is played; [`motion_tradeoff`] compares grids of
 //!   moves, error against moves per second.
-//! - `laser`: [`plot_laser`] draws a recording of a pin beside the motor's fit.
 //! - `sweep`: [`sweep_page`] shows the marginals and the Pareto front of a sweep.
 //! - `validate`: [`validate()`] compares both models of the skin with published figures.
 //! - `svg` writes drawings, [`chart`] draws lines and points on axes, `sixty_hertz` is the standard scene, `progress` and `statistics` are small
@@ -17,7 +16,6 @@
 
 pub mod chart;
 pub mod figures;
-mod laser;
 mod methods;
 mod motions;
 mod progress;
@@ -27,7 +25,6 @@ mod svg;
 mod sweep;
 mod validate;
 
-pub use laser::plot_laser;
 pub use methods::{
     AfferentsRow, AfferentsTradeoff, Count, Difference, Extreme, LeftOut, MATCH_S, MOST_STEPS, MethodLabel,
     MethodTradeoff, Reason, Row, STEPS_US, afferents_tradeoff, matching, plot, reasons, tradeoff,

@@ -9,10 +9,7 @@ use meissner_array::random::normal;
 use meissner_array::simulated::{SimulatedMotors, SimulatedMotorsConfig};
 use meissner_array::spec::{Array, ArraySpec};
 use meissner_array::strokes::{LiveStrokes, StrokeOptions, Strokes};
-use meissner_stream::calibrate::{
-    Calibration, Fit, Layout, Plan, PlayedOn, PlayedPlan, Recording, Sensor, fit, fit_recording, laser_plan,
-    pulses_range, simulated_recording, travels_by_sensor,
-};
+use meissner_stream::calibrate::{Calibration, Fit, Plan, fit, pulses_range, travels_by_sensor};
 use meissner_stream::queues::{Command, CommandError, LiveResult, LiveUpdate, Play, StreamEvent};
 use meissner_stream::{
     Bandwidth, Gains, Line, MotorRun, Period, Settings, SimulationError, Source, simulate_play,
@@ -167,27 +164,6 @@ fn a_calibration_finds_the_gains_of_other_motors_and_names_their_array() {
         let line = Calibration::parse(&text, "c.toml").unwrap_err().to_string();
         assert!(line.contains(says) && !line.contains('\n'), "{line}");
     }
-}
-
-#[test]
-fn a_laser_finds_the_gains_of_another_motor() {
-    let (array, config) = (other(), SimulatedMotorsConfig::default());
-    let plan = laser_plan(array, 2, None, None).unwrap();
-    let on = PlayedOn {
-        device: "serial".into(),
-        firmware: "0.1.0".into(),
-        identity: "E6614C".into(),
-        boot: 7,
-        date: "2026-03-04T12:00:00Z".into(),
-    };
-    let played = PlayedPlan::new(&plan, 2, Tick::BOOT + 98_765, on);
-    assert_eq!(PlayedPlan::parse(&played.to_json()).as_ref(), Ok(&played));
-    let recording = simulated_recording(&played, &config, &Sensor::default());
-    let recording = Recording::read(recording.as_bytes(), &Layout::default()).unwrap();
-    let found = fit_recording(&played, &recording).unwrap();
-    assert_near([&found.fit.up, &found.fit.down], true_gains(&config, 2), array);
-    let calibration = found.calibration(&played).unwrap();
-    assert_eq!((calibration.array(), calibration.provenance().um_per_pulse), (array, 0.31));
 }
 
 /// An array with these lines of its table of the motor.

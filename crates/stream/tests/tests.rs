@@ -15,10 +15,8 @@ mod edges;
 mod endings;
 /// Faults by script.
 mod faults;
-/// Calibration from a laser's recording.
+/// The plan of a calibration with a laser.
 mod laser;
-/// Files of recordings, of many programs.
-mod laser_files;
 /// A device that lies: undamaged messages that cannot be true.
 mod lies;
 /// Live plays: updates replace strokes on the device.

@@ -7,7 +7,7 @@
 //! 3. `fit`: a [`Fit`] is a straight line through the travels of a motor and direction; its slope over the model's is the
 //!    gain. [`fit`](fn@fit) fits all motors.
 //! 4. `calibration`: a [`Calibration`] holds the fits and how they were made; `file` reads and writes it as TOML.
-//! 5. `laser` measures travels on a device without telemetry: from the recording of a displacement sensor.
+//! 5. `laser` is the plan for a device without telemetry, and its document: Python fits a recording of a displacement sensor to it.
 //!
 //! Nothing here corrects a stroke, opens a device or reads a clock.
 //!
@@ -22,12 +22,7 @@ mod travel;
 
 pub use calibration::{Calibration, CalibrationError, FORMAT, MAX_BYTES, Problem};
 pub use fit::{Fit, FitError, FitPoint, FitProblem, GAIN_RANGE, MAX_SLOPE_SE, MIN_BURSTS, MotorFit, fit};
-pub use laser::{
-    BurstDirection, Figure, LASER, LASER_REPETITIONS, LaserError, LaserFit, Layout, LengthUnit,
-    MAX_CLOCK_PPM, MAX_PLAN_BYTES, MAX_RECORDING_BYTES, MAX_SAMPLES, MAX_SECONDS, PlanFileError, PlayedBurst,
-    PlayedOn, PlayedPlan, Recording, RecordingError, Sample, Sensor, TimeUnit, TracePoint, fit_recording,
-    laser_plan, simulated_recording,
-};
+pub use laser::{BurstDirection, LASER_REPETITIONS, PlayedBurst, PlayedOn, PlayedPlan, laser_plan};
 pub use plan::{
     DEFAULT_REPETITIONS, GROUP_S, MAX_GROUPS, Plan, PlanError, PlannedBurst, STROKES_PER_GROUP, pulses_range,
 };
