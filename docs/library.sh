@@ -1,8 +1,7 @@
 #!/usr/bin/env bash
-# Makes the patterns of the library again from targets/, and prints the time of each. The bytes are the same unless models,
-# search or targets have changed. Usage: docs/library.sh [--paper|--rendered] [DIR]; without DIR it writes into patterns/. With --paper
-# it makes those of the paper's objective, TARGET-paper.toml, without DIR into patterns/paper/; with --rendered those of objects/,
-# OBJECT-rendered.toml, without DIR into patterns/rendered/
+# Makes the patterns of the library again from targets/, and prints the time of each. The bytes are the same unless the model, the
+# search or targets have changed. Usage: docs/library.sh [--rendered] [DIR]. It writes TARGET-paper.toml, without DIR into
+# patterns/paper/; with --rendered it makes those of objects/, OBJECT-rendered.toml, without DIR into patterns/rendered/
 set -euo pipefail
 cd "$(dirname "$0")/.."
 if [ "${1:-}" = --rendered ]; then
@@ -13,23 +12,15 @@ if [ "${1:-}" = --rendered ]; then
     done
     exit
 fi
-paper=""
-if [ "${1:-}" = --paper ]; then
-    paper=-paper
-    shift
-fi
-out=${1:-patterns${paper:+/paper}}
+out=${1:-patterns/paper}
 cargo build --release --quiet
 begun=$SECONDS
 for target in targets/*.toml; do
-    name=$(basename "$target" .toml)$paper
-    target/release/meissner optimise "$target" --robust ${paper:+--objective contrast --model membrane} -o "$out/$name.toml" --json | python3 -c '
+    target/release/meissner optimise "$target" --robust -o "$out/$(basename "$target" .toml)-paper.toml" --json | python3 -c '
 import json, sys
 made = json.load(sys.stdin)
-first, second = made["models"]
-print("%-16s value %7.3f contrast %6.1f (naive %6.1f) and %5.1f (%5.1f) under the second model, held out %6.1f  %5d evaluations %5.1f s" % (
-    made["target"], made["value"], first["cost_hz"], first["baselines"][0]["cost_hz"], second["cost_hz"],
-    second["baselines"][0]["cost_hz"], sum(made["robustness"]["held_out_hz"]) / len(made["robustness"]["held_out_hz"]),
-    sum(made["evaluations"]), made["wall_s"]))'
+print("%-16s contrast %6.1f (naive %6.1f), held out %6.1f  %5d evaluations %5.1f s" % (
+    made["target"], made["cost_hz"], made["baselines"][0]["cost_hz"],
+    sum(made["robustness"]["held_out_hz"]) / len(made["robustness"]["held_out_hz"]), sum(made["evaluations"]), made["wall_s"]))'
 done
-echo "the whole library: $((SECONDS - begun)) s"
+echo "all of targets/: $((SECONDS - begun)) s"

@@ -128,8 +128,7 @@ fn the_rate_under_a_pin_against_frequency_is_another_program_s() {
 
 #[test]
 fn a_search_tells_its_start_and_its_way() {
-    let asked =
-        ["optimise", "dot", "--setting", "always_on", "--objective", "contrast", "--budget", "60", "--json"];
+    let asked = ["optimise", "dot", "--setting", "always_on", "--budget", "60", "--json"];
     let found = document(meissner().args(asked));
     let trace = rows(&found["trace"]);
     assert_eq!((&trace[0]["evaluations"], &trace[0]["frame"]), (&1.into(), &0.into()));

@@ -87,12 +87,19 @@ fn the_table_has_what_objects_differ_in() {
         judge
     };
     let text = printed(&mut judge(&[]));
-    assert!(text.contains("2 objects, 1 finger, by") && text.contains("share named, gap RMS mm\n"), "{text}");
+    assert!(
+        text.contains("2 objects, 1 finger, by") && text.contains("share named, d', gap RMS mm\n"),
+        "{text}"
+    );
     // Two names, so an answer is right or 4 mm off.
     let found = document(&mut judge(&["--json"]));
     for answers in line(&found, "render rule")["real"].as_array().unwrap() {
         let [named, gap_mm] = ["named", "gap_mm"].map(|key| answers[key].as_f64().unwrap());
         assert!((gap_mm * gap_mm - 16.0 * (1.0 - named)).abs() < 1e-9, "{found}");
+        let counts: Vec<Vec<u32>> = serde_json::from_value(answers["confusion"].clone()).unwrap();
+        let (right, all) = (counts[0][0] + counts[1][1], counts.concat().iter().sum::<u32>());
+        assert!((f64::from(right) / f64::from(all) - named).abs() < 1e-9 && all > 0, "{found}");
+        assert!(answers["d_prime"].as_f64().unwrap() >= 0.0, "{found}");
     }
     assert_eq!(line(&found, "render auto")["own"][1]["gap_mm"], 0.0);
 }

@@ -5,7 +5,7 @@ use meissner_array::pattern::Pattern;
 use meissner_array::simulated::SimulatedMotorsConfig;
 use meissner_array::spec::Array;
 use meissner_array::strokes::StrokeOptions;
-use meissner_design::{MOST_OBSERVED_S, Play, predict_response};
+use meissner_paper::{MOST_OBSERVED_S, Play, predict_response};
 use meissner_stream::{Settings, SimulatedPlay, simulate_play};
 use meissner_test_support::paper::TICK_HZ;
 use meissner_test_support::played::by_simulated_motors;

@@ -25,8 +25,6 @@ mod careless;
 mod cli;
 /// More clients than there are places, and clients that do not read.
 mod client_limits;
-/// `discriminate` and `validate`: documents, files, mistakes; verdicts that follow from numbers.
-mod discriminate;
 /// `displacement`: samples of the pins as table and as document; patterns of files and stdin.
 mod displacement;
 /// `GET /v1/doctor`: the same findings as the command's, each verdict, many clients at once.
@@ -93,3 +91,5 @@ mod sessions;
 mod simulate;
 /// Stimuli as ordered: empty, weak, whole strokes, replaced, removed; receipts of cut plays.
 mod stimuli;
+/// `validate`: a verdict for every case, and the book's table.
+mod validate;

@@ -3,20 +3,17 @@
 //! Before criterion's times it prints what each method has found within several budgets, on several targets. On the yardstick it
 //! also prints how our search compares with a coordinate search on ten populations, how soon it comes within 1 % of its final
 //! result, and where subgradient methods stop. Each pattern found is scored again, exactly, with noise that no search has used.
-//! Then it prints the time of a search under each model; `-- models` prints and measures that alone.
 //!
 //! Invariant: two runs print the same, except for the times.
 
 #[path = "optimise/baselines.rs"]
 mod baselines;
-#[path = "optimise/models.rs"]
-mod models;
 
 use baselines::{METHODS, Method};
 use criterion::{Criterion, criterion_group, criterion_main};
-use meissner_design::{
-    Brief, Fidelity, Found, Goal, Limit, Models, Objective, Point, Score, Setting, Space, Spent, Target,
-    YARDSTICK, search, shipped,
+use meissner_paper::{
+    Brief, Fidelity, Found, Limit, Objective, Point, Score, Setting, Space, Spent, Target, YARDSTICK, search,
+    shipped,
 };
 use rayon::ThreadPoolBuilder;
 use rayon::prelude::*;
@@ -52,8 +49,6 @@ impl<'j> Command<'j> {
 
     fn brief(&self) -> Brief<'_> {
         Brief {
-            models: Models::Membrane,
-            goal: Goal::Contrast,
             target: self.target,
             frame: &self.target.frames()[0],
             populations: &self.seed,
@@ -78,7 +73,7 @@ impl<'j> Command<'j> {
     fn exact_hz(&self, point: Point) -> f64 {
         let Brief { target, frame, populations, .. } = self.brief();
         let of_noise = |&noise: &u64| {
-            let objective = Objective::new(Goal::Contrast, target, frame, populations, noise, Fidelity::FULL);
+            let objective = Objective::new(target, frame, populations, noise, Fidelity::FULL);
             objective.at(point).expect("the method can").score().cost_hz()
         };
         mean(&NOISE_SEEDS.each_ref().map(of_noise))
@@ -231,25 +226,7 @@ fn stuck() {
     }
 }
 
-/// Searches under the first and the second model, and under both, side by side.
-fn by_model(criterion: &mut Criterion) {
-    models::table(&TARGETS.map(target));
-    let target = target(YARDSTICK);
-    let mut group = criterion.benchmark_group("models");
-    group.sample_size(10).measurement_time(Duration::from_secs(10));
-    let pool = ThreadPoolBuilder::new().num_threads(1).build().expect("threads can be started");
-    for of in [Models::Membrane, Models::Afferents, Models::Both] {
-        let climb = models::Climb::new(&target, of);
-        group.bench_function(of.name(), |bencher| pool.install(|| bencher.iter(|| climb.run())));
-    }
-    group.finish();
-}
-
 fn to_convergence(criterion: &mut Criterion) {
-    // A filter chooses criterion's times alone; the tables before them take minutes.
-    if std::env::args().any(|argument| argument == "models") {
-        return;
-    }
     let begun = Instant::now();
     table();
     against_coordinates();
@@ -269,5 +246,5 @@ fn to_convergence(criterion: &mut Criterion) {
     group.finish();
 }
 
-criterion_group!(benches, by_model, to_convergence);
+criterion_group!(benches, to_convergence);
 criterion_main!(benches);

@@ -10,7 +10,7 @@ use meissner_array::pattern::{Drive, Pattern};
 use meissner_array::random::normal;
 use meissner_array::spec::Array;
 use meissner_array::strokes::{StrokeOptions, Strokes};
-use meissner_design::{Play, predict_response};
+use meissner_paper::{Play, predict_response};
 use meissner_skin::afferents;
 use meissner_skin::membrane::Position;
 use meissner_skin::{

@@ -13,7 +13,7 @@ use meissner_api::{
 };
 use meissner_array::pattern::Pattern;
 use meissner_array::samples;
-use meissner_design::Target;
+use meissner_paper::Target;
 use meissner_research::Trace;
 use meissner_skin::AnyScene;
 use meissner_stream::calibrate::Calibration;
@@ -45,7 +45,6 @@ pub const KINDS: [(&str, Read); 19] = [
     ("live", |bytes| body(bytes, LiveRequest::parse)),
     ("live message", |bytes| body(bytes, LiveMessage::parse)),
     ("other requests", other_requests),
-    ("target in JSON", |bytes| text(bytes, |text| drop(Target::read_json(text)))),
     ("device", |bytes| text(bytes, device)),
 ];
 

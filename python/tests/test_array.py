@@ -98,15 +98,15 @@ def test_a_session_on_each_array(on: meissner.Client, tmp_path: Path) -> None:
 
 def test_a_pattern_that_is_found_is_for_the_array(tmp_path: Path) -> None:
     with meissner.demo(config='[array]\ndescription = "tula35-2x3"\n') as m:
-        found = m.design("edge-45", objective="off-rms", budget=20)
+        found = m.design("edge-45", budget=20)
         assert 'array = "tula35-2x3"' in found.toml
         assert m.play(found.name, 0.1).wait().array == m.array.name
 
 
 def check_designs(m: meissner.Client, description: Path) -> None:
     """The client searches for the daemon's array, or for the one that is given."""
-    designs = [m.design("edge-45", objective="off-rms", budget=20, name="found")]
-    designs.append(m.design("edge-45", objective="off-rms", budget=20, name="given", array=description))
+    designs = [m.design("edge-45", budget=20, name="found")]
+    designs.append(m.design("edge-45", budget=20, name="given", array=description))
     for found in designs:
         assert f'array = "{m.array.name}"' in found.toml
         assert m.play(found.name, 0.1).wait().array == m.array.name

@@ -38,7 +38,7 @@ OF_A_CLIENT: list[tuple[str, Call, str]] = [
     ("export_bids", lambda m: m.export_bids(), r"`export_bids\(\)` needs `session_id` and `root`"),
     ("export_nwb", lambda m: m.export_nwb("x", path="y"), r"did you mean `file`?"),
     ("design", lambda m: m.design("dot", seconds=1), "did you mean `budget`?"),
-    ("design", lambda m: m.design("dot", objective="x"), "invalid value 'x' for '--objective <NAME>'"),
+    ("design", lambda m: m.design("dot", setting="x"), "invalid value 'x' for '--setting <SETTING>'"),
     ("render", lambda m: m.render("bar", speed=1), r"`render\(\)` has no argument `speed`"),
     # A value of another kind.
     ("play", lambda m: m.play("pin-60", "0.1"), '`seconds` is string "0.1": must be a number'),

@@ -5,7 +5,6 @@
 //! - `stop`: [`stop_tradeoff`] measures rest errors above a lower stop against the theory.
 //! - `motions`: [`motion_figures`] says what motors reach of ramps, bursts, chirps, noise and a texture; [`drift_figures`] compares drift
 //!   without telemetry with its theory.
-//! - `objectives`: [`objective_tradeoff`] compares the objectives of a search with each other and with the naive rules.
 //! - `rendering`: [`rendering_figures`] compares the work of a rendering with its error.
 //! - `textures`: [`texture_figures`] compares textures with what the motors can carry of them.
 //! - `sixty_hertz` has the drives that `lead` and `control` play.
@@ -14,7 +13,7 @@
 //!
 //! Simulation methods are compared by `meissner tradeoff`, which users need to choose one.
 //!
-//! Invariant: results depend on the request alone. Only the times of searches and renderings depend on the machine.
+//! Invariant: results depend on the request alone. Only the times of renderings depend on the machine.
 //!
 //! ```
 //! use meissner_research::{Trace, lead_tradeoff};
@@ -28,7 +27,6 @@
 mod control;
 mod lead;
 mod motions;
-mod objectives;
 mod rendering;
 mod sixty_hertz;
 mod stop;
@@ -42,10 +40,6 @@ pub use lead::{
 };
 pub use motions::{
     DriftFigures, DriftRow, HarmonicRow, Held, MotionFigures, StimulusRow, drift_figures, motion_figures,
-};
-pub use objectives::{
-    BelowNaive, CellOfClass, ClassRow, ObjectiveCell, ObjectiveMeans, ObjectiveRow, ObjectiveTradeoff,
-    objective_tradeoff,
 };
 pub use rendering::{RenderingFigures, RenderingRow, rendering_figures};
 pub use stop::{

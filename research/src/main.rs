@@ -5,13 +5,11 @@ mod table;
 use anyhow::Result;
 use clap::{Parser, Subcommand};
 use meissner::cli::{give, text_of_file};
-use meissner::store::Store;
 use meissner_array::spec::Array;
 use meissner_research::{
     ControlGrid, LEADS_MS, MAX_TRACE_BYTES, STALLS, StopGrid, Trace, control_tradeoff, drift_figures,
-    lead_tradeoff, motion_figures, objective_tradeoff, rendering_figures, stop_tradeoff, texture_figures,
+    lead_tradeoff, motion_figures, rendering_figures, stop_tradeoff, texture_figures,
 };
-use meissner_skin::ModelName;
 use serde::Serialize;
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -42,12 +40,6 @@ enum What {
     Motions,
     /// Compare the drift of noise without telemetry with its theory, with and without a lower stop
     Drift,
-    /// Compare what a search maximises: patterns by each objective and by naive rules (minutes)
-    Objectives {
-        /// Search under the second model, not the first
-        #[arg(long)]
-        afferents: bool,
-    },
     /// Compare the work of rendering an object with the error of what fingers feel (a minute)
     Rendering,
     /// Compare textures with what the motors can carry of them (a minute)
@@ -58,8 +50,6 @@ enum What {
 const FINGERS: u64 = 5;
 /// Seconds of noise.
 const DRIFT_S: u32 = 60;
-/// Evaluations of each search; more would hardly improve the result.
-const EVALUATIONS: u64 = 1000;
 
 fn main() -> Result<ExitCode> {
     let Arguments { what, json } = Arguments::parse();
@@ -79,12 +69,6 @@ fn main() -> Result<ExitCode> {
         What::Drift => print(json, &drift_figures(Array::paper(), DRIFT_S)?, table::motions::drift),
         What::Rendering => print(json, &rendering_figures(FINGERS)?, table::rendering::table),
         What::Textures => print(json, &texture_figures(FINGERS)?, table::rendering::textures),
-        What::Objectives { afferents } => {
-            let store = Store::new(None, false)?;
-            let library = |name: &str| store.library(name).map(|stored| stored.pattern.drives().to_vec());
-            let model = if afferents { ModelName::Afferents } else { ModelName::Membrane };
-            print(json, &objective_tradeoff(EVALUATIONS, model, &library)?, table::objectives::table)
-        }
     }
 }
 

@@ -4,10 +4,9 @@
 use crate::mean;
 use anyhow::{Context, Result};
 use meissner_array::spec::Array;
-use meissner_design::Shape;
 use meissner_render::{Effort, Judge, Method, render_with, response_of};
 use meissner_skin::{Finger, SkinModel};
-use meissner_touch::{Contact, Object, Pose, Press, Scan, Touch, respond, surface_of};
+use meissner_touch::{Contact, Object, Pose, Press, Scan, Shape, Touch, respond, surface_of};
 use serde::Serialize;
 use std::time::Instant;
 

@@ -127,22 +127,6 @@ impl TriggerOptions {
     }
 }
 
-/// What a search maximises, by `--objective`.
-pub(super) const OBJECTIVES: &[(&str, &str)] = &[
-    ("contrast", "Mean rate of ON minus mean rate of OFF, as in the paper"),
-    ("off-rms", "Mean of ON minus RMS of OFF: keeps dots apart, with `optimise --robust`"),
-    ("off-rms-twice", "Mean of ON minus twice the RMS of OFF: stricter"),
-    ("near-off", "As contrast; OFF afferents near the target weigh more"),
-    ("auc", "Chance that an ON afferent fires faster than an OFF one"),
-    ("correlation", "Correlation of the rates with the ON set"),
-    ("rivals", "Distance from the most similar shape, in SD of the counts"),
-];
-/// Under which models a search works, by `--model`.
-pub(super) const MODELS: &[(&str, &str)] = &[
-    ("both", "The gain over the rule naive-reach, under the model in which it is less"),
-    ("membrane", "RA afferents with a leaky membrane, as in the paper"),
-    ("afferents", "Skin mechanics, and RA afferents fitted to recordings"),
-];
 /// What a search may choose, by `--setting`.
 pub(super) const SETTINGS: &[(&str, &str)] = &[
     ("default", "Motors may be off; 5 to 150 Hz"),

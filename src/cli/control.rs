@@ -88,7 +88,7 @@ fn stop_at(endpoint: Endpoint) -> Result<(bool, Option<Status>), ClientError> {
     };
     let status = Client::at(endpoint).and_then(|mut client| client.get("/v1/status"));
     let warn = |error: &ClientError| {
-        tell(&format!("warning: {place}: {}, but no status came: {error}", done(is_confirmed)))
+        tell(&format!("warning: {place}: {}, but no status came: {error}", done(is_confirmed)));
     };
     Ok((is_confirmed, status.inspect_err(warn).ok()))
 }

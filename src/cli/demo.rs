@@ -29,7 +29,7 @@ use meissner_array::per_motor::PerMotor;
 use meissner_array::simulated::{LowerStop, SimulatedMotorsConfig};
 use meissner_array::spec::Array;
 use meissner_client::{Client, Events};
-use meissner_design::shipped;
+use meissner_paper::shipped;
 use meissner_render::{Judge, Method, Rival, render, response_of};
 use meissner_skin::{Finger, SkinModel};
 use meissner_stream::device::Spec;

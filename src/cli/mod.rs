@@ -14,7 +14,6 @@ mod array;
 mod calibrate;
 mod control;
 mod demo;
-mod discriminate;
 mod displacement;
 mod doctor;
 mod ending;
@@ -249,8 +248,6 @@ enum Command {
     Judge(judge::Judge),
     /// Compare simulation methods on this machine: time against error
     Tradeoff(tradeoff::Tradeoff),
-    /// Predict whether a finger can tell patterns apart: d', per cent correct, confusion matrix
-    Discriminate(discriminate::Discriminate),
     /// Compare both models of skin and afferents with published figures
     Validate(validate::Validate),
     /// Write the man pages, the completions of three shells and the OpenAPI document to a folder
@@ -354,7 +351,6 @@ fn run(command: Command) -> Result<ExitCode> {
         Command::Tradeoff(asked) => tradeoff::run(&asked),
         Command::Render(asked) => render::run(&asked),
         Command::Judge(asked) => judge::run(&asked),
-        Command::Discriminate(asked) => discriminate::run(&asked),
         Command::Validate(asked) => validate::run(&asked),
         Command::Manual { folder } => manual::manual(&folder).map(|()| ExitCode::SUCCESS),
         Command::Doctor { device, array, board, seconds, options } => {

@@ -6,7 +6,7 @@
 //!
 //! Invariant: an existing file is replaced only by a whole pattern.
 
-use super::arguments::{ArrayOption, MODELS, OBJECTIVES, Output, SETTINGS, choice, positive};
+use super::arguments::{ArrayOption, Output, SETTINGS, choice, positive};
 use super::ending::on_interrupt;
 use super::output::{is_broken_pipe, say, say_file, say_json, tell};
 use super::progress::Search;
@@ -14,12 +14,11 @@ use super::{files, pattern_file, text};
 use anyhow::{Result, anyhow, bail};
 use clap::Args;
 use meissner_array::pattern::Pattern;
-use meissner_design::{
-    Baseline, Budget, ByModel, Ended, Found, Goal, MAX_BYTES, Made, Models, Request, Robustness, Setting,
-    Step, Target, Verdict, make, populations, shipped, shipped_names,
-};
 use meissner_input::message::nearest;
-use meissner_skin::ModelName;
+use meissner_paper::{
+    Baseline, Budget, Ended, Found, MAX_BYTES, Made, Request, Robustness, Setting, Step, Target, Verdict,
+    make, populations, shipped, shipped_names,
+};
 use serde::Serialize;
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
@@ -42,12 +41,6 @@ pub(super) struct Optimise {
     /// Choose the search space
     #[arg(long, default_value = "default", value_parser = choice::<Setting>(SETTINGS))]
     setting: Setting,
-    /// Choose what to maximise: ON afferents lie within reach of the target, OFF are all others
-    #[arg(long, value_name = "NAME", default_value = "off-rms-twice", value_parser = choice::<Goal>(OBJECTIVES))]
-    objective: Goal,
-    /// Choose the models whose RA afferents are ON or OFF [default: both; with --objective contrast membrane, as in the paper]
-    #[arg(long, value_name = "MODEL", value_parser = choice::<Models>(MODELS))]
-    model: Option<Models>,
     /// Stop after about N evaluations (per frame of a moving target; or N,N,... for each), or N seconds in all (Ns)
     /// [default: until nothing improves]
     #[arg(long, value_name = "N|Ns")]
@@ -92,8 +85,6 @@ struct Document<'a> {
     /// The file, if one was written.
     file: Option<String>,
     setting: Setting,
-    model: Models,
-    objective: Goal,
     seed: u64,
     robust: bool,
     /// Seeds of the populations it was made for.
@@ -104,12 +95,8 @@ struct Document<'a> {
     ended: &'static str,
     #[serde(flatten)]
     verdict: Verdict,
-    /// The value of the objective.
-    value: f64,
     /// What the naive rules reach in the same conditions.
     baselines: &'a [Baseline],
-    /// The pattern and the naive rules under both models, by RA afferents, in the same conditions.
-    models: &'a [ByModel],
     pulses_per_s: f64,
     robustness: &'a Robustness,
     warnings: Vec<String>,
@@ -191,13 +178,7 @@ pub(super) fn run(asked: &Optimise) -> Result<ExitCode> {
             target.array().name()
         );
     }
-    let models = asked.model.unwrap_or(match asked.objective {
-        Goal::Contrast => Models::Membrane,
-        _ => Models::Both,
-    });
     let request = Request {
-        models,
-        goal: asked.objective,
         setting: asked.setting,
         seed: asked.seed,
         robust: asked.robust,
@@ -236,8 +217,6 @@ pub(super) fn run(asked: &Optimise) -> Result<ExitCode> {
         target: target.name(),
         file: asked.file.as_ref().map(|file| file.to_string_lossy().into_owned()),
         setting: asked.setting,
-        model: models,
-        objective: asked.objective,
         seed: asked.seed,
         robust: asked.robust,
         populations: populations(&target, asked.robust),
@@ -249,9 +228,7 @@ pub(super) fn run(asked: &Optimise) -> Result<ExitCode> {
             Ended::Interrupted => "interrupted",
         },
         verdict: made.verdict,
-        value: made.value,
         baselines: &made.baselines,
-        models: &made.models,
         pulses_per_s: made.pulses_per_s,
         robustness: &made.robustness,
         warnings: lowered(&of_file, &target).into_iter().chain(target.warnings()).collect(),
@@ -297,24 +274,9 @@ fn target(argument: &str) -> Result<Target> {
 fn naive(document: &Document<'_>) -> String {
     let of = |baseline: &Baseline| {
         let Verdict { cost_hz, auc, .. } = baseline.verdict;
-        let own = match (document.model, document.objective) {
-            (Models::Both, _) => format!(", gain {:.3}", baseline.value),
-            (_, Goal::Contrast) => String::new(),
-            (_, goal) => format!(", {} {:.3}", goal.name(), baseline.value),
-        };
-        format!("{}: contrast {cost_hz:.1}, AUC {auc:.3}{own}", baseline.rule.name())
+        format!("{}: contrast {cost_hz:.1}, AUC {auc:.3}", baseline.rule.name())
     };
     document.baselines.iter().map(of).collect::<Vec<_>>().join("; ")
-}
-
-/// The pattern and the naive rules under a model.
-fn under(document: &Document<'_>, model: ModelName) -> String {
-    let Some(of) = document.models.iter().find(|of| of.model == model) else { return String::new() };
-    let figures = |of: &Verdict| format!("contrast {:.1}, AUC {:.3}", of.cost_hz, of.auc);
-    let rules = of.baselines.iter().map(|of| format!("{}: {}", of.rule.name(), figures(&of.verdict)));
-    let all: Vec<String> =
-        [format!("{}: {}", model.name(), figures(&of.verdict))].into_iter().chain(rules).collect();
-    all.join("; ")
 }
 
 fn summary(target: &Target, document: &Document<'_>, made: &Made) -> String {
@@ -332,10 +294,6 @@ fn summary(target: &Target, document: &Document<'_>, made: &Made) -> String {
         Ended::Interrupted => "interrupted; this is the best so far",
     };
     let evaluations: u64 = document.evaluations.iter().sum();
-    let other = match document.model.first() {
-        ModelName::Membrane => ModelName::Afferents,
-        ModelName::Afferents => ModelName::Membrane,
-    };
     let of =
         |seeds: usize| if seeds == 1 { "1 population".to_owned() } else { format!("{seeds} populations") };
     let mut lines = vec![
@@ -362,7 +320,6 @@ fn summary(target: &Target, document: &Document<'_>, made: &Made) -> String {
             ),
         ),
         ("naive", naive(document)),
-        ("other model", under(document, other)),
         (
             "held out",
             if held_out_hz.is_empty() {
@@ -376,19 +333,8 @@ fn summary(target: &Target, document: &Document<'_>, made: &Made) -> String {
         ("afferents", format!("{half_hz:.1} half, {full_hz:.1} full, {signed_hz:.1} signed")),
         ("drive", format!("{:.0} pulses/s", document.pulses_per_s)),
     ];
-    let Document { model, objective, value, .. } = document;
-    if *model == Models::Both {
-        let share = if objective.unit() == "impulses/s" { " of its ON rate" } else { "" };
-        let value = format!(
-            "{}: gain over naive-reach {value:.3}{share}, under the model in which it is less",
-            objective.name()
-        );
-        lines.insert(3, ("objective", value));
-    } else if *objective != Goal::Contrast {
-        let value = format!("{} {value:.3} {}", objective.name(), objective.unit());
-        lines.insert(3, ("objective", value.trim_end().to_owned()));
-    }
-    if let Some(better) = document.baselines.iter().find(|of| of.value >= document.value) {
+    if let Some(better) = document.baselines.iter().find(|of| of.verdict.cost_hz >= document.verdict.cost_hz)
+    {
         let name = better.rule.name();
         lines.push((
             "note",

@@ -54,13 +54,13 @@ impl Search {
         Self { lines: !json && meter.0.is_none(), meter, shown: Instant::now() }
     }
 
-    pub(super) fn show(&mut self, progress: &meissner_design::Progress) {
+    pub(super) fn show(&mut self, progress: &meissner_paper::Progress) {
         let now = Instant::now();
         if now.duration_since(self.shown) < if self.lines { SHORT } else { TURN } {
             return;
         }
         self.shown = now;
-        let meissner_design::Progress { frame, frames, spent, score } = progress;
+        let meissner_paper::Progress { frame, frames, spent, score } = progress;
         let of = if *frames > 1 { format!("frame {} of {frames}, ", frame + 1) } else { String::new() };
         let line = format!(
             "{of}{} evaluations: {:.1} impulses/s, {:.1} ON, {:.1} OFF",

@@ -15,7 +15,7 @@ use meissner_array::motor::Ramp;
 use meissner_array::pattern::Pattern;
 use meissner_array::spec::{Array, MotorSpec};
 use meissner_array::strokes::{StrokeOptions, Strokes, StrokesError, Surplus};
-use meissner_design::{MOST_OBSERVED_S, PredictionError};
+use meissner_paper::{MOST_OBSERVED_S, PredictionError};
 use meissner_skin::afferents::Class;
 use meissner_stream::queues::MeasuredBurst;
 use std::collections::{HashMap, HashSet};
@@ -168,8 +168,8 @@ impl<'p> PlayedPattern<'p> {
         let (pattern, onset) = (self.pattern, self.onset);
         // The design has no surplus.
         let options = StrokeOptions { surplus: Surplus::None, ..self.options.clone() };
-        let predicted = meissner_design::predict_response(
-            &meissner_design::Play { pattern, options, onset, observed_s, by_class: true },
+        let predicted = meissner_paper::predict_response(
+            &meissner_paper::Play { pattern, options, onset, observed_s, by_class: true },
             ramps,
         )?;
         Ok(PredictedResponse {
@@ -184,7 +184,7 @@ impl<'p> PlayedPattern<'p> {
     }
 }
 
-fn class_response(of: meissner_design::ClassResponse) -> ClassResponse {
+fn class_response(of: meissner_paper::ClassResponse) -> ClassResponse {
     let class = match of.class {
         Class::Sa1 => AfferentClass::Sa1,
         Class::Ra => AfferentClass::Ra,
@@ -193,8 +193,8 @@ fn class_response(of: meissner_design::ClassResponse) -> ClassResponse {
     ClassResponse { class, designed_hz: rates(of.designed_hz), played_hz: rates(of.played_hz) }
 }
 
-const fn rates(of: meissner_design::Rates) -> Rates {
-    let meissner_design::Rates { all, on, off, contrast } = of;
+const fn rates(of: meissner_paper::Rates) -> Rates {
+    let meissner_paper::Rates { all, on, off, contrast } = of;
     Rates { all, on, off, contrast }
 }
 

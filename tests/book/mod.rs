@@ -9,7 +9,7 @@ use meissner::config::{Config, LOGBOOK_DAYS, PatternsDir};
 use meissner::session_record::Location;
 use meissner_api::SequenceRequest;
 use meissner_array::pattern::Pattern;
-use meissner_design::Target;
+use meissner_paper::Target;
 use meissner_skin::{AnyScene, Scene};
 use meissner_stream::calibrate::Calibration;
 use meissner_stream::device::Spec;

@@ -9,11 +9,11 @@
 use cmaes::{CMAESOptions, DVector};
 use meissner_array::per_motor::PerMotor;
 use meissner_array::random;
-use meissner_design::{Brief, Fidelity, Limit, Objective, Point, Score, Space, Vibration, search};
+use meissner_paper::{Brief, Fidelity, Limit, Objective, Point, Score, Space, Vibration, search};
 use std::ops::ControlFlow;
 
 /// The fidelity of a subgradient method; our search ends with the same.
-const LOOK: Fidelity = Fidelity { duration_s: 1.0, step_us: Some(500), min_weight: 1e-3, min_share: None };
+const LOOK: Fidelity = Fidelity { duration_s: 1.0, step_us: Some(500), min_weight: 1e-3 };
 /// The fidelity of a random search and of CMA-ES: shorter, so less exact, but they do better with four times as many points.
 const SHORT_LOOK: Fidelity = Fidelity { duration_s: 0.25, ..LOOK };
 /// The fidelity of the coordinate search, as its specification says.
@@ -123,7 +123,7 @@ fn ours(brief: &Brief<'_>, start: Point, most: f64) -> Point {
 }
 
 fn objective(brief: &Brief<'_>, fidelity: Fidelity) -> Objective {
-    Objective::new(brief.goal, brief.target, brief.frame, brief.populations, brief.noise_seed, fidelity)
+    Objective::new(brief.target, brief.frame, brief.populations, brief.noise_seed, fidelity)
 }
 
 /// Simulates a point with all afferents, and returns its value.

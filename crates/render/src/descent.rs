@@ -294,9 +294,8 @@ mod tests {
     use crate::judge::compared;
     use crate::skin::SPACING_MM;
     use meissner_array::spec::Array;
-    use meissner_design::Shape;
     use meissner_skin::afferents::{Class, population};
-    use meissner_touch::{Contact, Object, Pose, Scan, Touch, respond, surface_of};
+    use meissner_touch::{Contact, Object, Pose, Scan, Shape, Touch, respond, surface_of};
 
     /// The slopes are those of the loss, by differences.
     #[test]

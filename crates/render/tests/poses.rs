@@ -2,9 +2,8 @@
 
 use crate::{contact, moving};
 use meissner_array::spec::Array;
-use meissner_design::Shape;
 use meissner_render::{Method, Poses, PosesError, render};
-use meissner_touch::{HeightMap, Object, Pose, Press, Surface, Touch, surface_of};
+use meissner_touch::{HeightMap, Object, Pose, Press, Shape, Surface, Touch, surface_of};
 
 /// The moment in the middle of the press, with the pins at their heights.
 const HELD: usize = 25;

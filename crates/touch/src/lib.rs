@@ -2,6 +2,7 @@
 //!
 //! The response of the same finger to the real object is what a pattern of pins should come near to. The data path:
 //!
+//! 0. `shape`: a [`Shape`] on the skin, and the distance of a place from it. `braille`: the dots of a Braille character.
 //! 1. `touch`: a [`Touch`] is the pose and the depth of an object over time: a press, a scan or a path.
 //! 2. `object`: an [`Object`] has a surface and a touch. It is made in memory, or read from a file.
 //! 3. `grains`: the part of the object under the finger becomes [`Grains`], flat round discs on a regular grid.
@@ -34,6 +35,7 @@
 //! # Ok::<(), meissner_touch::ContactError>(())
 //! ```
 
+mod braille;
 mod contact;
 mod fft;
 mod field;
@@ -41,10 +43,12 @@ mod grains;
 mod imprint;
 mod object;
 mod response;
+mod shape;
 mod skin;
 mod timeline;
 mod touch;
 
+pub use braille::dots as braille_dots;
 pub use contact::{Contact, ContactError, DEPTHS, MAX_BYTES, bytes, solve};
 pub use grains::Grains;
 pub use imprint::Imprint;
@@ -53,6 +57,7 @@ pub use object::{
     ObjectError, Open, PITCHES_MM, Problem, Surface, no_files, surface_of,
 };
 pub use response::respond;
+pub use shape::{Shape, direction, distance, on_pad, to_segment};
 pub use skin::displacements_mm;
 pub use touch::{
     MAX_DEPTH_MM, MAX_PLACE_MM, MAX_POSES, MAX_PRESS_MM_S, MAX_SPEED_MM_S, MAX_TOUCH_S, MAX_TURN_DEG_S, Pose,

@@ -146,17 +146,15 @@ class Design:
     toml: str
     """The pattern file."""
     summary: dict[str, Any] = field(repr=False)
-    """What the search says: objective, rates, and what two rules of thumb reach (`baselines`)."""
+    """What the search says: rates, and what two rules of thumb reach (`baselines`)."""
 
 
 @hinted
 def design(
     target: str,
     *,
-    objective: str | None = None,
     seed: int | None = None,
     setting: str | None = None,
-    model: str | None = None,
     budget: int | str | None = None,
     robust: bool = False,
     name: str | None = None,
@@ -164,13 +162,12 @@ def design(
 ) -> Design:
     """Find a pattern for a target shape: the name of a shipped target, or the path of a target file.
 
-    It runs `meissner optimise` on this machine. `objective`, `setting` and
-    `model` are as there. `budget` is a number of evaluations or seconds as in `"20s"`; without it the search goes on until
+    It runs `meissner optimise` on this machine. `setting` is as there. `budget` is a number of evaluations or seconds as in `"20s"`; without it the search goes on until
     nothing improves. `name`: the pattern's; without it `TARGET-found`. `array`: the name of a shipped array, or the file of a
     description; without it the target's.
     """
     name = name or f"{Path(target).stem}-found"
-    options = {"objective": objective, "seed": seed, "setting": setting, "model": model, "budget": budget}
+    options = {"seed": seed, "setting": setting, "budget": budget}
     arguments = ["optimise", target, *([] if array is None else ["--array", os.fspath(array)])]
     for key, value in options.items():
         if value is not None:

@@ -2,7 +2,7 @@
 
 use meissner_array::pattern::Pattern;
 use meissner_array::spec::Array;
-use meissner_design::YARDSTICK;
+use meissner_paper::YARDSTICK;
 use std::sync::LazyLock;
 
 /// The shipped pattern for the target [`YARDSTICK`].

@@ -12,7 +12,7 @@ use meissner_array::motor::Ramp;
 use meissner_array::pattern::{Drive, Pattern};
 use meissner_array::simulated::{Pin, SimulatedMotorsConfig};
 use meissner_array::strokes::{DriveStrokes, StrokeOptions};
-use meissner_design::{Play, PredictionError, Rates, YARDSTICK, predict_response};
+use meissner_paper::{Play, PredictionError, Rates, YARDSTICK, predict_response};
 use serde::Serialize;
 
 /// Mean rate of the afferents on the edge minus that of the others, impulses/s.

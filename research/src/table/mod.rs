@@ -3,6 +3,5 @@
 pub(crate) mod control;
 pub(crate) mod lead;
 pub(crate) mod motions;
-pub(crate) mod objectives;
 pub(crate) mod rendering;
 pub(crate) mod stop;

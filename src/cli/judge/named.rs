@@ -27,10 +27,14 @@ const PLACE_WORD: u64 = 21;
 const RENDERED: u64 = 100;
 
 /// What an observer answered.
-#[derive(Clone, Copy, Debug, Default, Serialize)]
+#[derive(Clone, Debug, Serialize)]
 struct Answers {
     /// The share of right names.
     named: f64,
+    /// The sensitivity d' of an observer who is right so often among as many names.
+    d_prime: f64,
+    /// By object that was felt: how often each object was named.
+    confusion: Vec<Vec<u32>>,
     /// The distance of the named object from the real one, RMS, mm.
     place_mm: f64,
     /// The difference of their angles, RMS, degrees.
@@ -60,8 +64,9 @@ struct Document {
 }
 
 /// The sums of answers.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Debug)]
 struct Sum {
+    confusion: Vec<Vec<u32>>,
     answers: f64,
     right: f64,
     squared_mm: f64,
@@ -70,7 +75,19 @@ struct Sum {
 }
 
 impl Sum {
+    fn new(objects: usize) -> Self {
+        Self {
+            confusion: vec![vec![0; objects]; objects],
+            answers: 0.0,
+            right: 0.0,
+            squared_mm: 0.0,
+            squared_deg: 0.0,
+            squared_gap_mm: 0.0,
+        }
+    }
+
     fn add(&mut self, objects: &[Object], thing: usize, named: usize) {
+        self.confusion[thing][named] += 1;
         let [is, taken] = [thing, named].map(|number| objects[number].touch().pose(0.0));
         self.answers += 1.0;
         self.right += f64::from(u8::from(thing == named));
@@ -87,17 +104,45 @@ impl Sum {
         let mean = |sum: f64| sum / self.answers.max(1.0);
         Answers {
             named: mean(self.right),
+            d_prime: d_prime(self.right, self.answers, self.confusion.len()),
             place_mm: mean(self.squared_mm).sqrt(),
             angle_deg: mean(self.squared_deg).sqrt(),
             gap_mm: mean(self.squared_gap_mm).sqrt(),
+            confusion: self.confusion,
         }
     }
+}
+
+/// The d' at which the largest of `names` normal readings, one of them shifted by d', is the right one as often as in these answers. An
+/// observer who is always right, or never, counts half an answer less, or more; one who guesses has 0.
+fn d_prime(right: f64, answers: f64, names: usize) -> f64 {
+    let share = (right / answers.max(1.0)).clamp(0.5 / answers.max(1.0), 1.0 - 0.5 / answers.max(1.0));
+    let others = names.saturating_sub(1) as i32;
+    let correct = |d_prime: f64| {
+        // The density of the right reading times the chance that all others are below it.
+        let density = |x: f64| (-x * x / 2.0).exp() / std::f64::consts::TAU.sqrt();
+        let (step, mut below, mut sum) = (0.01, 0.0, 0.0);
+        for number in -800..=1800 {
+            let x = f64::from(number) * step;
+            let part = density(x) * step;
+            sum += density(x - d_prime) * f64::powi(below + part / 2.0, others) * step;
+            below += part;
+        }
+        sum
+    };
+    let (mut low, mut high) = (0.0, 10.0);
+    for _ in 0..40 {
+        let middle = f64::midpoint(low, high);
+        if correct(middle) < share { low = middle } else { high = middle }
+    }
+    high
 }
 
 /// What the table shows of an observer's answers: names, and in what else the objects differ.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Column {
     Named,
+    DPrime,
     Place,
     Angle,
     Gap,
@@ -113,6 +158,7 @@ impl Column {
         let place = differs(&|a, b| [pose(a).x_mm, pose(a).y_mm] != [pose(b).x_mm, pose(b).y_mm]);
         let columns = [
             (Self::Named, true),
+            (Self::DPrime, true),
             (Self::Place, place),
             (Self::Angle, differs(&|a, b| pose(a).angle_deg != pose(b).angle_deg)),
             (Self::Gap, gaps && differs(&|a, b| a.gap_mm() != b.gap_mm())),
@@ -123,6 +169,7 @@ impl Column {
     const fn title(self) -> &'static str {
         match self {
             Self::Named => "share named",
+            Self::DPrime => "d'",
             Self::Place => "place RMS mm",
             Self::Angle => "angle RMS degrees",
             Self::Gap => "gap RMS mm",
@@ -132,6 +179,7 @@ impl Column {
     fn shown(self, answers: &Answers) -> String {
         match self {
             Self::Named => format!("{:5.2}", answers.named),
+            Self::DPrime => format!("{:5.2}", answers.d_prime),
             Self::Place => format!("{:5.2}", answers.place_mm),
             Self::Angle => format!("{:5.1}", answers.angle_deg),
             Self::Gap => format!("{:5.2}", answers.gap_mm),
@@ -287,7 +335,9 @@ pub(super) fn run(asked: &Judge) -> Result<ExitCode> {
             Placed::new(asked, array, &objects, by_mm)
         };
         let mut placed = place(FIRST_FINGER)?;
-        let mut sums = vec![[Sums::default(); 2]; placed.ways.len() + 1];
+        let sum = Sum::new(objects.len());
+        let sums: Sums = [sum.clone(), sum];
+        let mut sums = vec![[sums.clone(), sums]; placed.ways.len() + 1];
         for (index, &seed) in fingers.iter().enumerate() {
             // Without a spread, all fingers have the set at one place.
             if asked.spread_mm > 0.0 && index > 0 {
@@ -331,13 +381,26 @@ fn table(document: &Document) -> String {
     }
     for Line { name, real, own } in &document.lines {
         let _ = write!(table, "\n{name:24}");
-        let real = real.map_or([None; 2], |real| real.map(Some));
-        for answers in real.into_iter().chain(own.map(Some)) {
+        let real = real.as_ref().map_or([None; 2], |real| real.each_ref().map(Some));
+        for answers in real.into_iter().chain(own.each_ref().map(Some)) {
             let shown: Option<Vec<String>> =
-                answers.map(|answers| columns.iter().map(|column| column.shown(&answers)).collect());
+                answers.map(|answers| columns.iter().map(|column| column.shown(answers)).collect());
             let shown = shown.map_or_else(|| "-".to_owned(), |shown| shown.join(" "));
             let _ = write!(table, " | {shown:>width$}");
         }
     }
     table
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_sensitivity_is_that_of_the_share_of_right_names() {
+        // Of two, the share is that of a normal distribution below d'/sqrt 2.
+        assert!((d_prime(855_577.0, 1e6, 2) - 1.5).abs() < 1e-3);
+        assert!(d_prime(25.0, 100.0, 4) < 0.02 && d_prime(0.0, 9.0, 3) < 1e-6);
+        assert!(d_prime(10.0, 10.0, 4) < d_prime(100.0, 100.0, 4));
+    }
 }

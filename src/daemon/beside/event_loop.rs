@@ -10,7 +10,7 @@ use crate::daemon::engine::Engine;
 use crate::exposure::{Account, Now};
 use crate::receipts::counts_until;
 use meissner_api::Event;
-use meissner_design::MOST_OBSERVED_S;
+use meissner_paper::MOST_OBSERVED_S;
 use meissner_stream::queues::{EventQueue, StreamEvent};
 use std::io;
 use std::os::fd::{AsFd, OwnedFd};

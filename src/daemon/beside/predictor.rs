@@ -1,6 +1,6 @@
 //! Predicts the afferent response to plays from their measured bursts: one play at a time, on its own thread.
 //!
-//! Only this module and the renderer of live targets run the skin model (crates/skin and crates/design) in the streaming
+//! Only this module and the renderer of live targets run the skin model (crates/skin and crates/paper) in the streaming
 //! process. That is safe:
 //! - The thread has nice [`NICE`]; the streamer has real-time priority or nice 0, and its own memory and queues. They share no lock.
 //! - The work is bounded: only a play's first minute counts, at most [`WAITING`] plays wait with at most [`WAITING_BURSTS`] bursts,

@@ -5,7 +5,7 @@ use meissner_array::motor::Ramp;
 use meissner_array::simulated::{SimulatedMotors, SimulatedMotorsConfig};
 use meissner_array::strokes::Burst;
 use meissner_array::strokes::Strokes;
-use meissner_design::Play;
+use meissner_paper::Play;
 
 /// The bursts of simulated motors without control, with their motors. Each has the travel from its pin's position before
 /// to that after. Bursts are cut into parts of at most `most_ticks`.

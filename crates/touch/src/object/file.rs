@@ -7,9 +7,10 @@
 use super::error::{KeyError, MAX_FILE_BYTES, MAX_POINTS, MAX_SIDE_MM, ObjectError, Problem};
 use super::surface::{HeightMap, Surface};
 use super::{Object, image};
+use crate::braille::dots as braille_dots;
+use crate::shape::Shape;
 use crate::touch::{MAX_DEPTH_MM, MAX_PLACE_MM, Pose, Press, Scan, Touch};
 use meissner_array::samples::{Column, read_columns, read_profile};
-use meissner_design::{Shape, braille_dots};
 use meissner_input::document::{CommonProblem, Table, from_json, from_toml, given, in_range};
 use meissner_input::message::{cut, quote};
 use serde::Deserialize;

@@ -16,8 +16,8 @@ pub use file::{Open, no_files};
 pub use surface::{HeightMap, Surface};
 
 use crate::grains::Grains;
+use crate::shape::Shape;
 use crate::touch::{Frame, Touch};
-use meissner_design::Shape;
 use meissner_skin::membrane::{PAD_LENGTH_MM, PAD_WIDTH_MM};
 use part::Part;
 

@@ -5,7 +5,7 @@
 //! Invariant: within its box a part has the heights of the whole surface.
 
 use super::surface::Surface;
-use meissner_design::{Shape, to_segment};
+use crate::shape::{Shape, to_segment};
 use meissner_skin::membrane::Position;
 
 /// Boxes are wider by this, mm: sums are rounded.

@@ -2,7 +2,7 @@
 //!
 //! Invariant: no height is above 0, and the highest point of an object is at 0.
 
-use meissner_design::Shape;
+use crate::shape::Shape;
 use std::ops::RangeInclusive;
 
 /// The surface of an object. Lengths are mm in the object's frame.

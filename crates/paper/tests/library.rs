@@ -1,0 +1,117 @@
+use meissner_array::pattern::Pattern;
+use meissner_paper::{
+    Budget, Conditions, Request, Setting, Target, judge, make, populations, pulses_per_s, robustness,
+    shipped, shipped_names,
+};
+use meissner_touch::{Object, Touch, no_files, surface_of};
+use rayon::ThreadPoolBuilder;
+use std::fs;
+use std::ops::ControlFlow::Continue;
+use std::path::Path;
+
+/// Names of the patterns that were made from targets: the library's, and those of the paper's setting.
+fn names() -> Vec<String> {
+    let names = shipped_names();
+    names.iter().map(ToString::to_string).chain(names.iter().map(|name| format!("{name}-paper"))).collect()
+}
+
+fn file(name: &str) -> String {
+    let folder = if name.ends_with("-paper") { "patterns/paper" } else { "patterns" };
+    let dir = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..").join(folder);
+    fs::read_to_string(dir.join(format!("{name}.toml"))).unwrap()
+}
+
+/// A pattern of the library, and its target.
+fn made(name: &str) -> (Pattern, Target) {
+    let pattern = meissner_test_support::rig::pattern(name);
+    let target = Target::made_for(&pattern).unwrap();
+    (pattern, target)
+}
+
+/// The request that a provenance describes.
+fn request(pattern: &Pattern) -> Request {
+    let provenance = pattern.provenance();
+    let whole = |value: &toml::Value| value.as_integer().unwrap().try_into().unwrap();
+    assert_eq!(provenance["setting"].as_str(), Some("default"));
+    Request {
+        setting: Setting::Default,
+        seed: whole(&provenance["seed"]),
+        robust: provenance["robust"].as_bool().unwrap(),
+        budget: Budget::Evaluations(
+            provenance["evaluations"].as_array().unwrap().iter().map(whole).collect(),
+        ),
+        start: None,
+        rail_motors_at_once: None,
+    }
+}
+
+#[test]
+fn a_pattern_is_made_again_from_its_provenance_on_one_thread_and_on_two() {
+    let name = "dot-paper";
+    let (pattern, target) = made(name);
+    for threads in [1, 2] {
+        let pool = ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        let again = pool.install(|| make(&target, name, &request(&pattern), &mut |_| Continue(())));
+        assert!(again.unwrap().pattern.to_toml() == file(name), "{name}, {threads} threads");
+    }
+}
+
+#[test]
+fn every_target_has_a_pattern_with_the_right_figures() {
+    assert!(names().len() >= 32);
+    for name in names() {
+        let (pattern, target) = made(&name);
+        assert!(target == shipped(target.name()).unwrap(), "{name}: made for another target");
+        assert_eq!(pattern.to_toml(), file(&name));
+        let provenance = pattern.provenance();
+        let stored = |key: &str| provenance[key].as_float().unwrap();
+        assert!(request(&pattern).robust);
+        let made_for = Conditions::plain(populations(&target, true), target.population_seed());
+        let verdict = judge(&target, pattern.drives(), &made_for).unwrap().unwrap();
+        let found = [verdict.cost_hz, verdict.on_hz, verdict.off_hz, verdict.auc];
+        assert_eq!(found, ["cost", "on_hz", "off_hz", "auc"].map(stored), "{name}");
+        assert_eq!(pulses_per_s(&pattern).unwrap(), stored("pulses_per_s"), "{name}");
+        let held_out = provenance["robustness"]["held_out_hz"].as_array().unwrap();
+        let mean = held_out.iter().map(|cost| cost.as_float().unwrap()).sum::<f64>() / held_out.len() as f64;
+        assert_eq!(held_out.len(), 20, "{name}");
+        assert!(mean >= 0.9 * found[0], "{name}: {mean} of {}", found[0]);
+        assert!(found[0] > 70.0 && found[3] > 0.75, "{name}: {found:?}");
+    }
+}
+
+/// For each target there is an object, the thing that it stands for.
+#[test]
+fn every_target_has_an_object() {
+    for name in shipped_names() {
+        let file = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("../../objects/{name}.toml"));
+        let object = Object::read(&fs::read_to_string(file).expect(name), name, &mut no_files);
+        let object = object.unwrap_or_else(|error| panic!("{name}: {error}"));
+        assert_eq!(object.name(), name);
+        let target = shipped(name).unwrap();
+        assert_eq!(target.moves(), !object.touch().stays_in_place(), "{name}");
+        if target.moves() {
+            continue;
+        }
+        // The same places of the skin as the target's shape.
+        let of_shape = Object::new(name, surface_of(target.shape()), Touch::default());
+        let sizes = [&object, &of_shape].map(|object| object.grains(0.2).len() as f64);
+        assert!((sizes[0] / sizes[1] - 1.0).abs() < 0.1, "{name}: {sizes:?}");
+    }
+}
+
+#[test]
+fn robustness_is_as_stored() {
+    for name in ["edge-45", "two-dots-paper"] {
+        let (pattern, target) = made(name);
+        let made_for = Conditions::plain(populations(&target, true), target.population_seed());
+        let found = robustness(&target, pattern.drives(), &made_for).unwrap();
+        let stored = pattern.provenance()["robustness"].clone();
+        assert_eq!(toml::Value::try_from(&found).unwrap(), stored, "{name}");
+        // The pattern was made for half-rectifying afferents. More travel gives more spikes.
+        assert_eq!(found.half_hz, pattern.provenance()["cost"].as_float().unwrap());
+        assert!(found.gain_90_percent_hz < found.half_hz && found.half_hz < found.gain_110_percent_hz);
+        // A shift lowers the mean contrast; in one direction the pattern may meet more afferents.
+        assert!(found.shifted_1_mm_hz.iter().all(|&cost| cost > 0.0));
+        assert!(found.shifted_1_mm_hz.iter().sum::<f64>() / 8.0 < found.half_hz);
+    }
+}

@@ -1,0 +1,347 @@
+use firmware_protocol::stroke::Direction;
+use firmware_protocol::tick::Tick;
+use meissner_array::motor::Ramp;
+use meissner_array::pattern::Pattern;
+use meissner_array::per_motor::PerMotor;
+use meissner_array::simulated::SimulatedMotorsConfig;
+use meissner_array::spec::Array;
+use meissner_array::strokes::Burst;
+use meissner_array::strokes::{StrokeOptions, Strokes};
+use meissner_paper::{
+    Conditions, Partition, Play, PredictedResponse, PredictionError, Target, judge, predict_response,
+};
+use meissner_skin::afferents::Class;
+use meissner_skin::membrane::population;
+use meissner_skin::{Method, Options, Ramps, RampsError, Scene, simulate as solve, simulate_ramps};
+use meissner_test_support::paper::{MOTORS, UM_PER_PULSE};
+use meissner_test_support::played::by_simulated_motors;
+use meissner_test_support::random::Random;
+use meissner_test_support::{both, oracle};
+use rayon::ThreadPoolBuilder;
+
+const ONSET: Tick = Tick(1_000_003);
+
+fn spikes_of(scene: &Scene) -> Vec<Vec<f64>> {
+    solve(scene, &Options::spikes(Method::Exact), &|_| ()).unwrap().spikes_s.unwrap()
+}
+
+fn spikes_of_ramps(scene: &Scene, ramps: impl IntoIterator<Item = (u8, Ramp)>) -> Vec<Vec<f64>> {
+    let mut spikes = vec![Vec::new(); scene.afferents().len()];
+    simulate_ramps(scene, &Ramps::new(scene.array(), ramps).unwrap(), &mut |afferent, train| {
+        spikes[afferent as usize] = train;
+    })
+    .unwrap();
+    spikes
+}
+
+/// The bursts of a scene whose drives last from beginning to end, each with `gain` times the model's travel.
+fn ramps(scene: &Scene, mut gain: impl FnMut(u8) -> f64) -> Vec<(u8, Ramp)> {
+    let mut ramps = Vec::new();
+    for drive in scene.drives() {
+        assert!(drive.start_s.is_none() && drive.stop_s.is_none());
+        let before = |tick: u64| (tick as f64) < scene.duration_s() * 85_000.0;
+        for stroke in drive.wave(scene.array()).unwrap().excursions().take_while(|stroke| before(stroke.up)) {
+            for (start, sign) in [(stroke.up, 1.0), (stroke.down, -1.0)] {
+                let travel_um = sign * gain(drive.motor) * (f64::from(stroke.pulses) * UM_PER_PULSE);
+                ramps.push((drive.motor, Ramp::travelled(Tick(start), stroke.pulses, travel_um)));
+            }
+        }
+    }
+    ramps
+}
+
+/// The division of each travel by its pulses rounds, but no spike changes.
+#[test]
+fn bursts_that_travel_as_designed_give_the_spikes_of_the_drives() {
+    let mut count = 0;
+    for seed in 0..24 {
+        let scene = Random::new(seed).scene(0.3);
+        let (drives, played) = (spikes_of(&scene), spikes_of_ramps(&scene, ramps(&scene, |_| 1.0)));
+        assert!(drives == played, "seed {seed}");
+        count += drives.iter().map(Vec::len).sum::<usize>();
+    }
+    assert!(count > 10_000, "{count}");
+}
+
+#[test]
+fn bursts_of_one_gain_give_the_spikes_of_a_motor_of_that_gain() {
+    let mut count = 0;
+    for seed in 0..24 {
+        let mut random = Random::new(seed);
+        let scene = random.scene(0.2);
+        let gains = PerMotor::from_fn(Array::paper(), |_| random.between(0.3, 3.0));
+        let gained = spikes_of(&scene.with_gains(&gains).unwrap());
+        // Ramps replace the drives, so the scene's gains do not matter.
+        let played = ramps(&scene, |motor| gains[usize::from(motor)]);
+        let played = spikes_of_ramps(&scene.with_gains(&PerMotor::all(Array::paper(), 0.5)).unwrap(), played);
+        for (gained, played) in gained.iter().zip(&played) {
+            assert_eq!(gained.len(), played.len(), "seed {seed}");
+            assert!(gained.iter().zip(played).all(|(a, b)| (a - b).abs() < 1e-9), "seed {seed}");
+            count += gained.len();
+        }
+    }
+    assert!(count > 10_000, "{count}");
+}
+
+/// Among them are bursts that move nothing, or in the wrong direction.
+#[test]
+fn bursts_of_any_gain_give_the_spikes_of_the_oracle() {
+    let mut compared = 0;
+    for seed in 0..150 {
+        let noise_sd = [0.0, 0.05][seed as usize % 2];
+        let (theirs, ours) = both::both(oracle::random_scene(seed), noise_sd, seed);
+        let mut random = Random::new(seed);
+        let mut bursts = oracle::all_bursts(&theirs);
+        for (_, burst) in &mut bursts {
+            let gain = match random.below(20) {
+                0 => 0.0,
+                1 => random.between(-0.5, 0.0),
+                _ => random.between(0.3, 2.0),
+            };
+            burst.speed = (burst.speed as f64 * gain) as i64;
+        }
+        let played = bursts.iter().map(|&(motor, oracle::Burst { start, end, speed })| {
+            let ticks = ((end - start) / 2) as u32;
+            let um_per_tick = speed as f64 / oracle::FULL as f64 * UM_PER_PULSE;
+            (motor as u8, Ramp { start: Tick((start / 2) as u64), ticks, um_per_tick })
+        });
+        let found = spikes_of_ramps(&ours, played);
+        compared += oracle::compare(&oracle::spikes_of_bursts(&theirs, &bursts), &found, 1e-9)
+            .unwrap_or_else(|error| panic!("scene {seed}: {error}"));
+    }
+    assert!(compared > 7_000, "{compared}");
+}
+
+#[test]
+fn bursts_that_no_motor_can_make_are_refused() {
+    let ramp = |start, um_per_tick| Ramp { start: Tick(start), ticks: 100, um_per_tick };
+    let refused = |ramps: &[(u8, Ramp)]| Ramps::new(Array::paper(), ramps.iter().copied()).unwrap_err();
+    assert_eq!(refused(&[(24, ramp(0, 0.1))]), RampsError::Motor { motor: 24, array: Array::paper() });
+    let order = RampsError::Order { motor: 3, start: Tick(99) };
+    assert_eq!(refused(&[(3, ramp(0, 0.1)), (4, ramp(5, 0.1)), (3, ramp(99, 0.1))]), order);
+    for wrong in [1.4, -1.4, f64::NAN, f64::INFINITY] {
+        let line = refused(&[(3, ramp(7, wrong))]).to_string();
+        assert!(
+            line.starts_with("a burst of motor 3 at tick 7 moves") && line.contains("10 times"),
+            "{line}"
+        );
+    }
+    Ramps::new(Array::paper(), [(3, ramp(0, 1.3)), (3, ramp(100, -1.3)), (3, ramp(u64::MAX, 0.0))]).unwrap();
+}
+
+fn pattern(name: &str) -> Pattern {
+    meissner_test_support::rig::pattern(name)
+}
+
+fn play(pattern: &Pattern, seconds: f64) -> Play<'_> {
+    Play {
+        pattern,
+        options: StrokeOptions::lasting(seconds),
+        onset: ONSET,
+        observed_s: seconds,
+        by_class: false,
+    }
+}
+
+/// The bursts of the pattern, from the onset.
+fn designed(play: &Play<'_>) -> Vec<(u8, Ramp)> {
+    let strokes = Strokes::new(play.pattern, &play.options).unwrap().map(Result::unwrap);
+    let ramp = |Burst { start, direction, pulses }| {
+        Ramp::new(play.onset + start.0, pulses.into(), direction, UM_PER_PULSE)
+    };
+    strokes.flat_map(|step| step.bursts().map(move |burst| (step.motor(), ramp(burst)))).collect()
+}
+
+/// The largest distance of a pin from its start.
+fn farthest_um(ramps: &[(u8, Ramp)]) -> f64 {
+    let (mut at_um, mut farthest_um) = ([0.0; MOTORS], 0.0_f64);
+    for &(motor, ramp) in ramps {
+        let at_um: &mut f64 = &mut at_um[usize::from(motor)];
+        *at_um += f64::from(ramp.ticks) * ramp.um_per_tick;
+        farthest_um = farthest_um.max(at_um.abs());
+    }
+    farthest_um
+}
+
+/// `judge` simulates a target at rest for a second, and a moving one for one repeat.
+#[test]
+fn designed_rates_are_the_verdict_on_the_targets_own_population() {
+    for name in ["edge-45", "braille-w", "moving-edge", "rotating-edge"] {
+        let pattern = pattern(name);
+        let target = Target::made_for(&pattern).unwrap();
+        let observed_s = if target.moves() { target.duration_s() } else { 1.0 };
+        let play = Play { observed_s, by_class: true, ..play(&pattern, target.duration_s()) };
+        let seed = target.population_seed();
+        let found = predict_response(&play, designed(&play)).unwrap();
+        assert_eq!((found.seconds, found.population_seed), (observed_s, seed));
+        assert_eq!(found.target.as_deref(), Some(name));
+        let [sa1, ra, pc] = found.classes[..] else { panic!("{found:?}") };
+        assert_eq!([sa1, ra, pc].map(|of| of.class), Class::ALL);
+        for of in [sa1, ra, pc] {
+            assert_eq!(of.designed_hz, of.played_hz, "{name}");
+        }
+        assert_eq!(found.designed_hz, found.played_hz, "{name}");
+        let (rates, conditions) = (found.designed_hz, Conditions::plain(vec![seed], seed));
+        let verdict = judge(&target, pattern.drives(), &conditions).unwrap().unwrap();
+        assert_eq!(rates.contrast.unwrap().to_bits(), verdict.cost_hz.to_bits(), "{name}");
+        assert_eq!((rates.on, rates.off), (Some(verdict.on_hz), Some(verdict.off_hz)), "{name}");
+    }
+}
+
+/// No PC afferent lies within 0.3 mm of the dot, but RA afferents do.
+#[test]
+fn a_class_without_an_afferent_on_the_target_has_no_contrast() {
+    let mut provenance = toml::Table::new();
+    let small = "name = 'small'\nshape = 'disc'\nradius_mm = 0.1\nreach_mm = 0.3\nduration_s = 1.0";
+    let small = Target::read(small, "small").unwrap();
+    provenance.insert("definition".to_owned(), small.definition().into());
+    let edge = pattern("edge-45");
+    let pattern =
+        Pattern::new(Array::paper(), "small", Some(1.0), edge.drives().to_vec(), provenance).unwrap();
+    let play = Play { by_class: true, ..play(&pattern, 0.5) };
+    let found = predict_response(&play, designed(&play)).unwrap();
+    assert!(found.designed_hz.contrast.is_some());
+    let pc = found.classes[2].designed_hz;
+    assert_eq!((found.classes[2].class, pc.on, pc.off, pc.contrast), (Class::Pc, None, None, None));
+    assert!(pc.all > 0.0 && found.classes[1].designed_hz.contrast.is_some(), "{found:?}");
+}
+
+/// In two and a half repeats the first frames occur three times, the last ones twice.
+#[test]
+fn each_frame_counts_in_every_repeat_in_which_it_was_observed_whole() {
+    let pattern = pattern("moving-edge");
+    let target = Target::made_for(&pattern).unwrap();
+    let play = play(&pattern, 2.5);
+    let mut random = Random::new(1);
+    let mut bursts = designed(&play);
+    bursts.iter_mut().for_each(|(_, ramp)| ramp.um_per_tick *= random.between(0.7, 1.3));
+    let found = predict_response(&play, bursts.iter().copied()).unwrap();
+
+    let afferents = population(target.population_seed());
+    let scene =
+        Scene::new(Array::paper(), 2.5, target.population_seed(), vec![], afferents.clone(), *target.model())
+            .unwrap();
+    let from_onset = bursts.iter().map(|&(m, ramp)| (m, Ramp { start: Tick(ramp.start - ONSET), ..ramp }));
+    let spikes = spikes_of_ramps(&scene, from_onset);
+    let mut sum = 0.0;
+    for frame in target.frames() {
+        let (start_s, stop_s) = (frame.start_s.unwrap(), frame.stop_s.unwrap());
+        let repeats: Vec<f64> = [0.0, 1.0, 2.0].into_iter().filter(|repeat| repeat + stop_s <= 2.5).collect();
+        assert!(repeats.len() == if stop_s <= 0.5 { 3 } else { 2 });
+        let in_frame = |t: &&f64| repeats.iter().any(|repeat| (start_s..stop_s).contains(&(**t - repeat)));
+        let rate = |train: &Vec<f64>| {
+            train.iter().filter(in_frame).count() as f64 / repeats.len() as f64 / (stop_s - start_s)
+        };
+        let rates: Vec<f64> = spikes.iter().map(rate).collect();
+        sum += Partition::of(&frame.shape, target.reach_mm(), &afferents).cost_hz(&rates).unwrap();
+    }
+    let contrast = found.played_hz.contrast.unwrap();
+    assert!((contrast - sum / target.frames().len() as f64).abs() < 1e-9, "{contrast} {sum}");
+    assert_ne!(found.played_hz, found.designed_hz);
+    // No frame was observed whole.
+    let short = predict_response(&Play { observed_s: 0.05, ..play }, bursts.iter().copied()).unwrap();
+    assert_eq!((short.played_hz.contrast, short.target.as_deref()), (None, Some("moving-edge")));
+}
+
+#[test]
+fn without_a_target_only_the_mean_of_all_afferents_is_known() {
+    let pattern = pattern("pin-60");
+    let play = Play { by_class: true, ..play(&pattern, 1.0) };
+    let mut bursts = designed(&play);
+    let found = predict_response(&play, bursts.iter().copied()).unwrap();
+    assert_eq!(found.designed_hz, found.played_hz);
+    for of in &found.classes {
+        assert!(of.played_hz.all > 0.0 && of.played_hz.contrast.is_none(), "{of:?}");
+    }
+    assert_eq!((found.target.as_ref(), found.population_seed), (None, 0));
+    assert_eq!((found.played_hz.on, found.played_hz.off, found.played_hz.contrast), (None, None, None));
+    bursts.iter_mut().for_each(|(_, ramp)| ramp.um_per_tick *= 0.5);
+    let less = predict_response(&play, bursts.iter().copied()).unwrap();
+    assert!(less.played_hz.all > 0.0 && less.played_hz.all < found.played_hz.all, "{less:?}");
+    let json = serde_json::to_value(&less).unwrap();
+    assert!(json["designed_hz"]["contrast"].is_null() && json["played_hz"]["all"].is_f64(), "{json}");
+    assert_eq!(serde_json::from_value::<PredictedResponse>(json).unwrap(), less);
+}
+
+#[test]
+fn only_the_observed_time_counts() {
+    let pattern = pattern("edge-45-paper");
+    let play = play(&pattern, 1.0);
+    for nothing in [0.0, -1.0, f64::NAN] {
+        let found = predict_response(&Play { observed_s: nothing, ..play.clone() }, []);
+        assert!(matches!(found, Err(PredictionError::Nothing { .. })), "{nothing}: {found:?}");
+    }
+    // No burst was played.
+    let silent = predict_response(&play, []).unwrap();
+    assert_eq!((silent.played_hz.all, silent.played_hz.contrast), (0.0, Some(0.0)));
+    assert!(silent.designed_hz.contrast.unwrap() > 150.0);
+    // Bursts before the onset and after the observed time.
+    let at = |tick| (6, Ramp::new(Tick(tick), 500, Direction::Up, UM_PER_PULSE));
+    let bursts = [at(ONSET.0 - 600)].into_iter().chain(designed(&play)).chain([at(ONSET.0 + 90_000)]);
+    let found = predict_response(&play, bursts).unwrap();
+    assert_eq!(found.played_hz, found.designed_hz);
+    // Longer than requested, and longer than a minute.
+    assert_eq!(predict_response(&Play { observed_s: 9.0, ..play.clone() }, []).unwrap().seconds, 1.0);
+    let long = Play { options: StrokeOptions::lasting(70.0), observed_s: 65.0, ..play };
+    assert_eq!(predict_response(&long, []).unwrap().seconds, 60.0);
+}
+
+/// Without correction the pins drift to their end stops, where they vibrate less. Afferents respond to velocity, so the
+/// contrast falls little.
+#[test]
+fn pins_that_drift_to_their_stops_in_a_minute_keep_nine_tenths_of_the_contrast() {
+    let pattern = pattern("edge-45-paper");
+    let minute = play(&pattern, 60.0);
+    let bursts = by_simulated_motors(SimulatedMotorsConfig::default(), &minute, u16::MAX);
+    assert!((farthest_um(&bursts) - 500.0).abs() < 1e-6, "{}", farthest_um(&bursts));
+    let found = predict_response(&minute, bursts).unwrap();
+    let (designed_hz, played_hz) = (found.designed_hz.contrast.unwrap(), found.played_hz.contrast.unwrap());
+    assert!(designed_hz > 150.0 && played_hz < designed_hz && played_hz > 0.9 * designed_hz, "{found:?}");
+    let short = play(&pattern, 3.0);
+    let ideal =
+        predict_response(&short, by_simulated_motors(SimulatedMotorsConfig::ideal(), &short, u16::MAX))
+            .unwrap();
+    assert_eq!(ideal.played_hz, ideal.designed_hz);
+}
+
+/// A burst that ends at a stop counts as a slower one. That costs next to no contrast if the stops are as far as usual,
+/// and an eighth if they cut the second half of a burst.
+#[test]
+fn a_burst_that_meets_a_distant_stop_may_count_as_a_slower_one() {
+    let pattern = pattern("edge-45-paper");
+    for (end_stop_um, seconds, too_low_hz) in
+        [(500.0, 5.0, -0.5..0.5), (60.0, 2.0, 0.5..4.0), (30.0, 2.0, 10.0..30.0)]
+    {
+        let (config, play) = (
+            SimulatedMotorsConfig { end_stop_um, ..SimulatedMotorsConfig::default() },
+            play(&pattern, seconds),
+        );
+        let [slower, real] = [u16::MAX, 16].map(|ticks| {
+            let bursts = by_simulated_motors(config, &play, ticks);
+            assert!(farthest_um(&bursts) > end_stop_um - 1e-6);
+            predict_response(&play, bursts).unwrap().played_hz.contrast.unwrap()
+        });
+        println!("stops at {end_stop_um} um: contrast {real:.2}, with slower bursts {slower:.2} impulses/s");
+        assert!(too_low_hz.contains(&(real - slower)), "{end_stop_um}: {slower} {real}");
+    }
+}
+
+#[test]
+fn the_response_is_the_same_on_any_number_of_threads() {
+    for name in ["edge-45-paper", "moving-edge-paper"] {
+        let pattern = pattern(name);
+        let play = Play { by_class: true, ..play(&pattern, 3.3) };
+        let bursts = by_simulated_motors(
+            SimulatedMotorsConfig { seed: 7, ..SimulatedMotorsConfig::default() },
+            &play,
+            u16::MAX,
+        );
+        let of = |threads| {
+            let pool = ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            pool.install(|| predict_response(&play, bursts.iter().copied()).unwrap())
+        };
+        let one = of(1);
+        assert_ne!(one.played_hz, one.designed_hz);
+        assert!(one == of(2) && one == of(3) && one == of(1), "{name}");
+    }
+}
