@@ -306,11 +306,7 @@ fn commands_reach_a_daemon_over_the_network() {
     let token = create(&daemon, "operate").token;
     let over = |args: &[&str]| {
         let mut command = daemon.meissner();
-        command
-            .args(args)
-            .args(["--connect", &url])
-            .env("MEISSNER_TOKEN", &token)
-            .write_stdin("0 0 0\n1 0 0\n");
+        command.args(args).args(["--connect", &url]).env("MEISSNER_TOKEN", &token);
         command
     };
     let mut without = over(&["arm", "--assume-rest"]);
@@ -326,9 +322,6 @@ fn commands_reach_a_daemon_over_the_network() {
     };
     let receipt = document(&mut owned(&["play", "pin-60", "--seconds", "0.2", "--wait", "--json"]));
     assert_eq!(receipt["state"], "done");
-    let live = ["live", "--object", "edge-45", "--follow", "stdin", "--timeout-ms", "20000", "--json"];
-    let receipt = document(&mut owned(&live));
-    assert!(receipt["live"]["updates"].as_u64() > Some(0) && receipt["cause"] == "stop", "{receipt}");
     assert_accounts(&receipt);
     // An emergency stop needs the access token, and not the session's.
     printed(&mut over(&["estop"]));

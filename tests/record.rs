@@ -400,7 +400,8 @@ fn acknowledged_answers_that_somebody_takes_away_are_told_without_a_further_entr
         let text = fs::read_to_string(day).unwrap();
         text.split_inclusive('\n').filter(|line| !line.contains("\"answered\"")).collect()
     }
-    let kinds: [(&str, fn(&Path)); 6] = [
+    type Damage = fn(&Path);
+    let kinds: [(&str, Damage); 6] = [
         ("status", |day| fs::remove_file(day).unwrap()),
         ("doctor", |day| fs::rename(day, day.with_extension("away")).unwrap()),
         ("list", |day| drop(File::create(day).unwrap())),

@@ -122,7 +122,7 @@ fn play_for_laser(request: &CalibrateRequest, out: &Path, options: &ClientOption
     file.write(&played.to_json())?;
     give(options.output.json, &played, || {
         let bursts =
-            format!("{} of motor {motor} in {:.0} s, all played", played.bursts().len(), plan.duration_s());
+            format!("{} of motor {motor} in {:.0} s, all played", played.bursts().len(), played.duration_s());
         let next = "fit the recording by `meissner.laser` of Python: docs/board.md".to_owned();
         text::pairs(&[("bursts", bursts), ("written", files::shown(out)), ("next", next)])
     })

@@ -57,7 +57,7 @@ fn read_toml(text: &str, place: &str) -> Result<&'static str, String> {
     let word = |error: &dyn std::fmt::Display| error.to_string();
     if has("[[drive]]") || has("[[ramp]]") {
         // A file that a wave names.
-        let mut file = |_: &str| Ok(b"0\n1\n2\n1\n0\n".to_vec());
+        let mut file = |_: &str| Ok(b"time_s,touch_um\n0,0\n0.1,2\n0.2,0\n".to_vec());
         Pattern::parse_with_files(text, place, &mut file).map(|_| "pattern").map_err(|error| word(&error))
     } else if has("[[items]]") {
         SequenceRequest::parse_file(text).map(|_| "sequence").map_err(|error| word(&error))

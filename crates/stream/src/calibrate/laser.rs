@@ -154,6 +154,14 @@ impl PlayedPlan {
         whole.replace("\"bursts\":[", "\"bursts\":[\n").replace("},{", "},\n{") + "\n"
     }
 
+    /// How long it is from the first burst to the pin's last rest, s.
+    #[must_use]
+    pub fn duration_s(&self) -> f64 {
+        let (Some(first), Some(last)) = (self.bursts.first(), self.bursts.last()) else { return 0.0 };
+        let rests = last.tick + u64::from(last.pulses) - first.tick;
+        (rests as f64 + self.window_ticks.ceil()) / f64::from(self.tick_hz)
+    }
+
     /// The bursts, in order.
     #[must_use]
     pub fn bursts(&self) -> &[PlayedBurst] {
