@@ -72,7 +72,7 @@ def test_the_table_has_these_instruments() -> None:
 def test_the_file_of_an_instrument_is_read(instrument: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     page = PAGE.read_text(encoding="utf-8")
-    (block,) = re.findall(r"```python\n(import pandas\n.*?)```", page, re.DOTALL)
+    (block,) = re.findall(r"```text\n(import pandas\n.*?)```", page, re.DOTALL)
     (call,) = re.findall(rf"^\| {instrument}[^|]* \| `(pandas.*)` \|$", page, re.MULTILINE)
     header, line = FILES[instrument]
     text = header + "".join(line(n, um) + "\n" for n, um in enumerate(UM))
