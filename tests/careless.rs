@@ -40,9 +40,6 @@ fn an_open_umask_opens_nothing() {
         "duration_s = 0.1\n[[drive]]\nmotor = 9\nfrequency_hz = 60.0\namplitude_um = 40.0\n",
     );
     daemon.meissner().arg("import").arg(&pattern).assert().success();
-    let target =
-        "name = \"mine\"\nshape = \"braille\"\ncharacter = \"b\"\ncenter_mm = [1.45, 1.45]\nreach_mm = 1.5\n";
-    let _: Value = client.put("/v1/targets/mine", target.to_owned()).unwrap();
     let _: Value = client.post("/v1/sessions", &json!({"participant": "P07"})).unwrap();
     let _: Value = client.post("/v1/play", &json!({"pattern": "mine", "labels": {"a": "b"}})).unwrap();
     wait_until(|| {

@@ -162,9 +162,9 @@ mod tests {
     #[test]
     fn a_file_that_changes_before_the_pattern_is_complete_is_an_error() {
         let dir = tempdir().unwrap();
-        fs::write(dir.path().join("a.csv"), "1\n2\n").unwrap();
+        fs::write(dir.path().join("a.csv"), "time_s,y_um\n0,1\n0.1,2\n").unwrap();
         // The second file is a pipe's name: while it is looked at, nothing else happens; so the test changes the first by a link.
-        let wave = |file: &str| format!("[[wave]]\nmotor = 9\nfile = \"{file}\"\nrate_hz = 10.0\n");
+        let wave = |file: &str| format!("[[wave]]\nmotor = 9\nfile = \"{file}\"\n");
         let text = format!("format = 2\nname = \"a\"\n{}", wave("a.csv"));
         let found = of_text(text.clone(), "a.toml", dir.path()).unwrap();
         assert!(found.was_packed && found.text.contains("samples = ") && found.pattern.motions().len() == 1);

@@ -383,7 +383,7 @@ mod tests {
             (r#"{"pattern":"a","at_ms":1,"at_monotonic_ns":1}"#, "`at_ms` and `at_monotonic_ns` exclude"),
             (
                 "[]",
-                "the body is not a JSON object: is sequence: must be a table of keys and values; see docs/",
+                "the body is not a JSON object: is sequence: must be a table of keys and values; see GET /v1/openapi.json",
             ),
             ("", "the body is not a JSON object"),
             (r#"{"pattern":"a"}}"#, "the body is not a JSON object"),

@@ -6,7 +6,7 @@
 //!
 //! A pattern is complete in itself: samples are in its text. [`Pattern::parse_with_files`] reads one whose waves name files.
 //!
-//! A pattern is for an array, whose name it holds; without one it is for the paper's. [`Pattern::mapped_to`] puts it on another.
+//! A pattern is for an array, whose name it holds; without one it is for the paper's.
 //!
 //! `start_s` and `stop_s` of a drive are optional: without `start_s` the drive begins with the pattern, without
 //! `stop_s` it ends with it. Neither may lie beyond the duration.
