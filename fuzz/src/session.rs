@@ -468,7 +468,7 @@ impl World {
         let now = self.now();
         let session = &self.session;
         let _ = (session.wake_at(now), session.clock().tick_at(now), session.known_to(), session.capacity());
-        let _ = (session.delivery(), session.ack_wait(), session.rate_left(9), session.is_answered());
+        let _ = (session.delivery(), session.ack_wait(), session.rate_beside(9), session.is_answered());
         assert!(session.credits() <= usize::from(u16::MAX));
         let Contradictions { .. } = session.traffic().contradictions;
         assert!(self.doubts <= 11, "each kind of doubt is reported once");

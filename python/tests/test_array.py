@@ -100,7 +100,7 @@ def test_a_pattern_that_is_found_is_for_the_array(tmp_path: Path) -> None:
     with meissner.demo(config='[array]\ndescription = "tula35-2x3"\n') as m:
         found = m.design("edge-45", budget=20)
         assert 'array = "tula35-2x3"' in found.toml
-        assert m.play(found.name, 0.1).wait().array == m.array.name
+        assert m.play(found.name, 0.1, scale=0.2).wait().array == m.array.name
 
 
 def check_designs(m: meissner.Client, description: Path) -> None:
@@ -109,7 +109,7 @@ def check_designs(m: meissner.Client, description: Path) -> None:
     designs.append(m.design("edge-45", budget=20, name="given", array=description))
     for found in designs:
         assert f'array = "{m.array.name}"' in found.toml
-        assert m.play(found.name, 0.1).wait().array == m.array.name
+        assert m.play(found.name, 0.1, scale=0.2).wait().array == m.array.name
 
 
 @pytest.mark.filterwarnings("ignore:.*is saturated")

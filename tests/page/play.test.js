@@ -118,7 +118,8 @@ test("the finger shows what the daemon says that pins do: sequences and live pla
   await page.click("#estop");
   await shows(page, "touch", "Pins stand up to 10");
   await post(daemon, "/v1/reset", { force: true });
-  await shows(page, "touch", "Safe to touch");
+  // After its hold the pin came down in one burst, which falls short: it may be more than 20 µm from rest.
+  await shows(page, "touch", "otors are off");
   await page.waitForFunction(() => /^No pin moves. Largest/.test(document.querySelector(".finger").getAttribute("aria-label")), WAIT);
   assert.deepEqual(quiet(page), []);
 });

@@ -89,7 +89,8 @@ test("a state that is older than a second is not known, and an answer that was h
     assert.deepEqual(later.filter(([, said]) => said.startsWith("Safe")), []);
     // Repeat this: a state counts as safe only while it is fresh.
     await other(daemon, "/v1/disarm");
-    await shows(page, "touch", "Safe to touch");
+    // Safe, or with pins that may be more than 20 µm from rest, by the phase in which the play was cut.
+    await shows(page, "touch", "otors are off");
   });
 });
 
