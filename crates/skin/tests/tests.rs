@@ -15,8 +15,6 @@ mod extremes;
 mod gains;
 /// The same bits with any threads, order of afferents and blocks, and with and without skipping.
 mod independence;
-/// The second model's approximate evaluator against the full model.
-mod near;
 /// Scene files: accepted keys, and the messages of refused files.
 mod scenes;
 /// Simulated spikes against another program's and the oracle's.

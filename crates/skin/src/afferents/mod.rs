@@ -13,10 +13,6 @@
 //!    `rows` holds the parameters of recorded afferents.
 //! 6. `simulation`: [`simulate`] goes through a scene block by block; groups of eight afferents share the threads.
 //!
-//! A search needs thousands of answers that differ in a few drives. A [`NearEvaluator`] (`near`) approximates them, for RA
-//! afferents, in a small part of the time: `influence` gives the effect of each motor on each afferent while all pins touch,
-//! `waveform` keeps the filtered stimulus of each motion, and `near_group` turns both into spikes.
-//!
 //! [`respond`] gives the spikes for stimuli that the caller computes, as for an object on the finger in place of pins.
 //!
 //! The step of 0.2 ms is part of the model: its noise and its differences are per sample. So there is no exact method, and
@@ -38,13 +34,10 @@ mod afferent;
 mod contact;
 mod file;
 mod filter;
-mod influence;
 mod motion;
-mod near;
-mod near_group;
-mod near_row;
 mod neuron;
 mod noise;
+mod pin_shapes;
 mod population;
 mod punch;
 mod respond;
@@ -54,11 +47,9 @@ mod simulation;
 mod stimulus;
 #[cfg(test)]
 mod tests;
-mod waveform;
 
 pub use afferent::{Afferent, Class};
-pub use influence::pin_shapes;
-pub use near::{NearCandidate, NearEvaluator};
+pub use pin_shapes::pin_shapes;
 pub use population::{LOWER_PER_CM2, UPPER_PER_CM2, population};
 pub use punch::Punch;
 pub use respond::{Stimuli, respond};

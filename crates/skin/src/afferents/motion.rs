@@ -10,7 +10,6 @@ use super::{SAMPLE_US, SAMPLES_PER_S};
 use crate::breakpoints::velocity_per_d;
 use crate::method::{Integrator, Method, Precision, Stepping};
 use crate::sampler::Sampler;
-use crate::scene::Scene as MembraneScene;
 use crate::track::{Track, Tracks, of_scene};
 use meissner_array::per_motor::PerMotor;
 use meissner_array::spec::ArraySpec;
@@ -53,22 +52,6 @@ pub(super) fn tracks(scene: &Scene) -> Tracks {
         Pins::Motors(motors) => of_scene(motors, MEANS),
         Pins::Ramps(ramps) => ramps.tracks(&ramps.gains(), scene.duration_s()),
     }
-}
-
-/// A motor's displacement above its rest at each sample of a scene, mm at a gain of 1. Empty if it never moves.
-pub(super) fn displacements_mm(motors: &MembraneScene, motor: u8, samples: usize) -> Vec<f64> {
-    let track = Track::new(motors, MEANS, motor);
-    let Some(mut sampler) = track.as_ref().and_then(Track::sampler) else { return Vec::new() };
-    let mm_per_mean = mm_per_mean(&motors.array());
-    let mut means: Vec<f64> = Vec::new();
-    sampler.fill(0, samples, &mut means);
-    let mut at_mm = 0.0;
-    let mut found = Vec::with_capacity(samples);
-    for mean in &means[..samples] {
-        found.push(at_mm);
-        at_mm += mean * mm_per_mean;
-    }
-    found
 }
 
 impl<'s> Motion<'s> {

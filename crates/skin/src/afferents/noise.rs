@@ -9,7 +9,6 @@
 
 use super::LANES;
 use meissner_array::random;
-use pulp::{Arch, Simd, WithSimd};
 
 /// Separates these random numbers from others of the same seed.
 const NOISE_WORD: u64 = 6;
@@ -49,37 +48,6 @@ impl Noise {
             [pair[0][lane], pair[1][lane]] = normals((bits >> 32) as u32, bits as u32);
         }
         pair
-    }
-}
-
-/// Steps per SD of a deviate in a byte, which holds up to 4.2 SD.
-pub(super) const STEPS_PER_SD: f32 = 30.0;
-
-/// The first deviates of up to eight afferents, an even number of each, in steps, as the bits of an `i8`. Larger deviates are
-/// clamped to 4.2 SD.
-pub(super) fn bytes(arch: Arch, seed: u64, numbers: &[u32], count: usize) -> Vec<Vec<u8>> {
-    let mut bytes = vec![vec![0; count]; numbers.len()];
-    arch.dispatch(Bytes { noise: Noise::new(seed, numbers), bytes: &mut bytes, count });
-    bytes
-}
-
-struct Bytes<'b> {
-    noise: Noise,
-    bytes: &'b mut [Vec<u8>],
-    count: usize,
-}
-
-impl WithSimd for Bytes<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn with_simd<S: Simd>(mut self, _: S) {
-        for first in (0..self.count).step_by(2) {
-            for (sample, deviates) in (first..).zip(self.noise.pair()) {
-                let bytes = deviates.map(|deviate| (STEPS_PER_SD * deviate).round_ties_even() as i8 as u8);
-                self.bytes.iter_mut().zip(bytes).for_each(|(of, byte)| of[sample] = byte);
-            }
-        }
     }
 }
 
@@ -185,22 +153,6 @@ mod tests {
         let other = all(Noise::new(2, &[9]));
         assert!(other.iter().zip(&b).all(|(a, b)| a[0] != b[0]));
         assert_eq!(b[0][0].to_bits(), GOLDEN, "{:#x}", b[0][0].to_bits());
-    }
-
-    #[test]
-    fn bytes_are_the_deviates_in_steps() {
-        let numbers = [3, 9, 5];
-        let found = bytes(Arch::new(), 1, &numbers, 5000);
-        assert!(found == bytes(Arch::Scalar, 1, &numbers, 5000) && found.len() == 3);
-        let mut noise = Noise::new(1, &numbers);
-        for sample in (0..5000).step_by(2) {
-            for (sample, deviates) in (sample..).zip(noise.pair()) {
-                for (bytes, deviate) in found.iter().zip(deviates) {
-                    let back = f32::from(bytes[sample] as i8) / STEPS_PER_SD;
-                    assert!((back - deviate.clamp(-4.25, 4.25)).abs() < 0.52 / STEPS_PER_SD, "{deviate}");
-                }
-            }
-        }
     }
 
     const GOLDEN: u32 = 0xbf30_d9ac;

@@ -2,12 +2,12 @@
 
 use super::scene::Scene;
 use super::simulation::simulate_on;
-use super::{Class, NearEvaluator, motion, population};
+use super::{motion, population};
 use crate::method::Keep;
 use crate::scene::Scene as MembraneScene;
 use meissner_array::motor::{HalfTick, Shaft};
 use meissner_array::pattern::Drive;
-use meissner_array::spec::{Array, names};
+use meissner_array::spec::Array;
 use meissner_array::strokes::DriveStrokes;
 use meissner_test_support::patterns::drive;
 use pulp::Arch;
@@ -45,40 +45,6 @@ fn every_width_of_vectors_and_number_of_threads_gives_the_same_spikes() {
         let pool = ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         assert!(pool.install(|| run(Arch::new())) == scalar, "{threads}");
     }
-}
-
-#[test]
-fn every_width_of_vectors_gives_the_same_near_counts() {
-    let near = |array, most_um, duration_s, drives: &[Drive]| {
-        let model = crate::membrane::AfferentModel::default_for(crate::membrane::Rectify::Half, 0.0);
-        let motors = MembraneScene::new(array, duration_s, 5, Vec::new(), Vec::new(), model).unwrap();
-        let rapid = population(2).into_iter().filter(|afferent| afferent.class == Class::Ra).collect();
-        let scene = Scene::of_motors(&motors, 0.5, rapid, true).unwrap();
-        let evaluator = NearEvaluator::new(&scene, most_um, 0.02).unwrap();
-        let counts = |arch| evaluator.evaluate_on(arch, drives).unwrap().counts();
-        let scalar = counts(Arch::Scalar);
-        for arch in crate::tests::widths() {
-            assert!(counts(arch) == scalar, "{arch:?}");
-        }
-        scalar.iter().sum::<u64>()
-    };
-    // Not a whole number of tiles.
-    let fired = near(
-        Array::paper(),
-        100.0,
-        0.3,
-        &[drive(9, 61.0, 80.0), drive(14, 61.0, 80.0), drive(3, 110.0, 80.0)],
-    );
-    assert!(fired > 20, "{fired}");
-    for name in names() {
-        let array = Array::named(name).unwrap();
-        let last = array.motors() as u8 - 1;
-        // On dense arrays larger amplitudes lift pins off the skin.
-        let drives = [drive(0, 61.0, 40.0), drive(last / 2, 61.0, 40.0), drive(last, 110.0, 40.0)];
-        let fired = near(array, 40.0, 0.3, &drives);
-        assert!(fired > 0, "{name}");
-    }
-    assert_eq!(near(Array::paper(), 100.0, 0.0, &[drive(9, 61.0, 80.0)]), 0);
 }
 
 #[test]
