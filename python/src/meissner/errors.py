@@ -258,7 +258,7 @@ class QueueFull(ApiError, code="queue-full", advice="`wait()` for a play before 
     """Sixteen plays wait already."""
 
 
-class OtherArray(ApiError, code="other-array", advice='find a pattern for this one by `design()`'):
+class OtherArray(ApiError, code="other-array", advice="find a pattern for this one by `design()`"):
     """The pattern is for another array than the daemon's."""
 
 

@@ -193,7 +193,7 @@ def _table(pynwb: Any, rows: list[dict[str, Any]], labels: Labels, zero_ns: int)
             "duration": math.nan if row["played_ms"] is None else row["played_ms"] / 1000,
             "pattern_sha256": row["pattern_sha256"] or "",
             "reached_um": reached_um(row),
-                    **{name: cell or "" for name, cell in labels.cells(row).items()},
+            **{name: cell or "" for name, cell in labels.cells(row).items()},
             "first_pulse": None if (pulse_ns := first_pulse_ns(row)) is None else (pulse_ns - zero_ns) / NS,
             "trigger_code": row["trigger"] and row["trigger"]["code"],
             **edge_cells(row),
