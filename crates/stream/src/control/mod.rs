@@ -338,6 +338,15 @@ impl PositionControl {
         reckoned.map(|(um, _)| um).fold(0.0, f32::max)
     }
 
+    /// The same of all motors once the pins that stand have been returned.
+    pub(super) fn returned_reckoning_um(&self, now: Tick) -> f32 {
+        let of = |(motor, &pulses): (u8, &u16)| {
+            let short_um = self.motors[usize::from(motor)].short_um(pulses, now).max(0.0) as f32;
+            self.dead_reckoning_um(now, std::iter::once(motor)) + short_um
+        };
+        (0..).zip(self.standing.heights()).map(of).fold(0.0, f32::max)
+    }
+
     fn motor(&mut self, motor: u8) -> Option<&mut BurstController> {
         self.motors.get_mut(usize::from(motor))
     }

@@ -400,7 +400,7 @@ impl Streamer {
         }
         let tick = self.tick_at(now).unwrap_or_default();
         self.control.reckon_to(tick);
-        let um = self.control.dead_reckoning_um(tick, self.array().numbers());
+        let um = self.control.returned_reckoning_um(tick);
         if um > LEVEL_CHECK_UM {
             return Err(CommandError::LevelNotChecked { um: um.round() as u32 });
         }

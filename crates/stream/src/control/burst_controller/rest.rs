@@ -61,9 +61,16 @@ impl BurstController {
         }
         let ideal_um = f64::from(pulses) * self.um_per_pulse();
         let rest = self.return_rest(pulses, tick);
-        self.estimator.shift(ideal_um * (1.0 - rest * self.estimator.gain(Direction::Down)));
+        self.estimator.shift(self.short_um(pulses, tick));
         self.reckoned_um[gain_index(Direction::Down)] += rest * ideal_um;
         self.estimator.moved(tick);
+    }
+
+    /// How far above its rest a return by so many pulses, until `tick`, leaves the pin, µm. A lower stop takes that.
+    pub(crate) fn short_um(&self, pulses: u16, tick: Tick) -> f64 {
+        let ideal_um = f64::from(pulses) * self.um_per_pulse();
+        let gain = self.return_rest(pulses, tick) * self.estimator.gain(Direction::Down);
+        if self.lower_stop { 0.0 } else { ideal_um * (1.0 - gain) }
     }
 
     /// Mean gain, relative to the motor's, of a return by so many pulses until `tick`.
