@@ -92,12 +92,12 @@ most_pulses = 1500
 `;
 
 for (const name of ["tula35-6x4", "tula35-2x3", "ubi-pen-3x3", "simulated-8x8", "scattered"]) {
-  test(`the page shows the array ${name}, and plays a pattern of another array only if a person wants that`, async () => {
+  test(`the page shows the array ${name}, and plays no pattern of another array`, async () => {
     const daemon = new Daemon(`[array]\ndescription = "${name}${name === "scattered" ? ".toml" : ""}"\n`);
     writeFileSync(join(daemon.dir, "scattered.toml"), SCATTERED);
     writeFileSync(join(daemon.dir, "calibration.toml"), CALIBRATION);
     await daemon.start();
-    const { positions_mm: places, pitch_mm: pitch, grid, motor } = await get(daemon, "/v1/array");
+    const { positions_mm: places, pitch_mm: pitch, grid } = await get(daemon, "/v1/array");
     const page = await open(daemon, 360, 640, "device");
     await shows(page, "array-facts", `Name${name},`);
     // The pins are drawn at their places, in units of which the pitch has 29, on the skin.
@@ -131,8 +131,6 @@ for (const name of ["tula35-6x4", "tula35-2x3", "ubi-pen-3x3", "simulated-8x8", 
     const isAbove = ([x, y]) => places.some((place) => Math.hypot(x - place[0], y - place[1]) < 1e-6);
     assert.equal(dots.length, 3);
     if (grid?.rows >= 5 && grid.columns >= 3) assert.ok(dots.every(isAbove), JSON.stringify(dots));
-    // Numbers and ranges are those of the array.
-    assert.equal(await page.$eval("#amplitude", (field) => Number(field.max)), motor.travel_um);
     assert.equal(await page.evaluate(() => document.documentElement.scrollWidth), 360);
     // The shipped patterns are for the paper's array.
     await view(page, "play");

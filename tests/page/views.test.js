@@ -385,7 +385,7 @@ test("the page's words have no backticks, no options and no commands", () => {
   assert.equal(plain("the motors are disarmed: run `meissner arm` first"), "The motors are disarmed: press Arm first.");
   assert.equal(plain("`pin-60` has no end: add `seconds` (--seconds S), or allow a play without end with `endless` (--endless)"), "pin-60 has no end: enter its seconds.");
   assert.equal(plain("an emergency stop or fault is latched: find out why, then `meissner reset` and `meissner arm`"), "An emergency stop or fault is latched: find out why, then press Reset and press Arm.");
-  assert.equal(plain("`reach_mm` is 30: must be 0 to 24 mm"), "Reach is 30: must be 0 to 24 mm.");
+  assert.equal(plain("`scale` is 2: must be 0 to 1"), "Amplitude scale is 2: must be 0 to 1.");
   // What only a command can do is named.
   assert.equal(plain("calibrate with a laser, `meissner calibrate --plan`"), "Calibrate with a laser, “meissner calibrate” on the daemon's machine.");
 });
