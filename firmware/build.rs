@@ -106,7 +106,7 @@ fn numbers(array: &ArraySpec, trigger_is_input: bool) -> Result<String, String> 
 /// Lines of the board (`src/board.rs`).
 const BOARD_LINES: usize = 24;
 /// The description without `MEISSNER_ARRAY`.
-const PAPER: &str = "../arrays/tula35-6x4.toml";
+const PAPER: &str = "../library/arrays/tula35-6x4.toml";
 
 fn list(place: &Path, files: &mut Vec<PathBuf>) {
     if place.is_dir() {

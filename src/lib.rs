@@ -4,9 +4,9 @@
 //!
 //! # The data path
 //!
-//! 1. **Target** (`targets/*.toml`, a shape on the skin) → [`meissner_paper`]: `search` and `make` find the pattern for it with the
+//! 1. **Target** (`library/targets/*.toml`, a shape on the skin) → [`meissner_paper`]: `search` and `make` find the pattern for it with the
 //!    skin model; `judge` scores the result. Command: `cli/optimise.rs`.
-//! 2. **Pattern** (`patterns/*.toml`: which pins vibrate, at which frequency, amplitude and phase, when) →
+//! 2. **Pattern** (`library/patterns/*.toml`: which pins vibrate, at which frequency, amplitude and phase, when) →
 //!    [`meissner_array::pattern`] reads and checks it. [`store`] holds the shipped patterns and a site's own.
 //! 3. **Request** → `meissner play NAME` ([`cli`]) goes through [`meissner_client`] to the [`daemon`]: `daemon/http` has the routes,
 //!    [`meissner_api`] the JSON types, errors and events of both sides. Located errors of all input come from [`meissner_input`].

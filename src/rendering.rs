@@ -14,7 +14,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 use toml::Table;
 
-static SHIPPED: Dir<'_> = include_dir!("$CARGO_MANIFEST_DIR/objects");
+static SHIPPED: Dir<'_> = include_dir!("$CARGO_MANIFEST_DIR/library/objects");
 
 /// The first finger that judges a pattern: no table of rates was made with it and those after it.
 pub(crate) const FIRST_FINGER: u64 = 5000;

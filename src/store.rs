@@ -1,6 +1,6 @@
-//! The pattern store: the built-in library, and a directory of the site's own patterns. The library has the patterns of `patterns`,
-//! those of motions in `patterns/motions`, those rendered from `objects` in `patterns/rendered`, and those of the paper's setting in
-//! `patterns/paper`.
+//! The pattern store: the built-in library, and a directory of the site's own patterns. The library has the patterns of
+//! `library/patterns`, those of motions in its folder `motions`, those rendered from `library/objects` in `rendered`, and those of
+//! the paper's setting in `paper`.
 //!
 //! The store reads the directory at every request, so it finds manually added files at once. [`Store::get`] reads one file,
 //! [`Store::list`] at most [`MAX_FILES`]. Callers that hold the same file share one pattern. Patterns of the library cannot be
@@ -32,7 +32,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, OnceLock};
 
-static LIBRARY: Dir<'_> = include_dir!("$CARGO_MANIFEST_DIR/patterns");
+static LIBRARY: Dir<'_> = include_dir!("$CARGO_MANIFEST_DIR/library/patterns");
 
 /// The most names offered for an unknown one.
 const OFFERED: usize = 3;

@@ -63,7 +63,7 @@ fn traced_letters_are_named_and_heights_are_not_traced() {
             "p.toml: heights have no lines to trace: draw it with shape = \"lines\", or take another method",
         ),
         (
-            "../../objects/moving-edge.toml",
+            "../../library/objects/moving-edge.toml",
             &[],
             "moving-edge.toml: the object moves, and a trace moves by itself: press it, or take another method",
         ),

@@ -206,7 +206,8 @@ fn motions_are_simulated_by_both_models() {
     let refused = meissner().args(["simulate", "press-hold", "--method", "exact"]).output().unwrap();
     assert_eq!(refused.status.code(), Some(2));
     for option in [["--seconds", "1"], ["--scale", "0.5"], ["--fit", "cover"]] {
-        let scene = meissner().args(["simulate", "scenes/sixty-hertz.toml"]).args(option).output().unwrap();
+        let scene =
+            meissner().args(["simulate", "library/scenes/sixty-hertz.toml"]).args(option).output().unwrap();
         assert_eq!(scene.status.code(), Some(2));
     }
     let rates = |options: &[&str]| {
@@ -222,7 +223,7 @@ fn motions_are_simulated_by_both_models() {
 #[test]
 fn what_changes_drives_only_refuses_motions() {
     let dir = tempdir().unwrap();
-    let press = printed(meissner().args(["pattern", "pack"]).arg("patterns/motions/press-hold.toml"));
+    let press = printed(meissner().args(["pattern", "pack"]).arg("library/patterns/motions/press-hold.toml"));
     write(dir.path(), "press-hold.toml", press);
     let file = dir.path().join("press-hold.toml");
     let out = dir.path().join("new.toml");

@@ -80,7 +80,7 @@ fn a_search_is_compared_with_the_naive_rules() {
 /// The paper's pattern of the library, as its provenance says.
 #[test]
 fn the_papers_pattern_is_made_again() {
-    let paper = fs::read_to_string("patterns/paper/dot-paper.toml").unwrap();
+    let paper = fs::read_to_string("library/patterns/paper/dot-paper.toml").unwrap();
     let made = printed(meissner().args(["optimise", "dot", "--robust"]));
     assert!(made.trim_end() == paper.trim_end().replace("\"dot-paper\"", "\"dot\""));
 }

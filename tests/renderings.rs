@@ -387,7 +387,7 @@ fn a_preview_shows_pins_and_spikes_of_any_pattern() {
     assert!(times().count() > 100, "{}", times().count());
     assert!(times().all(|at_s| (0.1..=0.35).contains(at_s)));
     // A site's own pattern.
-    let text = String::from_utf8(fs::read("patterns/dot.toml").unwrap()).unwrap();
+    let text = String::from_utf8(fs::read("library/patterns/dot.toml").unwrap()).unwrap();
     let _: Value =
         client.put("/v1/patterns/my-dot", text.replace("name = \"dot\"", "name = \"my-dot\"")).unwrap();
     let own: PatternPreview = client.get_within(TIMEOUT, "/v1/patterns/my-dot/preview?seconds=0.1").unwrap();

@@ -132,7 +132,7 @@ fn the_second_model_answers_with_spikes_classes_and_contact() {
 
 #[test]
 fn a_scene_of_motors_is_simulated_by_the_model_of_the_command() {
-    let shipped = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenes/sixty-hertz.toml");
+    let shipped = Path::new(env!("CARGO_MANIFEST_DIR")).join("library/scenes/sixty-hertz.toml");
     let of_model = |model| {
         document(meissner().arg("simulate").arg(&shipped).args(["--rates-only", "--json", "--model", model]))
     };
@@ -277,7 +277,7 @@ fn the_second_model_is_measured_as_asked_and_at_its_extremes() {
         assert_eq!(row["nudged"], 0, "rounding moves spikes: {row}");
         assert!(row["us_per_afferent_s"].as_f64().unwrap() > 0.0, "{row}");
     }
-    let shipped = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenes/sixty-hertz.toml");
+    let shipped = Path::new(env!("CARGO_MANIFEST_DIR")).join("library/scenes/sixty-hertz.toml");
     let simulated =
         document(meissner().arg("simulate").arg(shipped).args(["--json", "--model", "afferents"]));
     let trains = simulated["spikes_s"].as_array().unwrap();
@@ -305,7 +305,7 @@ fn the_second_model_is_measured_as_asked_and_at_its_extremes() {
 #[test]
 fn every_shipped_scene_is_read_and_simulated() {
     let mut found = 0;
-    for entry in fs::read_dir(Path::new(env!("CARGO_MANIFEST_DIR")).join("scenes")).unwrap() {
+    for entry in fs::read_dir(Path::new(env!("CARGO_MANIFEST_DIR")).join("library/scenes")).unwrap() {
         let file = entry.unwrap().path();
         let scene = Scene::read(&fs::read_to_string(&file).unwrap(), file.to_str().unwrap()).unwrap();
         let answer = simulate(&scene, &Options::rates(Method::Exact), &|_| ()).unwrap();

@@ -21,7 +21,8 @@ use std::hint::black_box;
 use std::time::Duration;
 
 fn scene() -> Scene {
-    Scene::read(include_str!("../../scenes/sixty-hertz.toml"), "sixty-hertz.toml").expect("it is shipped")
+    Scene::read(include_str!("../../library/scenes/sixty-hertz.toml"), "sixty-hertz.toml")
+        .expect("it is shipped")
 }
 
 fn threads(count: usize) -> ThreadPool {
@@ -197,8 +198,8 @@ fn minute_played(criterion: &mut Criterion) {
     group.sample_size(10).measurement_time(Duration::from_secs(10));
     let pool = threads(1);
     for (name, text) in [
-        ("edge-45-paper", include_str!("../../patterns/paper/edge-45-paper.toml")),
-        ("all-in-phase", include_str!("../../patterns/all-in-phase.toml")),
+        ("edge-45-paper", include_str!("../../library/patterns/paper/edge-45-paper.toml")),
+        ("all-in-phase", include_str!("../../library/patterns/all-in-phase.toml")),
     ] {
         let pattern = Pattern::parse(text, name).expect("it is shipped");
         let um_per_pulse = pattern.array().motor().um_per_pulse;

@@ -18,7 +18,7 @@ np = pytest.importorskip("numpy", reason="NumPy is not installed")
 from meissner import figures  # noqa: E402
 
 CALIBRATION = Path(__file__).parent / "data" / "laser" / "plain.json"
-SCENE = Path(__file__).parents[2] / "scenes" / "one-pin.toml"
+SCENE = Path(__file__).parents[2] / "library" / "scenes" / "one-pin.toml"
 
 
 def lines(axes: Any) -> dict[str, Any]:

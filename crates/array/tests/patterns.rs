@@ -180,7 +180,7 @@ fn no_text_makes_the_reader_panic() {
 
 #[test]
 fn every_shipped_pattern_is_sound_and_moves() {
-    let library = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../patterns");
+    let library = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../library/patterns");
     let mut names = Vec::new();
     let inner = ["paper", "motions"].map(|folder| fs::read_dir(library.join(folder)).unwrap());
     for entry in fs::read_dir(library).unwrap().chain(inner.into_iter().flatten()) {

@@ -8,7 +8,7 @@
 //!
 //! 1. `partition`: a [`Partition`] of afferents into ON and OFF; rates give its [`Verdict`].
 //! 2. `target`: reads and checks target files; cuts a moving target into [`Frame`]s.
-//! 3. `shipped`: reads the targets that are built in, the files of `targets/`, among them the [`YARDSTICK`].
+//! 3. `shipped`: reads the targets that are built in, the files of `library/targets/`, among them the [`YARDSTICK`].
 //! 4. `point`: a [`Point`] says how each motor vibrates. `space`: a [`Space`] is the set of points that a search may choose. `at_once`: an
 //!    [`AtOnce`] keeps points within a limit on the motors of a rail that have pulses at once.
 //! 5. `objective`: an [`Objective`] simulates the contrast of points. `moves`: the points to try next.

@@ -4,7 +4,7 @@ use crate::target::Target;
 use include_dir::{Dir, File, include_dir};
 
 /// The target files of the repository.
-static LIBRARY: Dir<'_> = include_dir!("$CARGO_MANIFEST_DIR/../../targets");
+static LIBRARY: Dir<'_> = include_dir!("$CARGO_MANIFEST_DIR/../../library/targets");
 
 /// The shipped target used to compare methods and patterns: an edge at 45°, 12 mm long, through the array's middle.
 pub const YARDSTICK: &str = "edge-45";

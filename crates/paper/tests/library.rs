@@ -16,7 +16,7 @@ fn names() -> Vec<String> {
 }
 
 fn file(name: &str) -> String {
-    let folder = if name.ends_with("-paper") { "patterns/paper" } else { "patterns" };
+    let folder = if name.ends_with("-paper") { "library/patterns/paper" } else { "library/patterns" };
     let dir = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..").join(folder);
     fs::read_to_string(dir.join(format!("{name}.toml"))).unwrap()
 }
@@ -83,7 +83,7 @@ fn every_target_has_a_pattern_with_the_right_figures() {
 #[test]
 fn every_target_has_an_object() {
     for name in shipped_names() {
-        let file = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("../../objects/{name}.toml"));
+        let file = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("../../library/objects/{name}.toml"));
         let object = Object::read(&fs::read_to_string(file).expect(name), name, &mut no_files);
         let object = object.unwrap_or_else(|error| panic!("{name}: {error}"));
         assert_eq!(object.name(), name);

@@ -250,7 +250,7 @@ fn every_shipped_target_is_valid() {
         assert_eq!(target.name(), name);
         assert_eq!(target.warnings(), [""; 0], "{name}");
         reads_back(&target);
-        let file = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("../../targets/{name}.toml"));
+        let file = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("../../library/targets/{name}.toml"));
         let head =
             fs::read_to_string(file).unwrap().lines().take_while(|line| line.starts_with("# ")).count();
         assert!((1..=2).contains(&head), "{name}: describes the target in one or two lines");

@@ -188,17 +188,17 @@ fn extremes_give_heights_within_the_travel() {
 fn the_library_is_what_objects_give() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
     let mut made = 0;
-    for entry in fs::read_dir(root.join("objects")).unwrap() {
+    for entry in fs::read_dir(root.join("library/objects")).unwrap() {
         let file = entry.unwrap().path();
         let text = fs::read_to_string(&file).unwrap();
         let object = Object::read(&text, "object", &mut |name| fs::read(root.join(name))).unwrap();
         let name = format!("{}-rendered", file.file_stem().unwrap().to_str().unwrap());
-        let stored = fs::read_to_string(root.join(format!("patterns/rendered/{name}.toml"))).unwrap();
+        let stored = fs::read_to_string(root.join(format!("library/patterns/rendered/{name}.toml"))).unwrap();
         let stored = Pattern::parse(&stored, &name).unwrap();
         let levels = render(Array::paper(), &contact(&object), object.touch(), Method::Auto);
         let again = levels.pattern(Array::paper(), &name, stored.provenance().clone()).unwrap();
         assert!(again.to_toml() == stored.to_toml(), "{name}: run docs/library.sh --rendered");
         made += 1;
     }
-    assert_eq!(made, fs::read_dir(root.join("patterns/rendered")).unwrap().count());
+    assert_eq!(made, fs::read_dir(root.join("library/patterns/rendered")).unwrap().count());
 }

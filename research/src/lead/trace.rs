@@ -14,7 +14,7 @@ use serde::Serialize;
 use std::time::Duration;
 
 /// The shipped trace, recorded on a virtual machine whose host sometimes steals time.
-pub const STALLS: &str = include_str!("../../../traces/stalls.txt");
+pub const STALLS: &str = include_str!("../../../library/traces/stalls.txt");
 /// The largest trace file, bytes.
 pub const MAX_TRACE_BYTES: u64 = 1 << 20;
 /// The longest trace, s.

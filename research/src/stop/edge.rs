@@ -7,7 +7,7 @@ use std::sync::LazyLock;
 
 /// The shipped pattern for the target [`YARDSTICK`].
 pub(super) static EDGE: LazyLock<Pattern> = LazyLock::new(|| {
-    let text = include_str!("../../../patterns/paper/edge-45-paper.toml");
+    let text = include_str!("../../../library/patterns/paper/edge-45-paper.toml");
     Pattern::parse(text, YARDSTICK).expect("a test reads the shipped pattern")
 });
 

@@ -20,7 +20,7 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 /// All motors of the paper's array at 60 Hz, 306 afferents, 1 s.
-const SIXTY_HERTZ: &str = include_str!("../../../scenes/sixty-hertz.toml");
+const SIXTY_HERTZ: &str = include_str!("../../../library/scenes/sixty-hertz.toml");
 
 #[derive(Debug, Args)]
 pub(super) struct Tradeoff {

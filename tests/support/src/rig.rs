@@ -120,7 +120,8 @@ pub fn shipped() -> Vec<Pattern> {
 }
 
 fn patterns_in(folder: &str) -> Vec<Pattern> {
-    let folder = std::path::Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../patterns")).join(folder);
+    let folder =
+        std::path::Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../library/patterns")).join(folder);
     let entries = std::fs::read_dir(folder).unwrap();
     let mut files: Vec<_> =
         entries.map(|entry| entry.unwrap().path()).filter(|path| path.is_file()).collect();

@@ -14,10 +14,10 @@ pub struct Array(&'static ArraySpec);
 
 /// The shipped descriptions; the first is the default.
 const SHIPPED: [(&str, &str); 4] = [
-    ("tula35-6x4.toml", include_str!("../../../../arrays/tula35-6x4.toml")),
-    ("ubi-pen-3x3.toml", include_str!("../../../../arrays/ubi-pen-3x3.toml")),
-    ("tula35-2x3.toml", include_str!("../../../../arrays/tula35-2x3.toml")),
-    ("simulated-8x8.toml", include_str!("../../../../arrays/simulated-8x8.toml")),
+    ("tula35-6x4.toml", include_str!("../../../../library/arrays/tula35-6x4.toml")),
+    ("ubi-pen-3x3.toml", include_str!("../../../../library/arrays/ubi-pen-3x3.toml")),
+    ("tula35-2x3.toml", include_str!("../../../../library/arrays/tula35-2x3.toml")),
+    ("simulated-8x8.toml", include_str!("../../../../library/arrays/simulated-8x8.toml")),
 ];
 
 static KNOWN: LazyLock<RwLock<Vec<Array>>> = LazyLock::new(|| {

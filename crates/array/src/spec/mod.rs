@@ -1,6 +1,6 @@
 //! The array as data: one description of pins, carrier, wiring and motors, read once, checked once, asked everywhere.
 //!
-//! A description is a TOML file (`arrays/*.toml`). [`ArraySpec::parse`] reads and checks it. An [`Array`] is a handle on a description
+//! A description is a TOML file (`library/arrays/*.toml`). [`ArraySpec::parse`] reads and checks it. An [`Array`] is a handle on a description
 //! that stays for the rest of the program, so that patterns, plays and devices carry it by value. [`Array::named`] finds one of the
 //! descriptions that the program knows: the shipped ones, and those that were added with [`Array::known`].
 //!

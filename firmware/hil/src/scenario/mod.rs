@@ -254,7 +254,7 @@ impl Scenario {
 /// # Errors
 /// If their folder is missing.
 pub fn pattern_names() -> Result<Vec<String>, ScenarioError> {
-    Ok(files("../../patterns")?.iter().map(|path| stem(path)).collect())
+    Ok(files("../../library/patterns")?.iter().map(|path| stem(path)).collect())
 }
 
 /// A shipped pattern, or `full-load`: all motors reverse 600 times a second, each with its own phase.
@@ -279,7 +279,7 @@ pub fn pattern(name: &str) -> Result<Pattern, ScenarioError> {
             toml::Table::new(),
         )?);
     }
-    let folder = if name.ends_with("-paper") { "patterns/paper" } else { "patterns" };
+    let folder = if name.ends_with("-paper") { "library/patterns/paper" } else { "library/patterns" };
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("../../{folder}/{name}.toml"));
     let text = std::fs::read_to_string(&path).map_err(|error| ScenarioError::File(path.clone(), error))?;
     Ok(Pattern::parse(&text, name)?)
