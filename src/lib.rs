@@ -34,11 +34,8 @@
 //!
 //! # The skin model
 //!
-//! [`meissner_skin`] simulates the afferents' spikes for a scene, exactly or by steps. The daemon runs it in one place,
-//! `daemon/beside/predictor.rs`: from the measured bursts of a play it predicts the afferent response to the play's first minute. That
-//! does not disturb the real-time thread: the predictor has one thread with nice 10, at most 16 plays wait for it, nothing waits
-//! for its results, and it shares no lock with the streamer. Offline, `cli/simulate` simulates scenes, and `cli/tradeoff` compares
-//! methods.
+//! [`meissner_skin`] simulates the afferents' spikes for a scene, exactly or by steps: `cli/simulate` simulates scenes and patterns,
+//! `cli/tradeoff` compares methods. The daemon runs it for renderings and previews in a process of their own ([`render_process`]).
 //!
 //! # Modules
 //!

@@ -1,9 +1,7 @@
 //! The local API of a real daemon: commands, receipts, events, errors, and the end.
 
-use crate::harness::{
-    Daemon, PATIENT, TIMEOUT, assert_accounts, began, ended, next, problem, refusal, wait_until,
-};
-use meissner_api::{EndCause, Event, MAX_BODY, PlayState, Prediction, Receipt, Status};
+use crate::harness::{Daemon, TIMEOUT, assert_accounts, began, ended, next, problem, refusal, wait_until};
+use meissner_api::{EndCause, Event, MAX_BODY, PlayState, Receipt, Status};
 use meissner_client::{Client, Events};
 use rustix::process::Signal;
 use serde_json::{Value, json};
@@ -14,13 +12,6 @@ use std::time::Duration;
 
 fn wait_for(events: &mut Events, wanted: impl Fn(&Event) -> bool) {
     next(events, |event| wanted(&event).then_some(()));
-}
-
-fn prediction(events: &mut Events) -> (u64, Prediction) {
-    next(events, |event| match event {
-        Event::PredictedResponse { id, prediction } => Some((id, prediction)),
-        _ => None,
-    })
 }
 
 fn play(client: &mut Client, request: &Value) -> u64 {
@@ -352,47 +343,6 @@ fn the_log_names_the_client_of_each_change() {
     let _client = daemon.armed();
     let line = format!("pid {})", std::process::id());
     assert!(daemon.log().lines().any(|log| log.contains("arm") && log.contains(&line)), "{}", daemon.log());
-}
-
-#[test]
-fn a_receipt_has_the_predicted_response_once_bursts_are_measured() {
-    let daemon = Daemon::start();
-    let mut client = daemon.armed();
-    let mut events = client.events().unwrap();
-    let id = play(&mut client, &json!({"pattern": "edge-45", "seconds": 0.5}));
-    assert!(!ended(&mut events).prediction.is_settled(), "the end does not wait for the prediction");
-    let (of, prediction) = prediction(&mut events);
-    assert_eq!(of, id);
-    let receipt: Value = client.get(&format!("/v1/plays/{id}")).unwrap();
-    assert_eq!(receipt["predicted_response"], serde_json::to_value(&prediction.response).unwrap());
-    assert_eq!(receipt["felt"], receipt["predicted_response"], "the deprecated key holds the same");
-    // On a busy machine telemetry may be delayed; the receipt then says so.
-    let Some(response) = prediction.response else {
-        assert!(prediction.unknown.is_some_and(|why| why.contains("bursts were not measured")));
-        return;
-    };
-    assert_eq!((response.seconds, response.target.as_deref()), (0.5, Some("edge-45")));
-    let json = &receipt["predicted_response"];
-    assert!(json["designed_hz"]["contrast"].as_f64().unwrap() > 100.0, "{receipt}");
-    assert!(json["played_hz"]["contrast"].as_f64().unwrap() > 50.0, "{receipt}");
-    assert_eq!(json["population_seed"], 0);
-    assert!(receipt["predicted_response_unknown"].is_null() && receipt["felt_unknown"].is_null());
-}
-
-#[test]
-fn without_telemetry_a_receipt_says_so() {
-    let daemon = Daemon::with("mock", &format!("{PATIENT}[mock]\ntelemetry_hz = 0\n"));
-    let mut client = daemon.armed();
-    let mut events = client.events().unwrap();
-    let id = play(&mut client, &json!({"pattern": "edge-45", "seconds": 0.2}));
-    let (of, prediction) = prediction(&mut events);
-    assert!(of == id && prediction.response.is_none());
-    let receipt: Value = client.get(&format!("/v1/plays/{id}")).unwrap();
-    assert_eq!((&receipt["predicted_response"], &receipt["state"]), (&Value::Null, &"done".into()));
-    assert_eq!(receipt["predicted_response_unknown"], "the device has no telemetry");
-    assert_eq!(receipt["felt_unknown"], receipt["predicted_response_unknown"]);
-    let text = crate::harness::printed(daemon.meissner().arg("receipt"));
-    assert!(text.contains("predicted RA response  not known: the device has no telemetry"), "{text}");
 }
 
 #[test]

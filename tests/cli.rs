@@ -25,16 +25,6 @@ fn play_wait_prints_a_summary() {
             .any(|line| line.strip_prefix(label).is_some_and(|rest| rest.trim_start().starts_with(value)))
     };
     assert!(text.contains("play 1 began at tick") && shows(&text, "state", "done"), "{text}");
-    // A busy machine may not predict in time, so try several plays.
-    let predicted = |_| {
-        let output =
-            daemon.meissner().args(["play", "pin-60", "--seconds", "0.1", "--wait"]).output().unwrap();
-        shows(&String::from_utf8(output.stdout).unwrap(), "predicted RA response", "mean rate")
-    };
-    assert!(
-        shows(&text, "predicted RA response", "on-target minus off-target") || (0..20).any(predicted),
-        "{text}"
-    );
     let receipt = document(daemon.meissner().args(["receipt", "--json"]));
     assert_accounts(&receipt);
     let played = document(daemon.meissner().args(["play", "pin-60", "--endless", "--at", "+1", "--json"]));

@@ -69,7 +69,7 @@ fn an_export_has_one_row_per_play() {
         assert!(of("reported_after_s").parse::<f64>().unwrap() < 20.0 && !of("session_ended").is_empty());
     }
     // The line of a play's end is lost: the export keeps the play and names the damage.
-    daemon.wait_for_prediction();
+    daemon.wait_for_record();
     let folder = daemon.path("state/meissner/logbook");
     let day = fs::read_dir(&folder).unwrap().map(|file| file.unwrap().path());
     let day =

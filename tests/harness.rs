@@ -200,17 +200,6 @@ impl Daemon {
         let _: SessionList = self.client().get("/v1/sessions").unwrap();
     }
 
-    /// Waits until the session record has the predicted responses of all plays: they come in order. A test that changes the record
-    /// must not collide with one.
-    pub(crate) fn wait_for_prediction(&self) {
-        let mut client = self.client();
-        wait_until(|| {
-            let receipt: Value = client.get("/v1/plays/last").unwrap();
-            !(receipt["predicted_response"].is_null() && receipt["predicted_response_unknown"].is_null())
-        });
-        self.wait_for_record();
-    }
-
     /// Ends it with SIGTERM.
     pub(crate) fn end(&mut self) -> ExitStatus {
         self.signal(Signal::TERM);

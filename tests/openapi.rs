@@ -416,7 +416,7 @@ fn a_daemon_s_answers_fit_the_document() {
     fits(Route::Receipt, &client.get("/v1/plays/last").unwrap());
     next(&mut events, |next| {
         event(&next);
-        matches!(next, Event::PredictedResponse { .. }).then_some(())
+        matches!(next, Event::Ended { .. }).then_some(())
     });
     fits(Route::Receipt, &client.get("/v1/plays/last").unwrap());
     fits(

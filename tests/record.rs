@@ -144,7 +144,7 @@ fn lines_in_the_files_of_other_days_are_exported_in_order() {
     let mut events = client.events().unwrap();
     play(&mut client, &mut events, 5);
     end(&mut client);
-    daemon.wait_for_prediction();
+    daemon.wait_for_record();
     let before = document_of(&daemon, &started.id);
     let today = days(&daemon).remove(0);
     let text = fs::read_to_string(&today).unwrap();
@@ -180,7 +180,7 @@ fn a_forged_record_moves_no_cursor() {
     let mut events = client.events().unwrap();
     play(&mut client, &mut events, 1);
     end(&mut client);
-    daemon.wait_for_prediction();
+    daemon.wait_for_record();
     let today = days(&daemon).remove(0);
     let text = fs::read_to_string(&today).unwrap();
     let text = text.replace("\"pattern\":\"pin-60\"", &format!("\"pattern\":\"{ODD}\""));
@@ -290,7 +290,7 @@ fn an_answer_that_cannot_be_recorded_is_refused_and_everybody_is_told() {
         let (mut client, started) = owner(&daemon, "P07", false);
         let mut events = client.events().unwrap();
         play(&mut client, &mut events, 1);
-        daemon.wait_for_prediction();
+        daemon.wait_for_record();
         assert!(!warnings(&mut client).contains("session record"));
         let day = days(&daemon).remove(0);
         let folder = day.parent().unwrap();
@@ -354,7 +354,7 @@ fn lines_that_somebody_takes_away_are_told_at_the_next_call() {
         let (mut client, started) = owner(&daemon, "P07", false);
         let mut events = client.events().unwrap();
         play(&mut client, &mut events, 2);
-        daemon.wait_for_prediction();
+        daemon.wait_for_record();
         let before = status(&mut client).logbook_lost;
         let day = days(&daemon).remove(0);
         damage(day.parent().unwrap(), &day);
@@ -426,7 +426,7 @@ fn acknowledged_answers_that_somebody_takes_away_are_told_without_a_further_entr
         let (mut client, started) = owner(&daemon, "P07", false);
         let mut events = client.events().unwrap();
         play(&mut client, &mut events, 1);
-        daemon.wait_for_prediction();
+        daemon.wait_for_record();
         let _: Value = client.post("/v1/plays/1/answer", &json!({"response": "left"})).unwrap();
         // The entry of the command, too.
         list(&daemon, 0);
@@ -461,7 +461,7 @@ fn lost_requests_of_others_do_not_count_against_a_session() {
     let (mut client, started) = owner(&daemon, "P07", false);
     let mut events = client.events().unwrap();
     play(&mut client, &mut events, 1);
-    daemon.wait_for_prediction();
+    daemon.wait_for_record();
     daemon.limit_files(Some(fs::metadata(&days(&daemon)[0]).unwrap().len()));
     for mut other in [(); 3].map(|()| daemon.client()) {
         for _ in 0..20 {

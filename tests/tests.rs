@@ -67,8 +67,6 @@ mod openapi;
 mod optimise;
 /// Limits for participants: amplitude, vibration without a pause and per day, plays without end.
 mod participant;
-/// Predicted responses to simulated plays: with position control and without, cut, and unmeasured.
-mod played;
 /// Kills at any moment, full disks and read-only directories; the session record.
 mod power;
 /// A whole session through a pseudo-terminal and the serial transport; the daemon ended and killed in mid-play.

@@ -214,7 +214,7 @@ fn minute_played(criterion: &mut Criterion) {
         });
         let bursts: Vec<_> = bursts.collect();
         let options = StrokeOptions::lasting(60.0);
-        let play = Play { pattern: &pattern, options, onset: Tick(0), observed_s: 60.0, by_class: true };
+        let play = Play { pattern: &pattern, options, onset: Tick(0), observed_s: 60.0 };
         let found = predict_response(&play, bursts.iter().copied()).expect("a minute can be felt");
         println!("{name}: {} bursts, {:?}, {:?}", bursts.len(), found.designed_hz, found.played_hz);
         group.bench_function(format!("{name}/1_core"), |bencher| {

@@ -21,9 +21,6 @@ use std::sync::mpsc;
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// How long to wait for the predicted response after a play. After a long play on a busy machine it takes longer; the receipt shows
-/// it later.
-const PREDICTION_TIMEOUT: Duration = Duration::from_secs(1);
 /// How often a waiting command sends a sign of life: the shortest `silence_s` of a client is 1 s.
 const SIGN_OF_LIFE: Duration = Duration::from_millis(250);
 
@@ -268,7 +265,6 @@ pub(super) fn play(play: &Play) -> Result<ExitCode> {
     let mut progress = Progress::new(played.ordered_ms.map(|ms| ms / 1e3), json);
     let receipt = follow(&mut client, &mut events, played.id, &mut progress)?;
     ending.set_over();
-    let receipt = with_prediction(&mut client, &mut events, receipt, PREDICTION_TIMEOUT);
     give(json, &receipt, || text::receipt(&receipt))?;
     Ok(if receipt.all_played() { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }
@@ -308,27 +304,4 @@ pub(super) fn follow(
     };
     progress.finish();
     Ok(ended)
-}
-
-/// Waits until the receipt has its predicted response, or the reason why there is none; returns it as it is after
-/// `timeout`, or if the daemon ends.
-pub(super) fn with_prediction(
-    client: &mut Client,
-    events: &mut Events,
-    receipt: Receipt,
-    timeout: Duration,
-) -> Receipt {
-    let until = Instant::now() + timeout;
-    // If the prediction is already there, no event comes.
-    let mut receipt = client.get(&format!("/v1/plays/{}", receipt.id)).unwrap_or(receipt);
-    while !receipt.prediction.is_settled() {
-        match events.next(Some(until.saturating_duration_since(Instant::now()))) {
-            Ok(Some(Event::PredictedResponse { id, prediction })) if id == receipt.id => {
-                receipt.prediction = prediction;
-            }
-            Ok(Some(_)) => {}
-            Ok(None) | Err(_) => break,
-        }
-    }
-    receipt
 }

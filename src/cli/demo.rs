@@ -17,26 +17,29 @@ use crate::config::{Config, Listen, MAX_LEASE_MS, PatternsDir};
 use crate::daemon::{Daemon, Hosted};
 use crate::doctor::device::ON_NO_BOARD;
 use crate::exposure::ParticipantLimits;
-use crate::receipts::{PlayedPattern, end_text};
+use crate::receipts::end_text;
 use crate::store::Store;
 use anyhow::{Context, Result, bail};
+use firmware_protocol::stroke::Direction;
 use meissner_api::{
     ArmRequest, BurstCounts, DurationRecord, EndCause, LinkTraffic, OrderedCounts, PatternChoice,
-    PlayAccepted, PlayRequest, PredictedResponse, PulseCounts, Rates, Realtime, Receipt, Status,
+    PlayAccepted, PlayRequest, PulseCounts, Realtime, Receipt, Status,
 };
+use meissner_array::motor::Ramp;
 use meissner_array::pattern::{Drive, Pattern};
 use meissner_array::per_motor::PerMotor;
 use meissner_array::simulated::{LowerStop, SimulatedMotorsConfig};
 use meissner_array::spec::Array;
+use meissner_array::strokes::{StrokeOptions, Surplus};
 use meissner_client::{Client, Events};
-use meissner_paper::shipped;
+use meissner_paper::{MOST_OBSERVED_S, Play, PredictedResponse, Rates, predict_response, shipped};
 use meissner_render::{Judge, Method, Rival, render, response_of};
 use meissner_skin::{Finger, SkinModel};
 use meissner_stream::device::Spec;
+use meissner_stream::queues::MeasuredBurst;
 use meissner_stream::{Gains, Settings, SimulatedPlay, simulate_play};
 use meissner_touch::{Contact, Object, Touch, respond, surface_of};
 use serde::Serialize;
-use std::collections::HashSet;
 use std::net::Ipv4Addr;
 use std::process::ExitCode;
 use std::sync::Arc;
@@ -53,8 +56,6 @@ const FINGER: u64 = 5000;
 const AFTER_S: f64 = 0.1;
 /// How long the mock may take to answer the handshake.
 const TIMEOUT: Duration = Duration::from_secs(5);
-/// How long to wait for the predicted response.
-const PREDICTION_TIMEOUT: Duration = Duration::from_secs(60);
 
 #[derive(Debug, Serialize)]
 struct Report {
@@ -116,19 +117,19 @@ struct RestReport {
     max: f64,
 }
 
-/// The predicted response to the first minute, impulses/s.
+/// The predicted response to the first minute, impulses/s, as the same array plays it in virtual time.
 #[derive(Debug, Serialize)]
 struct ResponseReport {
     seconds: Option<f64>,
     target: Option<String>,
     designed_hz: Option<Rates>,
-    /// As played; null with `--open-loop` and `--sensorless`.
+    /// Null with `--open-loop` and `--sensorless`.
     closed_loop_hz: Option<Rates>,
-    /// As the same array with telemetry plays it in virtual time; null without `--sensorless`.
+    /// Null without `--sensorless`.
     lower_stop_hz: Option<Rates>,
     open_loop_hz: Option<Rates>,
-    /// Why the play has no prediction.
-    unknown: Option<String>,
+    /// Why the play itself was not measured.
+    unknown: Option<&'static str>,
 }
 
 /// What is asked of the demo.
@@ -187,7 +188,6 @@ pub(super) fn run(asked: &Asked) -> Result<ExitCode> {
     let _: Status =
         client.post("/v1/arm", &ArmRequest { assume_rest: !sensorless, ..ArmRequest::default() })?;
     let receipt = play(&mut client, &mut events, &request, json)?;
-    let receipt = control::with_prediction(&mut client, &mut events, receipt, PREDICTION_TIMEOUT);
     let mut report = report(&config, &hosted, &mut client, &request, &receipt, &edges, begun)?;
     let pressed = PlayRequest { pattern: edges.pressed.choice()?, seconds: None, ..request };
     let pressed = play(&mut client, &mut events, &pressed, json)?;
@@ -327,47 +327,43 @@ struct Comparison {
     response: Option<PredictedResponse>,
 }
 
-/// Plays the pattern in virtual time in open loop, on an array with telemetry, which measures the motion.
+/// Plays the pattern in virtual time, on an array with telemetry, which measures the motion.
 fn compare(
     config: &Config,
     request: &PlayRequest,
     pattern: &Pattern,
     lower_stop: bool,
+    open_loop: bool,
 ) -> Result<Comparison> {
     let (mut mock, mut settings) = (config.mock, config.settings);
     mock.telemetry_hz = SimulatedMotorsConfig::default().telemetry_hz;
     if !lower_stop {
         (mock.lower_stop, settings.lower_stop) = (LowerStop::None, None);
     }
-    let SimulatedPlay { rest, options, outcome, measured_bursts } =
-        simulate_play(pattern, request.seconds, &mock, settings, true)?;
-    let response = outcome.onset.and_then(|onset| {
-        let onset = onset.actual;
-        let played = PlayedPattern { pattern, options, onset, cut: false, unplayed: HashSet::new() };
-        played.response(&measured_bursts).ok()
-    });
-    let traffic = LinkTraffic::new(outcome.wire_bytes, outcome.bursts.planned);
-    Ok(Comparison { rest_rms_um: rest.rms_um(), bytes_per_burst: traffic.bytes_per_burst, response })
+    let played = simulate_play(pattern, request.seconds, &mock, settings, open_loop)?;
+    let traffic = LinkTraffic::new(played.outcome.wire_bytes, played.outcome.bursts.planned);
+    let (rest_rms_um, bytes_per_burst) = (played.rest.rms_um(), traffic.bytes_per_burst);
+    Ok(Comparison { rest_rms_um, bytes_per_burst, response: response(pattern, played) })
 }
 
-/// The predicted responses to the play, and to plays in virtual time.
-fn response_report(
-    request: &PlayRequest,
-    receipt: &Receipt,
-    open: Option<PredictedResponse>,
-    stopped: Option<PredictedResponse>,
-) -> ResponseReport {
-    let played = receipt.prediction.response.as_ref();
-    let any = played.or(stopped.as_ref()).or(open.as_ref());
-    ResponseReport {
-        seconds: any.map(|response| response.seconds),
-        target: any.and_then(|response| response.target.clone()),
-        designed_hz: any.map(|response| response.designed_hz),
-        closed_loop_hz: played.filter(|_| !request.open_loop).map(|response| response.played_hz),
-        lower_stop_hz: stopped.map(|stopped| stopped.played_hz),
-        open_loop_hz: open.map(|open| open.played_hz),
-        unknown: receipt.prediction.unknown.clone(),
-    }
+/// The predicted response to the bursts as telemetry measured them.
+fn response(pattern: &Pattern, played: SimulatedPlay) -> Option<PredictedResponse> {
+    let SimulatedPlay { options, outcome, measured_bursts, .. } = played;
+    let um_per_pulse = pattern.array().motor().um_per_pulse;
+    let stops = options.surplus != Surplus::None;
+    let ramps = measured_bursts.into_iter().map(|burst| {
+        let MeasuredBurst { motor, start, pulses, travel_um, direction, .. } = burst;
+        // The lower stop ends the motion, and the motor slips for the rest of the burst. The cast saturates.
+        let moving = match stops && direction == Direction::Down {
+            true => (f64::from(travel_um.abs()) / um_per_pulse).round().max(1.0) as u16,
+            false => pulses,
+        };
+        (motor, Ramp::travelled(start, pulses.min(moving).into(), travel_um.into()))
+    });
+    // The design has no surplus.
+    let options = StrokeOptions { surplus: Surplus::None, ..options };
+    let play = Play { pattern, options, onset: outcome.onset?.actual, observed_s: MOST_OBSERVED_S };
+    predict_response(&play, ramps).ok()
 }
 
 fn report(
@@ -383,8 +379,11 @@ fn report(
     let array = config.settings.array;
     let pattern = &edges.vibrating.pattern;
     let sensorless = config.settings.lower_stop.is_some();
-    let open = compare(config, request, pattern, false)?;
-    let stopped = if sensorless { Some(compare(config, request, pattern, true)?) } else { None };
+    let open = compare(config, request, pattern, false, true)?;
+    // As it was played.
+    let same = compare(config, request, pattern, sensorless, request.open_loop || sensorless)?;
+    let designed = same.response.as_ref();
+    let hz = designed.map(|response| response.played_hz);
     let status: Status = client.get("/v1/status")?;
     let traffic = receipt.wire.unwrap_or(LinkTraffic::new(0, 0));
     let surplus = config.settings.surplus(&PerMotor::all(array, Gains::default()));
@@ -416,7 +415,15 @@ fn report(
             expected_rms: sensorless.then(|| mean.sqrt()),
             max: truth.max_abs_um,
         },
-        response: response_report(request, receipt, open.response, stopped.and_then(|it| it.response)),
+        response: ResponseReport {
+            seconds: designed.map(|response| response.seconds),
+            target: designed.and_then(|response| response.target.clone()),
+            designed_hz: designed.map(|response| response.designed_hz),
+            closed_loop_hz: hz.filter(|_| !request.open_loop && !sensorless),
+            lower_stop_hz: hz.filter(|_| sensorless),
+            open_loop_hz: open.response.map(|response| response.played_hz),
+            unknown: sensorless.then_some("the device has no telemetry"),
+        },
         rendered: rendered(edges)?,
         realtime: hosted.realtime(),
         duration_s: begun.elapsed().as_secs_f64(),
@@ -479,7 +486,7 @@ fn summary(report: &Report) -> String {
             },
         ),
         (
-            text::PREDICTED,
+            "predicted RA response",
             format!(
                 "on-target minus off-target {} impulses/s (designed: {}), {} without {}",
                 contrast(response.lower_stop_hz.or(response.closed_loop_hz)),

@@ -7,9 +7,7 @@ mod receipt;
 mod segments;
 
 pub(super) use motions::{measured, motions};
-pub(super) use receipt::{
-    LARGEST_OFFSET, PREDICTED, accepted, burst_counts, duration, pulse_counts, receipt,
-};
+pub(super) use receipt::{LARGEST_OFFSET, accepted, burst_counts, duration, pulse_counts, receipt};
 
 use crate::doctor::device::{NO_TELEMETRY, ON_NO_BOARD, SHORT_PLAYS};
 use crate::doctor::rights::SLOW_ESTOP;
@@ -308,9 +306,6 @@ pub(super) fn event(event: &Event) -> String {
         Event::Ended { receipt } => {
             let Receipt { id, state, cause, cut_after_ms, .. } = &**receipt;
             format!("ended: {id} {}", end_text(state.name(), cause.as_ref(), *cut_after_ms))
-        }
-        Event::PredictedResponse { id, prediction } => {
-            format!("{PREDICTED}: {id}, {}", receipt::predicted(prediction).unwrap_or_default())
         }
         Event::Calibrated { id, motors, problem: None } => {
             format!("calibrated: {} motors by play {id}", motors.len())

@@ -1,6 +1,6 @@
 //! The daemon: the streamer's thread, and around it clients, patterns, devices, receipts and the session record.
 //!
-//! Threads: `streamer` and `acceptor` (real time; an emergency stop needs no other), `connector` (opens devices), `predictor` (skin model),
+//! Threads: `streamer` and `acceptor` (real time; an emergency stop needs no other), `connector` (opens devices),
 //! `rendering` and `preview` (follow a process), `session record` (disk), and the runtime's one thread for clients and events. An idle daemon runs no timer except a service manager's watchdog.
 //!
 //! The folders, as a request meets them:
@@ -11,7 +11,7 @@
 //! - `plays`: what every play goes through, from a request to the streamer's answer: plays, sequences, live plays, calibrations.
 //! - `engine`: commands to the streamer and their answers; emergency stops; the status; the log's lines; rights that outlive a request.
 //! - `state`: the daemon's state behind one lock.
-//! - `beside`: what runs beside the requests: the streamer's events, devices, predictions, fits, renderings, the service manager.
+//! - `beside`: what runs beside the requests: the streamer's events, devices, fits, renderings, the service manager.
 //! - `system`: the system around all of them.
 //!
 //! `run` starts and ends the daemon. In a build for the fuzzer there is also `fuzzed`: requests without a socket.

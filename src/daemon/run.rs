@@ -7,7 +7,6 @@
 
 use crate::config::Config;
 use crate::daemon::beside::connector;
-use crate::daemon::beside::predictor::Predictor;
 use crate::daemon::beside::service::{self, Manager, Notification, StatusReporter};
 use crate::daemon::engine::Engine;
 use crate::daemon::http;
@@ -54,7 +53,6 @@ pub struct Daemon {
     pub(in crate::daemon) engine: Arc<Engine>,
     pub(in crate::daemon) store: Arc<Store>,
     events: EventQueue,
-    predictor: Predictor,
     realtime: Realtime,
     streamer: JoinHandle<()>,
     connector: crossbeam_channel::Sender<ConnectorMessage>,
@@ -79,7 +77,6 @@ impl Daemon {
                 "without real-time rights strokes may come late: see `meissner doctor`"
             );
         }
-        let predictor = Predictor::new().map_err(io::Error::other).map_err(system("thread"))?;
         let wanted = config.device.to_string();
         let engine = Engine::new(commands, config.settings, wanted.clone(), config.calibration.clone());
         let record = SessionRecord::start(config.logbook.clone(), Arc::clone(&engine.names.users))
@@ -100,7 +97,7 @@ impl Daemon {
                 .map_err(system("connector's thread"))?;
         info!("listening on {}", bound.socket().display());
         let store = Arc::new(store);
-        Ok(Self { bound, tcp, engine, store, events, predictor, realtime, streamer, connector })
+        Ok(Self { bound, tcp, engine, store, events, realtime, streamer, connector })
     }
 
     /// Runs it on a separate thread, until it is stopped or a signal ends it.
@@ -135,7 +132,7 @@ impl Daemon {
     }
 
     async fn work(self, mut signals: Signals) -> Result<(), DaemonError> {
-        let Self { bound, tcp, engine, store, events, predictor, streamer, connector, .. } = self;
+        let Self { bound, tcp, engine, store, events, streamer, connector, .. } = self;
         let api = bound.listener.try_clone().map_err(system("socket"))?;
         let estop =
             bound.estop.as_ref().map(UnixListener::try_clone).transpose().map_err(system("socket"))?;
@@ -147,7 +144,7 @@ impl Daemon {
         let manager = Manager::find().map_err(system("thread"))?;
         let (close, closing) = watch::channel(false);
         let reporter = StatusReporter::new(manager.clone());
-        let mut event_loop = tokio::spawn(Arc::clone(&engine).event_loop(events, predictor, reporter));
+        let mut event_loop = tokio::spawn(Arc::clone(&engine).event_loop(events, reporter));
         let watchdog = tokio::spawn(service::watchdog(manager.clone(), Arc::clone(&engine)));
         let mut streamer = ended(streamer).map_err(system("thread"))?;
         // A client's first command may have started the daemon: give the device time to connect.

@@ -462,6 +462,4 @@ impl Account {
 }
 
 #[cfg(test)]
-mod random;
-#[cfg(test)]
 mod tests;

@@ -12,25 +12,21 @@
 mod convert;
 mod items;
 mod live;
-mod measured_bursts;
 mod order;
-mod prediction;
 
 pub use convert::{
     board_status, calibration_plan, device_info, end_text, fit, outputs, refusal, reset_name, state_name,
 };
 pub use items::{BLANK, PlannedItem};
-pub use measured_bursts::{KEPT_S, MeasuredBursts};
 pub use order::{Order, counts, counts_until, largest_um, motions, motions_of_items, too_slow, walk};
-pub use prediction::{NoPrediction, PlayedPattern};
 
 use firmware_protocol::message::{DeviceHello, State};
 use firmware_protocol::tick::Tick;
 use live::LiveAccount;
 use meissner_api::{
     BurstCounts, DeviceInfo, EdgeEffect, Event, LateCounts, LateStroke, LinkTraffic, LoweredPin,
-    LoweredReason, MAX_LISTED, MotorRestError, MovedPin, NO_DEVICE, OrderedCounts, PlayState,
-    PredictedResponse, Prediction, PulseCounts, Receipt, RefusedStroke, RunningPlay,
+    LoweredReason, MAX_LISTED, MotorRestError, MovedPin, NO_DEVICE, OrderedCounts, PlayState, PulseCounts,
+    Receipt, RefusedStroke, RunningPlay,
 };
 use meissner_array::spec::Array;
 use meissner_array::units::{TickRate, ns_to_ms};
@@ -265,20 +261,6 @@ impl Receipts {
         if let Some(receipt) = self.live_mut(id) {
             receipt.ordered = counts;
         }
-    }
-
-    /// Puts a predicted response, or why there is none, into its play's receipt.
-    pub fn set_prediction(
-        &mut self,
-        id: u64,
-        prediction: Result<PredictedResponse, NoPrediction>,
-    ) -> Option<Event> {
-        let receipt = self.live.iter_mut().chain(&mut self.finished).find(|receipt| receipt.id == id)?;
-        receipt.prediction = match prediction {
-            Ok(response) => Prediction { response: Some(response), unknown: None },
-            Err(why) => Prediction { response: None, unknown: Some(why.to_string()) },
-        };
-        Some(Event::PredictedResponse { id, prediction: receipt.prediction.clone() })
     }
 
     /// The receipt of a play.

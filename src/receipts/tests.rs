@@ -247,16 +247,3 @@ fn every_events_name_is_its_json_tag() {
         assert_eq!(serde_json::from_value::<Event>(json).unwrap(), event);
     }
 }
-
-/// Receipts of older daemons have only the deprecated keys.
-#[test]
-fn a_prediction_is_written_under_both_names_and_read_under_either() {
-    let mut receipt = Receipt::new(1, "edge-45", "", None);
-    receipt.prediction.unknown = Some("it did not begin".to_owned());
-    let mut json = serde_json::to_value(&receipt).unwrap();
-    assert_eq!(json["predicted_response_unknown"], "it did not begin");
-    assert_eq!(json["felt_unknown"], "it did not begin");
-    assert!(json["predicted_response"].is_null() && json["felt"].is_null());
-    json.as_object_mut().unwrap().retain(|key, _| !key.starts_with("predicted"));
-    assert_eq!(serde_json::from_value::<Receipt>(json).unwrap(), receipt);
-}

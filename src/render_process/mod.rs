@@ -31,7 +31,7 @@ const NAME: &str = "meissner-render";
 pub const MEMORY: u64 = 256 << 20;
 /// The longest line of either side, bytes: an object with its files.
 pub const MAX_LINE: u64 = 8 << 20;
-/// The same as the daemon's predictor: on a busy machine the process still gets a ninth of a processor.
+/// On a busy machine the process still gets a ninth of a processor.
 const NICE: i32 = 10;
 
 /// Whether this executable is the program, which can be the process, and not another executable that contains a daemon.

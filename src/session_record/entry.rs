@@ -325,7 +325,6 @@ impl Entry {
                 | Event::Began { .. }
                 | Event::Items { .. }
                 | Event::Ended { .. }
-                | Event::PredictedResponse { .. }
                 | Event::SessionStarted { .. }
                 | Event::SessionReleased { .. }
                 | Event::SessionEnded { .. }

@@ -53,7 +53,7 @@ impl Formatter for Plain {
 mod tests {
     use super::*;
     use crate::session_record::{CommandEntry, Entry, Note, Peer};
-    use meissner_api::{DeviceInfo, Event, Prediction, Receipt};
+    use meissner_api::{DeviceInfo, Event, Receipt};
     use serde_json::{Value, json};
 
     const ODD: &str = "µm \"\\ x\n\u{1b}[2J\u{7f}\u{9b}\u{2028}\u{202e}\u{feff}\u{e0041}";
@@ -94,13 +94,11 @@ mod tests {
         };
         let mut receipt = Receipt::new(3, ODD, ODD, None);
         receipt.cause = Some(odd().into());
-        let prediction = Prediction { response: None, unknown: Some(odd()) };
         let events = [
             (Event::Connected { device }, 3),
             (Event::Disconnected { reason: odd().into() }, 1),
             (Event::Queued { id: 1, pattern: odd(), seconds: None }, 1),
             (Event::Ended { receipt: Box::new(receipt) }, 3),
-            (Event::PredictedResponse { id: 1, prediction }, 2),
             (Event::Calibrated { id: 1, motors: vec![1], problem: Some(odd()) }, 1),
         ];
         let notes = [

@@ -6,7 +6,6 @@
 //! Invariant: [`Event::name`] is the `event` key of its JSON.
 
 use crate::end_cause::EndCause;
-use crate::prediction::{Prediction, PredictionKeys};
 use crate::receipt::{EdgeRecord, LateStroke, OnsetRecord, Receipt, RefusedStroke};
 use crate::rendering::RenderingState;
 use crate::sequence::ItemRecord;
@@ -146,21 +145,6 @@ pub enum Event {
     Ended {
         /// The play's result.
         receipt: Box<Receipt>,
-    },
-    /// The predicted afferent response to a play, or why there is none: some time after the play's end, or after its first minute.
-    /// The event keeps its old name, `felt`.
-    #[serde(rename = "felt")]
-    #[schema(examples(json!({
-        "event": "felt", "id": 7, "predicted_response": null, "predicted_response_unknown": "the device has no telemetry",
-        "felt": null, "felt_unknown": "the device has no telemetry"
-    })))]
-    PredictedResponse {
-        /// The play's id.
-        id: u64,
-        /// As in the receipt.
-        #[serde(flatten)]
-        #[schema(value_type = PredictionKeys)]
-        prediction: Prediction,
     },
     /// A calibration has ended: the daemon has stored and uses it, or says why not.
     #[schema(examples(json!({"event": "calibrated", "id": 7, "motors": [3], "problem": null})))]
@@ -331,7 +315,6 @@ impl Event {
             Self::Edge { .. } => "edge",
             Self::Items { .. } => "items",
             Self::Ended { .. } => "ended",
-            Self::PredictedResponse { .. } => "felt",
             Self::Calibrated { .. } => "calibrated",
             Self::SessionStarted { .. } => "session-started",
             Self::SessionReleased { .. } => "session-released",

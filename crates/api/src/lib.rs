@@ -10,8 +10,8 @@
 //! - [`session`]: sessions, whose plays are recorded together and during which one client may own the display.
 //! - [`sequence`], [`trigger`]: sequences of patterns, and the trigger output, in requests and in receipts; [`plan_check`]: how far one
 //!   would let pins drift.
-//! - [`status`], [`receipt`], [`pattern`], [`calibration`]: what the daemon answers; [`prediction`]: the afferents' predicted
-//!   response, in receipts; [`board`]: the device's counters in status and receipt.
+//! - [`status`], [`receipt`], [`pattern`], [`calibration`]: what the daemon answers; [`board`]: the device's
+//!   counters in status and receipt.
 //! - [`end_cause`]: why a play ended before its end.
 //! - [`live`], [`live_record`]: live plays with the messages of their connections, and their part of a receipt.
 //! - [`doctor`]: the problems that the daemon finds on its machine, with advice.
@@ -53,7 +53,6 @@ pub mod openapi;
 pub mod pattern;
 pub mod pattern_choice;
 pub mod plan_check;
-pub mod prediction;
 pub mod problem;
 pub mod receipt;
 pub mod rendering;
@@ -84,7 +83,6 @@ pub use pattern::{
 };
 pub use pattern_choice::{MAX_BODY, MAX_PACKED_BODY, PatternChoice};
 pub use plan_check::{PlanCheck, PlanStop};
-pub use prediction::{AfferentClass, ClassResponse, PredictedResponse, Prediction, Rates};
 pub use problem::{Code, MAX_DETAIL, Problem, REFERENCE};
 pub use receipt::{
     BurstCounts, DurationRecord, EdgeRecord, ErrorSource, LateCause, LateCounts, LateStroke, LatenessRecord,

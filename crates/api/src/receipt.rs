@@ -9,7 +9,6 @@ use crate::board::BoardRecord;
 use crate::end_cause::EndCause;
 use crate::live_record::LiveRecord;
 use crate::pattern::{FollowedMotion, ReachedDrive};
-use crate::prediction::{Prediction, PredictionKeys};
 use crate::request::{Fit, LatePolicy};
 use crate::sequence::ItemRecord;
 use crate::trigger::TriggerRecord;
@@ -386,37 +385,7 @@ impl LinkTraffic {
     "rest_errors": [{
         "motor": 9, "onset_um": 0.1, "onset_source": "telemetry", "offset_um": 0.4, "offset_source": "telemetry"
     }],
-    "pins": [{"motor": 9, "first_pulse_tick": 6442460000_u64, "offset_tick": 6442629900_u64}],
-    "predicted_response": {
-        "seconds": 2.0, "target": "edge-45", "population_seed": 0,
-        "designed_hz": {"all": 40.1, "on": 200.0, "off": 9.5, "contrast": 190.5},
-        "played_hz": {"all": 39.8, "on": 197.5, "off": 10.0, "contrast": 187.5},
-        "afferents": [
-            {"class": "SA1", "designed_hz": {"all": 3.1, "on": 16.2, "off": 0.8, "contrast": 15.4},
-             "played_hz": {"all": 3.1, "on": 15.9, "off": 0.8, "contrast": 15.1}},
-            {"class": "RA", "designed_hz": {"all": 4.0, "on": 19.1, "off": 1.2, "contrast": 17.9},
-             "played_hz": {"all": 3.9, "on": 18.7, "off": 1.3, "contrast": 17.4}},
-            {"class": "PC", "designed_hz": {"all": 24.5, "on": 30.2, "off": 23.3, "contrast": 6.9},
-             "played_hz": {"all": 24.1, "on": 29.8, "off": 22.9, "contrast": 6.9}}
-        ],
-        "unmeasured": 0
-    },
-    "predicted_response_unknown": null,
-    "felt": {
-        "seconds": 2.0, "target": "edge-45", "population_seed": 0,
-        "designed_hz": {"all": 40.1, "on": 200.0, "off": 9.5, "contrast": 190.5},
-        "played_hz": {"all": 39.8, "on": 197.5, "off": 10.0, "contrast": 187.5},
-        "afferents": [
-            {"class": "SA1", "designed_hz": {"all": 3.1, "on": 16.2, "off": 0.8, "contrast": 15.4},
-             "played_hz": {"all": 3.1, "on": 15.9, "off": 0.8, "contrast": 15.1}},
-            {"class": "RA", "designed_hz": {"all": 4.0, "on": 19.1, "off": 1.2, "contrast": 17.9},
-             "played_hz": {"all": 3.9, "on": 18.7, "off": 1.3, "contrast": 17.4}},
-            {"class": "PC", "designed_hz": {"all": 24.5, "on": 30.2, "off": 23.3, "contrast": 6.9},
-             "played_hz": {"all": 24.1, "on": 29.8, "off": 22.9, "contrast": 6.9}}
-        ],
-        "unmeasured": 0
-    },
-    "felt_unknown": null
+    "pins": [{"motor": 9, "first_pulse_tick": 6442460000_u64, "offset_tick": 6442629900_u64}]
 })))]
 pub struct Receipt {
     /// The play's id: its number since the daemon's start.
@@ -578,10 +547,6 @@ pub struct Receipt {
     #[serde(default)]
     #[schema(required, max_items = 64)]
     pub pins: Option<Vec<MovedPin>>,
-    /// The predicted afferent response to the play's first minute; unknown until some time after the play's end.
-    #[serde(flatten)]
-    #[schema(value_type = PredictionKeys)]
-    pub prediction: Prediction,
 }
 
 /// The array of receipts from before arrays had names.
@@ -642,7 +607,6 @@ impl Receipt {
             rest_error_um: None,
             rest_errors: None,
             pins: None,
-            prediction: Prediction::default(),
         }
     }
 

@@ -290,7 +290,7 @@ impl Route {
             Self::Play => Operation {
                 summary: "Queue a play of a pattern",
                 description: "The daemon answers when the streamer has taken the play. The receipt and the events `queued`, \
-                              `began`, `late`, `refused`, `ended` and `felt` report what happens to it. At most 16 plays wait. The \
+                              `began`, `late`, `refused` and `ended` report what happens to it. At most 16 plays wait. The \
                               body has at most 1 MiB, or 80 MiB with packed samples; one such body is in work at a time. The samples \
                               of all plays that are not over take at most 128 MiB of memory.",
                 body: Body::Json("PlayRequest"),

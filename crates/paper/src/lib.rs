@@ -60,9 +60,7 @@ pub use naive::Rule;
 pub use objective::{Fidelity, Incumbent, Objective, Score, Tried};
 pub use partition::{Partition, Verdict};
 pub use point::{Point, Vibration};
-pub use prediction::{
-    ClassResponse, MOST_OBSERVED_S, Play, PredictedResponse, PredictionError, Rates, predict_response,
-};
+pub use prediction::{MOST_OBSERVED_S, Play, PredictedResponse, PredictionError, Rates, predict_response};
 pub use search::{Brief, Ended, Found, Limit, Spent, Step, resume, search};
 pub use shipped::{YARDSTICK, shipped, shipped_names};
 pub use space::{Setting, Space, Window};

@@ -2,7 +2,7 @@
 //!
 //! A pattern says how each pin should move; measured bursts say how it moved. Both are simulated exactly, on the population of the
 //! pattern's target and with the same noise, so the rates differ only by the motors' motion. For a pattern without a target only
-//! the mean rate of all afferents is known. [`Play::by_class`] adds the second model's rates for each class of afferents.
+//! the mean rate of all afferents is known.
 //!
 //! Rates are those of [`judge`](crate::judge()). A target at rest counts for the observed time. Each frame of a moving
 //! target counts in every repeat in which it was observed whole.
@@ -17,7 +17,6 @@ use meissner_array::pattern::Pattern;
 use meissner_array::strokes::Burst;
 use meissner_array::strokes::{StrokeOptions, Strokes, StrokesError};
 use meissner_array::units::TickRate;
-use meissner_skin::afferents::Class;
 use meissner_skin::membrane::{AfferentModel, POPULATION_NOISE_SD, Position, Rectify};
 use meissner_skin::{Finger, FingerError, Ramps, RampsError, SkinModel, Stimulus};
 use serde::{Deserialize, Serialize};
@@ -36,8 +35,6 @@ pub struct Play<'p> {
     pub onset: Tick,
     /// The time from the onset for which its bursts are known, s. At most the requested duration counts.
     pub observed_s: f64,
-    /// Whether to predict the rates under the second model, too.
-    pub by_class: bool,
 }
 
 /// The predicted response to a play.
@@ -53,23 +50,10 @@ pub struct PredictedResponse {
     pub designed_hz: Rates,
     /// Rates as played, under the first model.
     pub played_hz: Rates,
-    /// Rates under the second model, if [`Play::by_class`] requested them: SA1, RA, PC.
-    pub classes: Vec<ClassResponse>,
 }
 
-/// The predicted response of one class of afferents, under the second model.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct ClassResponse {
-    /// The class.
-    pub class: Class,
-    /// Rates as designed.
-    pub designed_hz: Rates,
-    /// Rates as played.
-    pub played_hz: Rates,
-}
-
-/// Mean rates, impulses/s. Only `all` is known without a target, if no frame was observed whole, or if all afferents of the
-/// class are on one side.
+/// Mean rates, impulses/s. Only `all` is known without a target, if no frame was observed whole, or if all afferents are on
+/// one side.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Rates {
     /// Of all afferents, over the observed time.
@@ -114,7 +98,7 @@ pub fn predict_response(
     play: &Play<'_>,
     bursts: impl IntoIterator<Item = (u8, Ramp)>,
 ) -> Result<PredictedResponse, PredictionError> {
-    let Play { pattern, options, onset, observed_s, by_class } = play;
+    let Play { pattern, options, onset, observed_s } = play;
     let (&onset, &observed_s) = (onset, observed_s);
     let (array, rate) = (pattern.array(), pattern.array().rate());
     let strokes = Strokes::new(pattern, options)?;
@@ -145,52 +129,22 @@ pub fn predict_response(
 
     let target = Target::made_for(pattern);
     let seed = target.as_ref().map_or(0, Target::population_seed);
-    let answer = |finger: &Finger| -> Result<Vec<[Rates; 2]>, FingerError> {
-        let classes = finger.model().classes();
-        let of_class =
-            |class: &Class| ObservedFrames::new(target.as_ref(), pattern, observed_s, finger, *class);
-        let frames: Vec<_> = classes.iter().map(of_class).collect();
-        let rates = |ramps: &Ramps| -> Result<Vec<Rates>, FingerError> {
-            let spikes_s = finger.spikes_s(&Stimulus::of_ramps(ramps, observed_s, seed))?;
-            Ok(frames.iter().map(|frames| frames.rates(&spikes_s)).collect())
-        };
-        Ok(rates(&designed)?
-            .into_iter()
-            .zip(rates(&played)?)
-            .map(|(designed, played)| [designed, played])
-            .collect())
-    };
     let default = AfferentModel::default_for(Rectify::default(), POPULATION_NOISE_SD);
     let membrane = target.as_ref().map_or(default, |target| *target.model());
-    let first = answer(&Finger::new(SkinModel::Membrane(membrane), seed))?;
-    let &[[designed_hz, played_hz]] = first.as_slice() else { unreachable!("the first model has one class") };
-    let classes = if *by_class {
-        let rates = answer(&Finger::new(SkinModel::AFFERENTS, seed))?.into_iter();
-        let response = |(&class, [designed_hz, played_hz]): (&Class, [Rates; 2])| ClassResponse {
-            class,
-            designed_hz,
-            played_hz,
-        };
-        Class::ALL.iter().zip(rates).map(response).collect()
-    } else {
-        Vec::new()
+    let finger = Finger::new(SkinModel::Membrane(membrane), seed);
+    let frames = ObservedFrames::new(target.as_ref(), pattern, observed_s, &finger);
+    let rates = |ramps: &Ramps| -> Result<Rates, FingerError> {
+        Ok(frames.rates(&finger.spikes_s(&Stimulus::of_ramps(ramps, observed_s, seed))?))
     };
+    let (designed_hz, played_hz) = (rates(&designed)?, rates(&played)?);
     let target = target.map(|target| target.name().to_owned());
-    Ok(PredictedResponse {
-        seconds: observed_s,
-        target,
-        population_seed: seed,
-        designed_hz,
-        played_hz,
-        classes,
-    })
+    Ok(PredictedResponse { seconds: observed_s, target, population_seed: seed, designed_hz, played_hz })
 }
 
-/// The frames that count for the rates, and the afferents of a class.
+/// The frames that count for the rates.
 struct ObservedFrames {
     frames: Vec<Observed>,
-    /// Their numbers in the finger.
-    afferents: Vec<usize>,
+    afferents: usize,
     observed_s: f64,
     rate: TickRate,
     /// The time after which the frames repeat, if they do.
@@ -206,21 +160,14 @@ struct Observed {
 }
 
 impl ObservedFrames {
-    fn new(
-        target: Option<&Target>,
-        pattern: &Pattern,
-        observed_s: f64,
-        finger: &Finger,
-        class: Class,
-    ) -> Self {
-        let afferents: Vec<usize> = finger.of_class(class).collect();
-        let places: Vec<Position> = afferents.iter().map(|&number| finger.afferents()[number].at).collect();
+    fn new(target: Option<&Target>, pattern: &Pattern, observed_s: f64, finger: &Finger) -> Self {
+        let places: Vec<Position> = finger.afferents().iter().map(|afferent| afferent.at).collect();
         let repeat_s = pattern.duration_s();
         let frames = target.map_or(&[][..], Target::frames);
         let moves = target.is_some_and(Target::moves);
         let repeat_s = repeat_s.filter(|_| moves);
         let rate = pattern.array().rate();
-        let mut found = Self { frames: Vec::new(), afferents, observed_s, rate, repeat_s };
+        let mut found = Self { frames: Vec::new(), afferents: places.len(), observed_s, rate, repeat_s };
         let observed = |frame: &Frame| {
             let (start_s, stop_s) = (frame.start_s.unwrap_or(0.0), frame.stop_s.unwrap_or(observed_s));
             let whole = |&repeat: &u64| found.begin_s(repeat) + stop_s <= observed_s;
@@ -253,11 +200,11 @@ impl ObservedFrames {
 
     /// The mean rates, from the spikes of each of the finger's afferents.
     fn rates(&self, spikes_s: &[Vec<f64>]) -> Rates {
-        let mut counts = vec![vec![0_u64; self.afferents.len()]; self.frames.len()];
+        let mut counts = vec![vec![0_u64; self.afferents]; self.frames.len()];
         let mut all = 0;
-        for (place, &number) in self.afferents.iter().enumerate() {
-            all += spikes_s[number].len();
-            for &at_s in &spikes_s[number] {
+        for (place, train) in spikes_s.iter().enumerate() {
+            all += train.len();
+            for &at_s in train {
                 let begin_s = self.begin_s(self.repeat(at_s));
                 let within_s = at_s - begin_s;
                 let index = self.frames.partition_point(|frame| frame.start_s <= within_s);
@@ -273,7 +220,7 @@ impl ObservedFrames {
         for (frame, counts) in self.frames.iter().zip(&counts) {
             let seconds = (frame.stop_s - frame.start_s) * frame.times as f64;
             let rates_hz: Vec<f64> = counts.iter().map(|&count| count as f64 / seconds).collect();
-            // A small shape may have no afferent of a sparse class.
+            // A small shape may have no afferent.
             if let Some(verdict) = frame.partition.verdict(&rates_hz) {
                 on += verdict.on_hz;
                 off += verdict.off_hz;
@@ -283,6 +230,6 @@ impl ObservedFrames {
         let mean = |sum: f64| (frames > 0.0).then(|| sum / frames);
         let (on, off) = (mean(on), mean(off));
         let contrast = on.zip(off).map(|(on, off)| on - off);
-        Rates { all: all as f64 / self.afferents.len() as f64 / self.observed_s, on, off, contrast }
+        Rates { all: all as f64 / self.afferents as f64 / self.observed_s, on, off, contrast }
     }
 }

@@ -10,7 +10,6 @@ use meissner_array::strokes::{StrokeOptions, Strokes};
 use meissner_paper::{
     Conditions, Partition, Play, PredictedResponse, PredictionError, Target, judge, predict_response,
 };
-use meissner_skin::afferents::Class;
 use meissner_skin::membrane::population;
 use meissner_skin::{Method, Options, Ramps, RampsError, Scene, simulate as solve, simulate_ramps};
 use meissner_test_support::paper::{MOTORS, UM_PER_PULSE};
@@ -134,13 +133,7 @@ fn pattern(name: &str) -> Pattern {
 }
 
 fn play(pattern: &Pattern, seconds: f64) -> Play<'_> {
-    Play {
-        pattern,
-        options: StrokeOptions::lasting(seconds),
-        onset: ONSET,
-        observed_s: seconds,
-        by_class: false,
-    }
+    Play { pattern, options: StrokeOptions::lasting(seconds), onset: ONSET, observed_s: seconds }
 }
 
 /// The bursts of the pattern, from the onset.
@@ -170,40 +163,17 @@ fn designed_rates_are_the_verdict_on_the_targets_own_population() {
         let pattern = pattern(name);
         let target = Target::made_for(&pattern).unwrap();
         let observed_s = if target.moves() { target.duration_s() } else { 1.0 };
-        let play = Play { observed_s, by_class: true, ..play(&pattern, target.duration_s()) };
+        let play = Play { observed_s, ..play(&pattern, target.duration_s()) };
         let seed = target.population_seed();
         let found = predict_response(&play, designed(&play)).unwrap();
         assert_eq!((found.seconds, found.population_seed), (observed_s, seed));
         assert_eq!(found.target.as_deref(), Some(name));
-        let [sa1, ra, pc] = found.classes[..] else { panic!("{found:?}") };
-        assert_eq!([sa1, ra, pc].map(|of| of.class), Class::ALL);
-        for of in [sa1, ra, pc] {
-            assert_eq!(of.designed_hz, of.played_hz, "{name}");
-        }
         assert_eq!(found.designed_hz, found.played_hz, "{name}");
         let (rates, conditions) = (found.designed_hz, Conditions::plain(vec![seed], seed));
         let verdict = judge(&target, pattern.drives(), &conditions).unwrap().unwrap();
         assert_eq!(rates.contrast.unwrap().to_bits(), verdict.cost_hz.to_bits(), "{name}");
         assert_eq!((rates.on, rates.off), (Some(verdict.on_hz), Some(verdict.off_hz)), "{name}");
     }
-}
-
-/// No PC afferent lies within 0.3 mm of the dot, but RA afferents do.
-#[test]
-fn a_class_without_an_afferent_on_the_target_has_no_contrast() {
-    let mut provenance = toml::Table::new();
-    let small = "name = 'small'\nshape = 'disc'\nradius_mm = 0.1\nreach_mm = 0.3\nduration_s = 1.0";
-    let small = Target::read(small, "small").unwrap();
-    provenance.insert("definition".to_owned(), small.definition().into());
-    let edge = pattern("edge-45");
-    let pattern =
-        Pattern::new(Array::paper(), "small", Some(1.0), edge.drives().to_vec(), provenance).unwrap();
-    let play = Play { by_class: true, ..play(&pattern, 0.5) };
-    let found = predict_response(&play, designed(&play)).unwrap();
-    assert!(found.designed_hz.contrast.is_some());
-    let pc = found.classes[2].designed_hz;
-    assert_eq!((found.classes[2].class, pc.on, pc.off, pc.contrast), (Class::Pc, None, None, None));
-    assert!(pc.all > 0.0 && found.classes[1].designed_hz.contrast.is_some(), "{found:?}");
 }
 
 /// In two and a half repeats the first frames occur three times, the last ones twice.
@@ -246,13 +216,10 @@ fn each_frame_counts_in_every_repeat_in_which_it_was_observed_whole() {
 #[test]
 fn without_a_target_only_the_mean_of_all_afferents_is_known() {
     let pattern = pattern("pin-60");
-    let play = Play { by_class: true, ..play(&pattern, 1.0) };
+    let play = play(&pattern, 1.0);
     let mut bursts = designed(&play);
     let found = predict_response(&play, bursts.iter().copied()).unwrap();
     assert_eq!(found.designed_hz, found.played_hz);
-    for of in &found.classes {
-        assert!(of.played_hz.all > 0.0 && of.played_hz.contrast.is_none(), "{of:?}");
-    }
     assert_eq!((found.target.as_ref(), found.population_seed), (None, 0));
     assert_eq!((found.played_hz.on, found.played_hz.off, found.played_hz.contrast), (None, None, None));
     bursts.iter_mut().for_each(|(_, ramp)| ramp.um_per_tick *= 0.5);
@@ -330,7 +297,7 @@ fn a_burst_that_meets_a_distant_stop_may_count_as_a_slower_one() {
 fn the_response_is_the_same_on_any_number_of_threads() {
     for name in ["edge-45-paper", "moving-edge-paper"] {
         let pattern = pattern(name);
-        let play = Play { by_class: true, ..play(&pattern, 3.3) };
+        let play = play(&pattern, 3.3);
         let bursts = by_simulated_motors(
             SimulatedMotorsConfig { seed: 7, ..SimulatedMotorsConfig::default() },
             &play,

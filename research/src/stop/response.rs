@@ -87,7 +87,7 @@ pub(super) fn contrasts_of(
         }
     }
     let designed = StrokeOptions::lasting(seconds);
-    let play = Play { pattern, options: designed, onset, observed_s: seconds, by_class: false };
+    let play = Play { pattern, options: designed, onset, observed_s: seconds };
     let response = predict_response(&play, ramps)?;
     let contrast = |rates: Rates| rates.contrast.unwrap_or_default();
     Ok([contrast(response.designed_hz), contrast(response.played_hz)])

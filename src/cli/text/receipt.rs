@@ -5,9 +5,8 @@
 use super::{counters, pairs};
 use crate::receipts::end_text;
 use meissner_api::{
-    BoardRecord, BurstCounts, ClassResponse, DurationRecord, ErrorSource, ItemState, LiveRecord,
-    MotorRestError, OrderedCounts, PlayAccepted, PredictedResponse, Prediction, PulseCounts, Rates,
-    ReachedDrive, Receipt, UpdateTimes,
+    BoardRecord, BurstCounts, DurationRecord, ErrorSource, ItemState, LiveRecord, MotorRestError,
+    OrderedCounts, PlayAccepted, PulseCounts, ReachedDrive, Receipt, UpdateTimes,
 };
 
 pub(in crate::cli) fn receipt(receipt: &Receipt) -> String {
@@ -82,7 +81,6 @@ pub(in crate::cli) fn receipt(receipt: &Receipt) -> String {
         let worst = errors.iter().fold(0.0_f32, |worst, error| worst.max(error.abs()));
         lines.push(("rest error", format!("largest offset from rest: {worst:.2} um (estimated)")));
     }
-    lines.extend(predicted(&receipt.prediction).map(|text| (PREDICTED, text)));
     lines.extend(receipt.warnings.iter().map(|warning| ("warning", warning.clone())));
     pairs(&lines)
 }
@@ -151,7 +149,6 @@ fn amplitudes(drives: &[ReachedDrive]) -> String {
 /// The most groups of amplitudes that are shown.
 const KINDS: usize = 4;
 
-pub(in crate::cli) const PREDICTED: &str = "predicted RA response";
 pub(in crate::cli) const LARGEST_OFFSET: &str = "largest offset from rest, driven pins:";
 
 pub(in crate::cli) fn burst_counts(ordered: Option<&OrderedCounts>, bursts: &BurstCounts) -> String {
@@ -172,40 +169,6 @@ pub(in crate::cli) fn pulse_counts(ordered: Option<&OrderedCounts>, pulses: &Pul
     format!("{ordered}{} planned, {} played", pulses.planned, pulses.played)
 }
 
-/// The predicted response, if there is one or a reason why there is none: the contrast of a pattern with a target, else the
-/// mean rate; by the first model, and by the second for each class.
-pub(in crate::cli) fn predicted(prediction: &Prediction) -> Option<String> {
-    let Some(PredictedResponse { seconds, played_hz, designed_hz, afferents, unmeasured, .. }) =
-        &prediction.response
-    else {
-        return prediction.unknown.as_ref().map(|why| format!("not known: {why}"));
-    };
-    let figures = |played: &Rates, designed: &Rates| match (played.contrast, designed.contrast) {
-        (Some(played), Some(designed)) => ("on-target minus off-target", played, designed),
-        _ => ("mean rate", played.all, designed.all),
-    };
-    let (what, played, designed) = figures(played_hz, designed_hz);
-    let classes: Vec<String> = afferents
-        .iter()
-        .map(|ClassResponse { class, designed_hz, played_hz }| {
-            let (_, played, designed) = figures(played_hz, designed_hz);
-            format!("{} {played:.1} ({designed:.1})", class.name())
-        })
-        .collect();
-    let second = match classes.as_slice() {
-        [] => String::new(),
-        classes => format!("; second model: {}", classes.join(", ")),
-    };
-    let missing = match unmeasured {
-        0 => String::new(),
-        count => format!("; {count} bursts not measured"),
-    };
-    let seconds = (seconds * 1000.0).round() / 1000.0;
-    Some(format!(
-        "{what} {played:.1} impulses/s (designed: {designed:.1}), over {seconds} s{second}{missing}"
-    ))
-}
-
 /// A play that was queued, with its duration in whole strokes.
 pub(in crate::cli) fn accepted(accepted: &PlayAccepted, pattern: &str) -> String {
     let PlayAccepted { id, ordered_ms, compiled_ms, .. } = accepted;
@@ -218,7 +181,7 @@ pub(in crate::cli) fn accepted(accepted: &PlayAccepted, pattern: &str) -> String
 #[cfg(test)]
 mod tests {
     use super::*;
-    use meissner_api::{AfferentClass, LateCounts, LinkTraffic, OffsetRecord, OnsetRecord, PlayState};
+    use meissner_api::{LateCounts, LinkTraffic, OffsetRecord, OnsetRecord, PlayState};
     use serde_json::Value;
 
     #[test]
@@ -280,27 +243,6 @@ mod tests {
             offset_source: ErrorSource::DeadReckoning,
         };
         receipt.rest_errors = Some(vec![error(0.12, -3.27), error(-0.38, 1.5)]);
-        let rates = |contrast| Rates { all: 40.1, on: None, off: None, contrast: Some(contrast) };
-        receipt.prediction.response = Some(PredictedResponse {
-            seconds: 1.19,
-            target: Some("edge".to_owned()),
-            population_seed: 0,
-            designed_hz: rates(190.52),
-            played_hz: rates(187.43),
-            afferents: vec![
-                ClassResponse {
-                    class: AfferentClass::Ra,
-                    designed_hz: rates(17.92),
-                    played_hz: rates(17.38),
-                },
-                ClassResponse {
-                    class: AfferentClass::Pc,
-                    designed_hz: Rates { contrast: None, ..rates(0.0) },
-                    played_hz: Rates { contrast: None, ..rates(0.0) },
-                },
-            ],
-            unmeasured: 7,
-        });
         receipt.warnings = vec!["drive 3 (motor 9) reaches 61.8 of 80 um".to_owned()];
         receipt
     }
@@ -365,12 +307,6 @@ mod tests {
             ("/drives/2/surplus_um", 1),
             ("/rest_errors/1/onset_um", 2),
             ("/rest_errors/0/offset_um", 2),
-            ("/predicted_response/seconds", 2),
-            ("/predicted_response/played_hz/contrast", 1),
-            ("/predicted_response/designed_hz/contrast", 1),
-            ("/predicted_response/afferents/0/played_hz/contrast", 1),
-            ("/predicted_response/afferents/1/designed_hz/all", 1),
-            ("/predicted_response/unmeasured", 0),
         ] {
             let value = json.pointer(figure).and_then(Value::as_f64).unwrap();
             let shown = format!("{value:.digits$}");

@@ -4,19 +4,19 @@
 //!
 //! Invariant: only a calibration of the connected device is stored and used.
 
-use crate::daemon::beside::predictor::Predictor;
 use crate::daemon::engine::Engine;
 use crate::daemon::state::stored_calibration::{
     CalibrationRun, StoredCalibration, no_file, read, report, with_other_motors, write,
 };
 use crate::daemon::state::{Caller, State, going_on};
+use crate::daemon::system::runtime::blocking;
 use crate::receipts::refusal;
 use meissner_api::{Code, Event, Problem, Route};
 use meissner_input::message::quote;
 use meissner_stream::calibrate::Calibration;
 use meissner_stream::queues::{Command, CommandError};
 use std::sync::{Arc, PoisonError};
-use tracing::{info, warn};
+use tracing::{error, info, warn};
 
 impl Engine {
     /// Reads the stored calibration for a device (`None`: no device is connected). Logs a new problem with it.
@@ -145,7 +145,7 @@ impl Engine {
     }
 
     /// If this play was a calibration and is over, fits and stores it.
-    pub(in crate::daemon) fn finish_calibration(self: &Arc<Self>, predictor: &Predictor, id: u64) {
+    pub(in crate::daemon) fn finish_calibration(self: &Arc<Self>, id: u64) {
         let (run, receipt, device, identity) = {
             let mut state = self.lock();
             let receipt = state.plays.receipts.receipt(id).filter(|receipt| receipt.state.is_over()).cloned();
@@ -155,10 +155,15 @@ impl Engine {
             (run, receipt, state.plays.receipts.device(), state.calibration.identity.clone())
         };
         let engine = Arc::clone(self);
-        predictor.compute(move || {
+        let work = move || {
             let fitted = device.ok_or_else(|| "the device is gone: nothing was stored".to_owned());
             let fitted = fitted.and_then(|device| run.fit(&receipt, &device, &identity));
             engine.store_calibration(id, run.by.as_ref(), fitted);
+        };
+        tokio::spawn(async move {
+            if let Err(problem) = blocking(work).await {
+                error!("calibration: {}", problem.detail);
+            }
         });
     }
 

@@ -1,16 +1,14 @@
-//! The event loop: processes the streamer's events, and starts predictions of ended plays.
+//! The event loop: processes the streamer's events, and starts the fit of a calibration whose play has ended.
 //!
 //! Under the engine's lock, streamer events become answers, receipts and published events, in their order; then the loop logs them.
 //!
 //! Invariant: no event waits for the log, a listener or the disk.
 
-use crate::daemon::beside::predictor::Predictor;
 use crate::daemon::beside::service::StatusReporter;
 use crate::daemon::engine::Engine;
 use crate::exposure::{Account, Now};
 use crate::receipts::counts_until;
 use meissner_api::Event;
-use meissner_paper::MOST_OBSERVED_S;
 use meissner_stream::queues::{EventQueue, StreamEvent};
 use std::io;
 use std::os::fd::{AsFd, OwnedFd};
@@ -20,7 +18,7 @@ use tokio::io::Interest;
 use tokio::io::unix::AsyncFd;
 use tokio::sync::Notify;
 
-/// How long after a play's end the loop wakes the streamer: by then the device has measured the last bursts.
+/// How long after a calibration's end the loop wakes the streamer: by then the device has measured the last bursts.
 const MEASURED_AFTER: Duration = Duration::from_millis(300);
 /// How long after that the streamer has read the measurements.
 const READ_AFTER: Duration = Duration::from_millis(50);
@@ -28,7 +26,7 @@ const READ_AFTER: Duration = Duration::from_millis(50);
 /// The least time between two events that more entries of the session record are lost.
 const LOSSES_APART: Duration = Duration::from_secs(1);
 
-/// A play that waits for its prediction.
+/// The play of a calibration that waits for its last measurements.
 struct Due {
     at: Instant,
     play: u64,
@@ -36,27 +34,20 @@ struct Due {
     woken: bool,
 }
 
-impl Due {
-    fn after(delay: Duration, play: u64) -> Self {
-        Self { at: Instant::now() + delay, play, woken: false }
-    }
-}
-
 impl Engine {
     /// Runs until the streamer ends.
     pub(in crate::daemon) async fn event_loop(
         self: Arc<Self>,
         mut events: EventQueue,
-        predictor: Predictor,
         mut status: StatusReporter,
     ) -> io::Result<()> {
         let readable = readable(&events)?;
-        let mut due: Vec<Due> = Vec::new();
+        let mut due: Option<Due> = None;
         let mut told = (None, 0, Instant::now());
         let mut untold: Option<Instant> = None;
         loop {
             let record = self.session_record().changed();
-            let next = due.iter().map(|due| due.at).chain(untold).min();
+            let next = due.as_ref().map(|due| due.at).into_iter().chain(untold).min();
             let wait = async {
                 match next {
                     Some(at) => tokio::time::sleep_until(at.into()).await,
@@ -72,7 +63,6 @@ impl Engine {
             {
                 let mut state = self.lock();
                 while let Some(burst) = events.pop_measured() {
-                    state.plays.measured.add(burst);
                     state.calibration.add(burst);
                 }
             }
@@ -85,14 +75,11 @@ impl Engine {
                 match &event {
                     // Until the clock is known, the status does not show the device as connected.
                     Some(Event::State { tick, .. }) if *tick > 0 => self.set_first_device_known(),
-                    // Measured bursts are kept for little more than a minute, so the prediction of a long play begins before its
-                    // end.
-                    Some(Event::Began { id, .. }) => {
-                        due.push(Due::after(Duration::from_secs_f64(MOST_OBSERVED_S) + MEASURED_AFTER, *id));
-                    }
                     Some(Event::Ended { receipt }) => {
-                        due.retain(|due| due.play != receipt.id);
-                        due.push(Due::after(MEASURED_AFTER, receipt.id));
+                        let play = receipt.id;
+                        if self.lock().calibration.is_running(play) {
+                            due = Some(Due { at: Instant::now() + MEASURED_AFTER, play, woken: false });
+                        }
                         self.play_ended.notify_waiters();
                     }
                     _ => {}
@@ -105,15 +92,14 @@ impl Engine {
             untold = self.tell_record(&mut told);
             status.update(&self);
             let now = Instant::now();
-            for due in due.iter_mut().filter(|due| due.at <= now) {
-                if due.woken {
-                    self.predict(&predictor, due.play);
+            if let Some(over) = due.take_if(|due| due.at <= now) {
+                if over.woken {
+                    self.finish_calibration(over.play);
                 } else {
-                    (due.at, due.woken) = (now + READ_AFTER, true);
+                    due = Some(Due { at: now + READ_AFTER, woken: true, ..over });
                     self.lock().commands.wake_streamer();
                 }
             }
-            due.retain(|due| due.at > now);
         }
     }
 
@@ -140,18 +126,6 @@ impl Engine {
         let Some((pattern, options)) = self.lock().plays.endless(*id) else { return };
         let counts = counts_until(&pattern, &options, outcome.cut_after.unwrap_or(0));
         self.lock().plays.receipts.set_ordered(*id, counts);
-    }
-
-    /// Starts the prediction of a play, once; or the fit, if the play was a calibration.
-    fn predict(self: &Arc<Self>, predictor: &Predictor, id: u64) {
-        self.finish_calibration(predictor, id);
-        let Some(play) = self.lock().plays.take_measured(id) else { return };
-        let (closing, report) = (Arc::clone(self), Arc::clone(self));
-        predictor.predict(
-            play,
-            move || closing.lock().commands.is_closing(),
-            move |prediction| report.lock().set_prediction(id, prediction),
-        );
     }
 }
 

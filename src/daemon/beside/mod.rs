@@ -1,13 +1,12 @@
 //! What runs beside the requests, on threads and tasks of its own.
 //!
-//! [`event_loop`] processes the streamer's events; [`connector`] opens devices; [`predictor`] runs the skin model for plays that are over;
+//! [`event_loop`] processes the streamer's events; [`connector`] opens devices;
 //! [`calibration`] fits and stores calibrations; [`rendering`] follows a rendering's process, [`preview`] that of a preview, which its request awaits;
 //! [`service`] speaks with the service manager.
 
 pub(in crate::daemon) mod calibration;
 pub(in crate::daemon) mod connector;
 mod event_loop;
-pub(in crate::daemon) mod predictor;
 pub(in crate::daemon) mod preview;
 mod render_process;
 mod rendering;

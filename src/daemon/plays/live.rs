@@ -11,7 +11,6 @@ use crate::daemon::plays::terms::{Terms, trigger};
 use crate::daemon::state::{LivePlay, NewPlay, State};
 use crate::daemon::system::runtime::PLAYS;
 use crate::exposure::Vibration;
-use crate::receipts::NoPrediction;
 use crate::session_record::Peer;
 use crate::store::hash;
 use meissner_api::{
@@ -67,8 +66,7 @@ impl Engine {
         // Plain data can be written.
         let sha256 = hash(&serde_json::to_vec(request).unwrap_or_default());
         let receipt = terms.receipt(LIVE, &sha256, None);
-        let mut receipt = Receipt { scale: request.scale, live: Some(LiveRecord::default()), ..receipt };
-        receipt.prediction.unknown = Some(NoPrediction::Live.to_string());
+        let receipt = Receipt { scale: request.scale, live: Some(LiveRecord::default()), ..receipt };
         let compiled = Compiled {
             strokes: Source::Live(Box::new(LiveStrokes::new(waves))),
             items: vec![Item::new(trigger(request.trigger, settings.array.rate()))],
@@ -81,7 +79,7 @@ impl Engine {
             reach,
             memory: Vec::new(),
             largest: (live.largest_um(&reach), "the live play".to_owned()),
-            new: NewPlay { receipt, items: None, predicted: None, client },
+            new: NewPlay { receipt, items: None, endless: None, client },
             texts: Vec::new(),
         };
         let path = format!("/v1/live/{}", live.key());

@@ -7,7 +7,7 @@ use crate::daemon::state::NewPlay;
 use crate::daemon::state::limits::check_limits;
 use crate::daemon::system::runtime::Lane;
 use crate::exposure::Vibration;
-use crate::receipts::{NoPrediction, Order, counts, fit, motions, too_slow};
+use crate::receipts::{Order, counts, fit, motions, too_slow};
 use crate::session_record::Peer;
 use crate::store::Stored;
 use meissner_api::{Code, Fit, PlayAccepted, PlayRequest, Problem, Receipt, TriggerRequest};
@@ -15,7 +15,6 @@ use meissner_array::pattern::Pattern;
 use meissner_array::strokes::{StrokeOptions, Strokes};
 use meissner_stream::queues::{HOLD_ALWAYS, Item};
 use meissner_stream::{Bandwidth, Hold, Settings, find_longest_hold};
-use std::sync::Arc;
 
 impl Compiled {
     /// Compiles the pattern of a request, on another thread: a pattern may have millions of moves, and other commands must not wait.
@@ -92,10 +91,7 @@ fn compile(
     let bandwidth = Bandwidth::of(&strokes, &settings);
     let Stored { pattern, sha256, text, .. } = stored;
     let bytes = pattern.motion_bytes();
-    let predicted = (bytes <= MAX_PREDICTED).then(|| (Arc::clone(&pattern), options));
-    if predicted.is_none() {
-        receipt.prediction.unknown = Some(NoPrediction::Long.to_string());
-    }
+    let endless = receipt.ordered.is_none().then_some((pattern, options));
     Ok(Compiled {
         strokes: strokes.into(),
         items: vec![Item::new(trigger(asked.trigger, array.rate()))],
@@ -108,14 +104,10 @@ fn compile(
         reach,
         largest,
         memory: vec![(sha256.clone(), bytes)],
-        new: NewPlay { receipt, items: None, predicted, client },
+        new: NewPlay { receipt, items: None, endless, client },
         texts: vec![(sha256, text)],
     })
 }
-
-/// Bytes of the samples of a play whose response is predicted, at most: 24 motors for 40 s at 1 kHz. Patterns wait for their prediction
-/// after their plays, sixteen at most.
-const MAX_PREDICTED: usize = 4 << 20;
 
 /// Motors that are too slow have so many lines among the warnings, at most; `motions` has all.
 const MAX_LINES: usize = 4;

@@ -12,7 +12,7 @@ use crate::daemon::plays::terms::{Terms, trigger};
 use crate::daemon::state::limits::check_limits;
 use crate::daemon::state::{NewPlay, check_samples};
 use crate::daemon::system::runtime::{CHECKS, Lane, PLAYS};
-use crate::receipts::{BLANK, NoPrediction, Order, PlannedItem, motions, motions_of_items, too_slow, walk};
+use crate::receipts::{BLANK, Order, PlannedItem, motions, motions_of_items, too_slow, walk};
 use crate::session_record::Peer;
 use crate::store::{Stored, hash};
 use firmware_protocol::tick::Tick;
@@ -214,7 +214,6 @@ impl Compiled {
         order.enter(&mut receipt, Fit::Whole, counts);
         let (hold, unchecked, vibration) = hold?;
         receipt.warnings.splice(0..0, unchecked);
-        receipt.prediction.unknown = Some(NoPrediction::Sequence.to_string());
         Ok(Self {
             strokes: strokes.into(),
             items,
@@ -227,7 +226,7 @@ impl Compiled {
             reach,
             largest,
             memory,
-            new: NewPlay { receipt, items: Some(planned.into()), predicted: None, client },
+            new: NewPlay { receipt, items: Some(planned.into()), endless: None, client },
             texts,
         })
     }

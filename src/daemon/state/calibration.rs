@@ -38,6 +38,11 @@ impl Calibration {
         }
     }
 
+    /// Whether this play is being measured.
+    pub(in crate::daemon) fn is_running(&self, play: u64) -> bool {
+        self.running.as_ref().is_some_and(|running| running.id == play)
+    }
+
     /// Cancels the calibration that this play was to measure.
     pub(super) fn cancel(&mut self, play: u64) {
         self.running.take_if(|running| running.id == play);

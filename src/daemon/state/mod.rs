@@ -1,7 +1,7 @@
 //! The daemon's state: eleven parts with one job each, behind the engine's one lock.
 //!
 //! - [`Commands`]: commands to the streamer, and the calls that wait for their answers.
-//! - [`Plays`]: receipts, the clients of plays, and measured bursts.
+//! - [`Plays`]: receipts, and the clients of plays.
 //! - [`Calibration`]: the stored calibration, and a calibration that is being measured.
 //! - [`Connection`]: the connected device, or the reason why there is none.
 //! - [`Publisher`]: events to listeners and to the session record.
@@ -40,14 +40,14 @@ pub(super) use commands::{Commands, Reply};
 pub(super) use connection::{Connection, ConnectorMessage};
 pub(super) use exposure::Exposure;
 pub(super) use live::{LivePlay, LivePlays};
-pub(super) use plays::{MeasuredPlay, NewPlay, Plays, check_samples};
+pub(super) use plays::{NewPlay, Plays, check_samples};
 pub(super) use publisher::{Publisher, frame};
 pub(super) use renderings::Renderings;
 pub(super) use rights::{NoRight, Rights, going_on};
 pub(super) use session::{Sessions, no_play, no_session};
 
-use crate::receipts::{NoPrediction, refusal};
-use meissner_api::{EndCause, Event, ItemState, MAX_ITEMS_LISTED, PredictedResponse, Problem};
+use crate::receipts::refusal;
+use meissner_api::{EndCause, Event, ItemState, MAX_ITEMS_LISTED, Problem};
 use meissner_array::per_motor::PerMotor;
 use meissner_array::strokes::Surplus;
 use meissner_stream::queues::{Command, CommandError, StreamEvent};
@@ -113,7 +113,6 @@ impl State {
             }
             StreamEvent::Connected(_) => {
                 self.connection.established();
-                self.plays.measured.clear();
                 self.plays.receipts.apply(&streamed)
             }
             // A port without a board is opened again and again: report that only once.
@@ -169,13 +168,6 @@ impl State {
             _ => None,
         };
         self.publisher.publish(event, client);
-    }
-
-    /// Puts a predicted response, or why there is none, into the play's receipt.
-    pub(super) fn set_prediction(&mut self, id: u64, prediction: Result<PredictedResponse, NoPrediction>) {
-        if let Some(event) = self.plays.receipts.set_prediction(id, prediction) {
-            self.publish(&event);
-        }
     }
 
     /// Takes the streamer's answer to a play. The id of a play that was not accepted goes to the next one.

@@ -1,15 +1,13 @@
-//! Plays: their receipts, clients and measured bursts.
+//! Plays: their receipts and clients.
 //!
-//! Bounds: those of [`Receipts`] and [`MeasuredBursts`]; patterns and clients are kept only while a play is not over or its
-//! response is not predicted.
+//! Bounds: those of [`Receipts`]; patterns and clients are kept only while a play is not over.
 
-use crate::receipts::{MeasuredBursts, PlannedItem, PlayedPattern, Receipts};
+use crate::receipts::{PlannedItem, Receipts};
 use crate::session_record::Peer;
 use meissner_api::{Code, Event, Problem, Receipt};
 use meissner_array::pattern::Pattern;
 use meissner_array::spec::Array;
 use meissner_array::strokes::StrokeOptions;
-use meissner_stream::queues::MeasuredBurst;
 use std::collections::HashMap;
 use std::sync::Arc;
 
@@ -20,39 +18,17 @@ pub(in crate::daemon) struct NewPlay {
     pub(in crate::daemon) receipt: Receipt,
     /// The items of a sequence.
     pub(in crate::daemon) items: Option<Arc<[PlannedItem]>>,
-    /// The pattern whose response is predicted, and how the play differs from it.
-    pub(in crate::daemon) predicted: Option<(Arc<Pattern>, StrokeOptions)>,
+    /// The pattern of an endless play, whose strokes are counted at its end, and how the play differs from it.
+    pub(in crate::daemon) endless: Option<(Arc<Pattern>, StrokeOptions)>,
     pub(in crate::daemon) client: Peer,
-}
-
-/// A play and its measured bursts.
-#[derive(Debug)]
-pub(in crate::daemon) struct MeasuredPlay {
-    pub(in crate::daemon) pattern: Arc<Pattern>,
-    /// How the play differs from it.
-    pub(in crate::daemon) options: StrokeOptions,
-    pub(in crate::daemon) receipt: Receipt,
-    /// Whether its device measures bursts at all.
-    pub(in crate::daemon) telemetry: bool,
-    pub(in crate::daemon) bursts: Vec<MeasuredBurst>,
-}
-
-/// The data of a play that its prediction needs.
-#[derive(Debug)]
-struct Unpredicted {
-    pattern: Arc<Pattern>,
-    options: StrokeOptions,
-    /// Whether the device measures bursts.
-    telemetry: bool,
 }
 
 /// See the module.
 #[derive(Debug)]
 pub(in crate::daemon) struct Plays {
     pub(in crate::daemon) receipts: Receipts,
-    pub(in crate::daemon) measured: MeasuredBursts,
-    /// Plays without a prediction.
-    unpredicted: HashMap<u64, Unpredicted>,
+    /// Endless plays that are not over: their patterns and options.
+    endless: HashMap<u64, (Arc<Pattern>, StrokeOptions)>,
     /// The clients of the plays that are not over.
     clients: HashMap<u64, Peer>,
     /// What the samples of plays that are not over take: the SHA-256 of their patterns, and bytes.
@@ -78,8 +54,7 @@ impl Plays {
     pub(in crate::daemon) fn new(array: Array) -> Self {
         Self {
             receipts: Receipts::new(array),
-            measured: MeasuredBursts::new(array),
-            unpredicted: HashMap::new(),
+            endless: HashMap::new(),
             clients: HashMap::new(),
             memory: HashMap::new(),
             last_id: 0,
@@ -88,16 +63,15 @@ impl Plays {
 
     /// Gives a play an id, and adds its receipt.
     pub(in crate::daemon) fn add(&mut self, play: NewPlay) -> u64 {
-        let NewPlay { receipt, items, predicted, client } = play;
+        let NewPlay { receipt, items, endless, client } = play;
         self.last_id += 1;
         let id = self.last_id;
         self.receipts.add(Receipt { id, ..receipt });
         if let Some(items) = items {
             self.receipts.plan(id, items);
         }
-        if let Some((pattern, options)) = predicted {
-            let telemetry = self.receipts.device().is_some_and(|device| device.telemetry);
-            self.unpredicted.insert(id, Unpredicted { pattern, options, telemetry });
+        if let Some(endless) = endless {
+            self.endless.insert(id, endless);
         }
         self.clients.insert(id, client);
         id
@@ -144,7 +118,7 @@ impl Plays {
     pub(super) fn forget(&mut self, id: u64) {
         self.memory.remove(&id);
         self.receipts.settle(id, false);
-        self.unpredicted.remove(&id);
+        self.endless.remove(&id);
         self.clients.remove(&id);
     }
 
@@ -156,24 +130,13 @@ impl Plays {
     /// Takes the client of a play, at its end.
     pub(in crate::daemon) fn take_client(&mut self, id: u64) -> Option<Peer> {
         self.memory.remove(&id);
+        self.endless.remove(&id);
         self.clients.remove(&id)
     }
 
     /// An endless play that is not over: its pattern and options.
     pub(in crate::daemon) fn endless(&self, id: u64) -> Option<(Arc<Pattern>, StrokeOptions)> {
-        self.receipts.receipt(id).filter(|receipt| receipt.ordered.is_none())?;
-        let Unpredicted { pattern, options, .. } = self.unpredicted.get(&id)?;
-        Some((Arc::clone(pattern), options.clone()))
-    }
-
-    /// A play with its measured bursts, once.
-    pub(in crate::daemon) fn take_measured(&mut self, id: u64) -> Option<MeasuredPlay> {
-        let Unpredicted { pattern, options, telemetry } = self.unpredicted.remove(&id)?;
-        let receipt = self.receipts.receipt(id)?.clone();
-        let played = PlayedPattern::of(&receipt, &pattern, options.clone());
-        let bursts = played.map(|play| self.measured.within(play.onset, play.until()).copied().collect());
-        let bursts = bursts.unwrap_or_default();
-        Some(MeasuredPlay { pattern, options, receipt, telemetry, bursts })
+        self.endless.get(&id).cloned()
     }
 }
 

@@ -66,11 +66,10 @@ impl Publisher {
 mod tests {
     use super::*;
     use meissner_api::{
-        AfferentClass, BurstCounts, ClassResponse, DurationRecord, ErrorSource, FollowedMotion, LateCause,
-        LateCounts, LateStroke, LatenessRecord, LinkTraffic, LiveRecord, LoweredPin, LoweredReason,
-        LoweredRecord, MAX_DRIVES_LISTED, MAX_LISTED, MAX_WARNINGS_LISTED, MotorRestError, MovedPin,
-        OffsetRecord, OnsetRecord, OrderedCounts, PlayState, PredictedResponse, Prediction, PulseCounts,
-        Rates, ReachedDrive, Receipt, RefusedStroke, UpdateTimes,
+        BurstCounts, DurationRecord, ErrorSource, FollowedMotion, LateCause, LateCounts, LateStroke,
+        LatenessRecord, LinkTraffic, LiveRecord, LoweredPin, LoweredReason, LoweredRecord, MAX_DRIVES_LISTED,
+        MAX_LISTED, MAX_WARNINGS_LISTED, MotorRestError, MovedPin, OffsetRecord, OnsetRecord, OrderedCounts,
+        PlayState, PulseCounts, ReachedDrive, Receipt, RefusedStroke, UpdateTimes,
     };
 
     #[test]
@@ -86,18 +85,6 @@ mod tests {
     #[test]
     fn the_longest_event_has_24_kib() {
         let (most, number) = (u64::MAX, -123.456_789_012_345_67);
-        let rates = Rates { all: number, on: Some(number), off: Some(number), contrast: Some(number) };
-        let response = PredictedResponse {
-            seconds: number,
-            target: Some("x".repeat(64)),
-            population_seed: most,
-            designed_hz: rates,
-            played_hz: rates,
-            afferents: [AfferentClass::Sa1; 3]
-                .map(|class| ClassResponse { class, designed_hz: rates, played_hz: rates })
-                .into(),
-            unmeasured: most,
-        };
         let times = UpdateTimes { p50_ms: number, p99_ms: number, longest_ms: number };
         let late = LateStroke { motor: 23, tick: most, late_ms: number, cause: LateCause::Device };
         let reason = "the motor's on-time limit: fewer pulses per second, please".to_owned();
@@ -185,7 +172,6 @@ mod tests {
             ],
             pins: Some(vec![MovedPin { motor: 23, first_pulse_tick: most, offset_tick: most }; 24]),
             warnings: vec!["x".repeat(160); MAX_WARNINGS_LISTED + 2],
-            prediction: Prediction { response: Some(response), unknown: None },
             ..Receipt::new(most, &"x".repeat(64), &"0".repeat(64), Some(number))
         };
         let frame = frame(&Event::Ended { receipt: Box::new(receipt) });

@@ -5,8 +5,8 @@
 //! brings pins down after a cut, a disk, and an [`Account`]. It notes every move. At the end, plain
 //! sums over these notes must be within the limits. `CASES=1000000` runs a million sequences.
 
-use super::rule::REPORT_S;
-use super::*;
+use super::super::rule::REPORT_S;
+use super::super::*;
 use firmware_protocol::stroke::Direction;
 use jiff::civil::date;
 use meissner_array::pattern::Pattern;

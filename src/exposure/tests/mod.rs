@@ -1,5 +1,7 @@
 //! Tests of the exposure account: the counted vibration, the remaining time, and restarts.
 
+mod random;
+
 use super::*;
 use jiff::civil::date;
 use meissner_stream::{Hold, Settings};
