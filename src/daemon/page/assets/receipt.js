@@ -1,11 +1,8 @@
 // The last play: its receipt.
 
 import { call, last, text } from "./api.js";
-import { facts, refuse, say, write } from "./control.js";
-import { keep } from "./toml.js";
+import { $, facts, refuse, saveFile, say, write } from "./control.js";
 import { part } from "./views.js";
-
-const $ = (id) => document.getElementById(id);
 
 // Items of a sequence that are shown as JSON: the file has all.
 const ITEMS = 100;
@@ -17,15 +14,12 @@ function show(receipt) {
   // A running play has no counts yet.
   if (!receipt.bursts) return;
   shown = receipt.id;
-  const { bursts, lateness, duration_ms: ms, predicted_response: response } = receipt;
+  const { bursts, lateness, duration_ms: ms } = receipt;
   const lost = bursts.late + bursts.dropped + bursts.refused;
   $("receipt-summary").textContent = `Play ${receipt.id}, ${receipt.pattern}: ${receipt.state}${receipt.cause ? ` (${receipt.cause})` : ""}. `
     + (lost ? `${lost} of ${bursts.planned} bursts were not played.` : `All ${bursts.planned} bursts were played.`);
   const rest = receipt.rest_error_um?.length ? Math.max(...receipt.rest_error_um.map(Math.abs)) : null;
   const worst = lateness.worst_ms ?? 0;
-  const hz = ({ contrast, all }) => `${(contrast ?? all).toFixed(1)} impulses/s`;
-  const classes = response?.afferents ?? [];
-  const what = response?.played_hz?.contrast === null ? "mean rate" : "on-target minus off-target";
   facts($("receipt-facts"), [
     ["Bursts played, late, dropped, refused", `${bursts.played}, ${bursts.late}, ${bursts.dropped}, ${bursts.refused}`],
     ...(receipt.items ? [["Items", states(receipt.items)]] : []),
@@ -33,12 +27,6 @@ function show(receipt) {
     ["Largest lateness", `${worst.toFixed(2)} ms`],
     ["Duration played, ordered", `${ms.played?.toFixed(1) ?? "-"} ms, ${ms.ordered?.toFixed(1) ?? "without end"} ms`],
     ["Largest offset from rest at the end", rest === null ? "not known" : `${rest.toFixed(1)} µm`],
-    [`Predicted RA response, ${what}`, response
-      ? `${hz(response.played_hz)} (designed: ${hz(response.designed_hz)})`
-      : receipt.predicted_response_unknown ?? "not ready"],
-    ...classes.map((of) => [
-      `Second model, ${of.class}, ${what}`, `${hz(of.played_hz)} (designed: ${hz(of.designed_hz)})`,
-    ]),
   ]);
   $("receipt-more").hidden = $("receipt-keep").hidden = false;
   const isCut = receipt.items?.length > ITEMS;
@@ -68,7 +56,7 @@ export function bindReceipt() {
   $("receipt-keep").addEventListener("click", async () => {
     try {
       const id = shown;
-      keep(await text(`/v1/plays/${id}`), "application/json", `play-${id}.json`);
+      saveFile([await text(`/v1/plays/${id}`)], "application/json", `play-${id}.json`);
       say($("receipt-keep"), "");
     } catch (error) {
       refuse($("receipt-keep"), error);
@@ -78,9 +66,6 @@ export function bindReceipt() {
     view: "play",
     at: "receipt-title",
     load,
-    on: {
-      ended: async ({ receipt }) => show(receipt.items_planned === null ? receipt : await whole(receipt.id)),
-      felt: async ({ id }) => show(await whole(id)),
-    },
+    on: { ended: async ({ receipt }) => show(receipt.items_planned === null ? receipt : await whole(receipt.id)) },
   });
 }
