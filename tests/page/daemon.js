@@ -14,16 +14,6 @@ const PROGRAM = process.env.MEISSNER_PROGRAM;
 // It only ends a test that hangs: beside a build a rendering may take minutes.
 export const WAIT = { timeout: 200000, polling: 50 };
 
-// A calibration of another array: 23 motors, each with its points.
-export const UM = 0.95 / 7;
-export const CALIBRATION = `format = 1\n${[...Array(23).keys()].map((motor) => {
-  const fit = (gain) => {
-    const points = [14, 28, 42, 56, 70, 84, 98, 112, 126, 140].map((pulses) => `[${pulses}, ${(pulses * gain * UM * (1 + 0.02 * Math.sin(motor + pulses))).toFixed(3)}, ${(0.1 * pulses * UM).toFixed(3)}, 18]`);
-    return `gain = ${gain.toFixed(9)}\nslope_um_per_pulse = ${(gain * UM).toFixed(9)}\nslope_se_um_per_pulse = 0.0012\noffset_um = 0.01\nrelative_sd = 0.1\nblocks = 180\npoints = [${points.join(", ")}]\n`;
-  };
-  return `[[motor]]\nmotor = ${motor}\n[motor.up]\n${fit(1 + 0.05 * Math.sin(2 * motor))}[motor.down]\n${fit(1 + 0.05 * Math.cos(3 * motor))}`;
-}).join("")}[provenance]\ndevice = "mock"\nfirmware = "0.1.0 (6d656973)"\nidentity = "another"\ntelemetry = "plant"\npulses = [14, 28, 42, 56, 70, 84, 98, 112, 126, 140]\nrepetitions = 2\ngroups = 20\num_per_pulse = ${UM}\ndate = "2026-11-20T10:00:00Z"\n`;
-
 const daemons = [];
 
 export const launch = () => puppeteer.launch({ executablePath: process.env.CHROMIUM, args: ["--no-sandbox", "--disable-gpu"] });

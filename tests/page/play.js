@@ -1,4 +1,4 @@
-// What tests of the view Play share: the chosen pattern, its table, and what the daemon says.
+// What tests of the view Play share: the chosen pattern, and what the daemon says.
 
 import { press, shows, WAIT } from "./daemon.js";
 
@@ -14,6 +14,3 @@ export const choose = async (page, name) => {
   await page.waitForSelector("#chosen-body:not([hidden])");
 };
 export const quiet = (page) => page.complaints.filter((line) => !/40[49]|422/.test(line));
-export const rows = (page) => page.$$eval("#drives tbody tr", (rows) => rows.map((row) => [...row.querySelectorAll("input")].map((input) => input.value)));
-export const field = (row, column) => `#drives tbody tr:nth-child(${row}) td:nth-child(${column}) input`;
-export const type = (page, selector, value) => page.$eval(selector, (input, value) => ((input.value = value), input.dispatchEvent(new Event("input"))), value);

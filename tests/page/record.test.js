@@ -14,7 +14,6 @@ async function other(daemon, method, path, body, headers = {}) {
   return { status: answer.status, ...(await answer.json()) };
 }
 
-const get = async (daemon, path) => (await fetch(`${daemon.url}${path}`)).json();
 const gone = (page, selector) => page.waitForFunction((selector) => !document.querySelector(selector).checkVisibility(), WAIT, selector);
 const there = (page, selector) => page.waitForFunction((selector) => document.querySelector(selector).checkVisibility(), WAIT, selector);
 const rows = (page, table) => page.$$eval(`#${table} tbody tr`, (rows) => rows.map((row) => [...row.cells].map((cell) => cell.textContent)));
@@ -107,28 +106,11 @@ test("a window starts a session, owns it, also after a reload, and ends it (smok
   await page.evaluate(() => (document.getElementById("participant").value = "P09"));
   await shows(page, "session-facts", "P08");
   await page.evaluate(() => document.getElementById("session-form").requestSubmit());
-  await answers(page, "#session-start", "P08");
+  await answers(page, "#session-start", "Another session runs");
   assert.deepEqual(page.complaints.filter((line) => !line.includes("409")), []);
 });
 
-test("a session of another client is shown as such, and ended only after a question", async () => {
-  const daemon = await new Daemon().start();
-  const page = await open(daemon);
-  const { id } = await other(daemon, "POST", "/v1/sessions", { participant: "P01" });
-  await shows(page, "session-facts", "another client");
-  await shows(page, "session-facts", "every client may change things");
-  await there(page, "#choice-title");
-  await press(page, "#session-end");
-  await shows(page, "session-dialog-text", "P01");
-  await press(page, '#session-dialog [value="cancel"]');
-  assert.equal((await daemon.status()).session.id, id);
-  await press(page, "#session-end");
-  await press(page, '#session-dialog [value="end"]');
-  await shows(page, "session-note", "No session runs.");
-  assert.equal((await daemon.status()).session, null);
-});
-
-test("during an exclusive session of another client the page offers what reads, stops and disarms", async () => {
+test("a session of another client is ended only after a question, and while it is exclusive the page offers what reads, stops and disarms", async () => {
   const daemon = await new Daemon().start();
   const page = await open(daemon);
   const { token } = await other(daemon, "POST", "/v1/sessions", { participant: "P02", exclusive: true });
@@ -147,7 +129,16 @@ test("during an exclusive session of another client the page offers what reads, 
   await other(daemon, "POST", "/v1/sessions/running/end", {}, owner);
   await there(page, "#session-form");
   await there(page, "#arm");
-  assert.equal(await text(page, "may-not"), "");
+  const { id } = await other(daemon, "POST", "/v1/sessions", { participant: "P01" });
+  await shows(page, "session-facts", "another client");
+  await press(page, "#session-end");
+  await shows(page, "session-dialog-text", "P01");
+  await press(page, '#session-dialog [value="cancel"]');
+  assert.equal((await daemon.status()).session.id, id);
+  await press(page, "#session-end");
+  await press(page, '#session-dialog [value="end"]');
+  await shows(page, "session-note", "No session runs.");
+  assert.equal((await daemon.status()).session, null);
 });
 
 test("a daemon that is killed and restarted ends the session, and the page forgets its token", async () => {
@@ -222,59 +213,6 @@ test("recorded sessions are filtered, and one shows its plays, answers and the c
   const [fromPage, fromCommand] = [json, await daemon.run("session", "export", id, "--json")].map((text) => text.replace(/(?<![\d."])\d{16,}(?![\d."])/g, '"$&"'));
   assert.match(fromPage, /"\d{19}"/);
   assert.deepEqual(JSON.parse(fromPage), JSON.parse(fromCommand));
-  // A session without a play.
-  await type(page, "record-filter", "P04");
-  await page.$eval("#record-filter", (field) => field.dispatchEvent(new Event("input")));
-  await press(page, "#sessions button");
-  await shows(page, "plays-title", "Session of P04");
-  assert.deepEqual([await rows(page, "play-rows"), await text(page, "plays-none")], [[], "No play is recorded."]);
-  await press(page, "#save-csv");
-  assert.equal((await saved(page, 3))[2][1].trim(), await daemon.run("session", "export", await page.$eval("#bids-command", (code) => /"([^"]+)"/.exec(code.textContent)[1])));
-});
-
-test("of 5000 plays one page is built, and a file has all", async () => {
-  const daemon = await new Daemon().start();
-  await other(daemon, "POST", "/v1/arm", { assume_rest: true });
-  const { id } = await other(daemon, "POST", "/v1/sessions", { participant: "P06" });
-  await other(daemon, "POST", "/v1/play", { pattern: "pin-60", seconds: 0.1 });
-  await other(daemon, "GET", "/v1/plays/1?wait=60");
-  await other(daemon, "POST", `/v1/sessions/${id}/end`, {});
-  const real = await other(daemon, "GET", `/v1/sessions/${id}/plays`);
-  const asked = [];
-  const through = (request, response, forward) => {
-    const from = Number(/\/plays\?from=(\d+)/.exec(request.url)?.[1] ?? -1);
-    if (from < 0) return forward();
-    asked.push(from);
-    const plays = Array.from({ length: Math.max(0, Math.min(1000, 5000 - from)) }, (_, i) => ({ ...real.plays[0], play: from + i + 1 }));
-    response.writeHead(200, { "content-type": "application/json" });
-    response.end(JSON.stringify({ ...real, session: { ...real.session, plays: 5000 }, plays, more: from + plays.length < 5000 }));
-  };
-  await proxied(daemon, through, async (url) => {
-    const page = await open({ url });
-    await collect(page);
-    await page.waitForSelector("#sessions button");
-    await press(page, "#sessions button");
-    const first = (number) => page.waitForFunction((number) => document.querySelector("#play-rows tbody tr")?.cells[0].textContent === number, WAIT, String(number));
-    await first(1);
-    await press(page, "#plays-next");
-    await first(101);
-    assert.equal((await rows(page, "play-rows")).length, 100);
-    assert.equal(await text(page, "plays-none"), "Rows 101 to 200. An item of a sequence has a row of its own.");
-    assert.deepEqual(asked, [0], "the answer had the second page, too");
-    await page.$eval("#plays-from", (field) => ((field.value = "4951"), field.dispatchEvent(new Event("change"))));
-    await first(4951);
-    assert.equal((await rows(page, "play-rows")).length, 50);
-    assert.equal(await page.$eval("#plays-next", (button) => button.disabled), true);
-    await press(page, "#plays-back");
-    await first(4851);
-    await page.$eval("#plays-from", (field) => ((field.value = "5001"), field.dispatchEvent(new Event("change"))));
-    await shows(page, "plays-none", "There is no row 5001.");
-    await page.$eval("#plays-from", (field) => ((field.value = ""), field.dispatchEvent(new Event("change"))));
-    await page.waitForSelector(".plays .wrong");
-    await press(page, "#save-csv");
-    const [[, csv]] = await saved(page, 1);
-    assert.equal(csv.trim().split("\n").length, 5001);
-  });
 });
 
 // Sets the experiment up, with short stimuli.
@@ -313,16 +251,8 @@ test("an experiment plays its trials, takes answers after the stimulus, and expo
     assert.equal(await page.$eval("#key-first", (field) => field.value), "ArrowRight");
     await setUp(page);
     await answers(page, "#choice-start", "Choose two keys that differ.");
-    // A field has no letters of its own: the key that is pressed in it is its name.
-    await page.focus("#key-second");
-    await page.keyboard.press("m");
-    assert.equal(await page.$eval("#key-second", (field) => field.value), "m");
-    await page.keyboard.press("ArrowRight");
     await page.focus("#key-first");
     await page.keyboard.press("ArrowLeft");
-    await page.select("#other", "pin-60");
-    await press(page, "#choice-start");
-    await answers(page, "#choice-start", "Choose two patterns that differ.");
     // Without seconds each pattern runs once, so one without end needs them.
     await setUp(page, { "stimulus-s": "" });
     await answers(page, "#choice-start", "pin-60 has no end: enter the seconds of each pattern.");
@@ -353,7 +283,6 @@ test("an experiment plays its trials, takes answers after the stimulus, and expo
     assert.equal(await text(page, "choice-result"), "3 of 4 answers right: 75.0 %, 95 % interval 30.1 to 95.4 % (Wilson). Chance: 50 %.");
     await press(page, "#session-end");
     await there(page, "#session-form");
-    await shows(page, "choice-result", "3 of 4");
     const [{ id }] = (await other(daemon, "GET", "/v1/sessions")).sessions;
     const [head, ...lines] = (await daemon.run("session", "export", id)).split("\n").map((line) => line.split(","));
     const column = (name) => lines.map((line) => line[head.indexOf(name)]);
@@ -369,104 +298,6 @@ test("an experiment plays its trials, takes answers after the stimulus, and expo
     assert.ok(column("response_time").every((time) => Number(time) >= 0 && time !== ""));
     assert.deepEqual(page.complaints, []);
   });
-});
-
-test("the files of a session are those of the table, and a late answer shows nothing", async () => {
-  const daemon = await new Daemon().start();
-  await other(daemon, "POST", "/v1/arm", { assume_rest: true });
-  const ids = [];
-  for (const participant of ["P21", "P22"]) {
-    ids.push((await other(daemon, "POST", "/v1/sessions", { participant })).id);
-    const play = await other(daemon, "POST", "/v1/play", { pattern: "pin-60", seconds: 0.1 });
-    assert.equal((await other(daemon, "GET", `/v1/plays/${play.id}?wait=60`)).state, "done");
-    await other(daemon, "POST", `/v1/sessions/${ids.at(-1)}/end`, {});
-  }
-  // What the proxy does with a request for a session's plays.
-  let holds = () => false;
-  const held = [];
-  const through = (request, response, forward) => (holds(request.url) ? held.push({ forward, fail: () => response.writeHead(500).end('{"code":"store","detail":"the disk does not answer"}') }) : forward());
-  const asked = async (count) => {
-    for (const until = Date.now() + WAIT.timeout; held.length < count; await new Promise((done) => setTimeout(done, 20))) assert.ok(Date.now() < until);
-  };
-  await proxied(daemon, through, async (url) => {
-    const page = await open({ url });
-    await collect(page);
-    const show = (participant) => page.$eval(`#sessions button[aria-label*="${participant}"]`, (button) => button.click());
-    await page.waitForFunction(() => document.querySelectorAll("#sessions tbody tr").length === 2, WAIT);
-    await show("P21");
-    await shows(page, "plays-title", "Session of P21");
-    const isOfFirst = async (count) => {
-      assert.equal(await text(page, "plays-title"), "Session of P21");
-      assert.deepEqual(await page.$$eval("#sessions [aria-selected]", (rows) => rows.map((row) => row.cells[1].textContent)), ["P21"]);
-      await page.$eval("#save-csv", (button) => button.click());
-      assert.equal((await saved(page, count)).at(-1)[0], `session-${ids[0]}.csv`);
-    };
-    holds = (url) => url.includes(`/${ids[1]}/plays`);
-    await show("P22");
-    await asked(1);
-    await isOfFirst(1);
-    // The answer fails: the table and its files stay.
-    held.splice(0).forEach(({ fail }) => fail());
-    await answers(page, '#sessions button[aria-label*="P22"]', "The disk does not answer.");
-    await isOfFirst(2);
-    // Two are asked for: the later one is shown, whichever answer comes first.
-    await show("P22");
-    await asked(1);
-    holds = () => false;
-    await show("P21");
-    await page.waitForFunction(() => document.activeElement.id === "plays-title", WAIT);
-    held.splice(0).forEach(({ forward }) => forward());
-    await show("P21");
-    await isOfFirst(3);
-    // A page is turned while news are fetched: the news do not turn it back. An empty field asks for no row NaN.
-    const urls = [];
-    holds = (url) => url.includes("/plays?from=") && urls.push(url) === 1;
-    await page.$eval("#plays-from", (field) => (field.value = ""));
-    await page.evaluate(() => document.dispatchEvent(new Event("answered")));
-    await asked(1);
-    assert.ok(urls[0].endsWith("?from=0"), urls[0]);
-    await page.$eval("#plays-from", (field) => ((field.value = "101"), field.dispatchEvent(new Event("change"))));
-    await shows(page, "plays-none", "There is no row 101.");
-    const answered = page.waitForResponse((response) => response.url().endsWith("?from=0"));
-    held.splice(0).forEach(({ forward }) => forward());
-    await (await answered).text();
-    await page.evaluate(() => new Promise((done) => setTimeout(done)));
-    assert.equal(await text(page, "plays-none"), "There is no row 101.");
-  });
-});
-
-test("the forced choice offers the patterns that are stored now, and puts none in the place of one that was removed", async () => {
-  const daemon = await new Daemon().start();
-  const store = (name) => fetch(`${daemon.url}/v1/patterns/${name}`, { method: "PUT", headers: { "content-type": "application/toml" }, body: `format = 1\nname = "${name}"\nduration_s = 1.0\n[[drive]]\nmotor = 3\nfrequency_hz = 60.0\namplitude_um = 50.0\n` });
-  assert.equal((await store("first-one")).status, 201);
-  const page = await open(daemon);
-  await page.waitForSelector("#asked option");
-  const offered = (name, is) => page.waitForFunction((name, is) => [...document.querySelectorAll("#asked option")].some((option) => option.value === name) === is, WAIT, name, is);
-  await offered("first-one", true);
-  await page.select("#asked", "first-one");
-  await page.select("#other", "pin-60");
-  await store("second-one");
-  await view(page, "design");
-  await view(page, "record");
-  await offered("second-one", true);
-  assert.equal(await page.$eval("#asked", (field) => field.value), "first-one");
-  await fetch(`${daemon.url}/v1/patterns/first-one`, { method: "DELETE" });
-  // The window beside another one gets the focus.
-  await page.evaluate(() => dispatchEvent(new Event("focus")));
-  await offered("first-one", false);
-  assert.deepEqual(await page.$$eval("#asked, #other", (fields) => fields.map((field) => field.value)), ["", "pin-60"]);
-});
-
-test("a forced choice without seconds plays each pattern once", async () => {
-  const daemon = await new Daemon().start();
-  const page = await open(daemon);
-  await start(page, "P11");
-  await arm(page);
-  await setUp(page, { trials: 1, "stimulus-s": "" }, ["press-hold", "edge-45-rendered"]);
-  await shows(page, "choice-prompt", "Which interval had press-hold?");
-  const { items } = await get(daemon, "/v1/plays/last");
-  for (const { pattern, ordered_ms: ms } of items) assert.equal(ms, 1000 * (await get(daemon, `/v1/patterns/${pattern}`)).pattern.duration_s, pattern);
-  assert.equal(items.length, 2);
 });
 
 test("an experiment pauses by Escape, a reload, another view and E-STOP, and repeats the trial without an answer", async () => {
@@ -501,11 +332,6 @@ test("an experiment pauses by Escape, a reload, another view and E-STOP, and rep
   await view(page, "device");
   await view(page, "record");
   await shows(page, "choice-prompt", "Paused. The view was left.");
-  await page.waitForSelector("#choice-go:not([disabled])");
-  await press(page, "#choice-go");
-  await shows(page, "choice-prompt", "Which interval");
-  await press(page, "#choice-stop");
-  await shows(page, "choice-prompt", "Paused. Stopped.");
   await page.waitForSelector("#choice-go:not([disabled])");
   await press(page, "#choice-go");
   await shows(page, "choice-prompt", "Which interval");

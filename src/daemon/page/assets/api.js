@@ -77,16 +77,14 @@ export async function exact(path, ms = ANSWER_MS) {
   return JSON.parse((await text(path, ms)).replace(/"(?:[^"\\]|\\.)*"|(?<![\d.])-?\d{16,}(?![\d.eE])/g, (found) => (found.startsWith('"') ? found : `"\\u0000${found}"`)));
 }
 
-// Orders a play, in the session that the page shows: the daemon refuses it if another one runs. `waits` of the answer: it has to wait for
-// another play.
+// Orders a play, in the session that the page shows: the daemon refuses it if another one runs.
 export async function order(path, body) {
   if (!known()) await poll();
   const status = known();
   if (!status) throw new Problem("not-known", "Nothing was ordered: the state is not known.");
   const answer = await orderIn(status.session?.id, path, body);
   await poll();
-  const { play, queued = [] } = known() ?? {};
-  return { ...answer, waits: queued.some(({ id }) => id === answer.id) && Boolean(play || queued[0].id !== answer.id) };
+  return answer;
 }
 
 // Orders a play in this session; the daemon refuses it if another one runs, or none.

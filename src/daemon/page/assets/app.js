@@ -4,14 +4,13 @@
 import { known, last, listen, poll } from "./api.js";
 import { loadArray } from "./array.js";
 import { bindCalibration } from "./calibration.js";
-import { bindControls, element, say, showControls, write } from "./control.js";
+import { $, bindControls, element, say, showControls, write } from "./control.js";
 import { Designer } from "./designer.js";
 import { bindDevice } from "./device.js";
 import { bindDoctor } from "./doctor.js";
 import { bindFiles } from "./files.js";
 import { bindEvents } from "./events.js";
 import { FULL_UM, Finger, gradient, highest, movement } from "./finger.js";
-import { bindNumbers } from "./number.js";
 import { Patterns } from "./patterns.js";
 import { bindPinTest } from "./pin-test.js";
 import { bindQueue } from "./queue.js";
@@ -19,8 +18,6 @@ import { bindReceipt } from "./receipt.js";
 import { bindRecord } from "./record.js";
 import { connected, disconnected, handleEvent, showStatus, startViews } from "./views.js";
 import { SENSOR_FAULTS, plain } from "./words.js";
-
-const $ = (id) => document.getElementById(id);
 
 const finger = new Finger($("finger"));
 const patterns = new Patterns();
@@ -67,15 +64,14 @@ async function linked(is, problem) {
   isLinked = is;
   if (!is) {
     disconnected();
-    alertConnection(plain(problem.message));
+    alertConnection(plain(problem));
     return;
   }
-  handleEvent({ event: "linked" });
   await poll();
   try {
     await loadArray();
   } catch (error) {
-    alertConnection(plain(error.message));
+    alertConnection(plain(error));
     return;
   }
   // The connection may be lost again by now.
@@ -109,7 +105,6 @@ function showPins() {
 }
 
 bindControls();
-bindNumbers();
 bindFiles(() => patterns.refresh());
 bindPinTest((motor) => finger.choose(motor));
 bindEvents();

@@ -8,6 +8,14 @@ let known = null;
 // As `GET /v1/array` shows it; null until it is known.
 export const array = () => known;
 
+// Whether a pattern is for another array than the daemon's: then it does not play.
+export const isForeign = (pattern) => pattern.array !== known.name;
+
+// Throws for a pattern of another array: the daemon would refuse it.
+export function checkArray(pattern) {
+  if (isForeign(pattern)) throw new Error(`“${pattern.name}” is for the array ${pattern.array}, and this one is ${known.name}. Render or design one for this array.`);
+}
+
 export async function loadArray() {
   const found = await call("GET", "/v1/array");
   if (found.hash === known?.hash) return;

@@ -8,7 +8,7 @@
 import { call, headers, known, last, poll } from "./api.js";
 import { plain } from "./words.js";
 
-const $ = (id) => document.getElementById(id);
+export const $ = (id) => document.getElementById(id);
 const HOME_MS = 30000;
 // This long after the window's last sign of life the daemon disarms the motors that the window has armed, s. While the window is
 // visible, each poll is a sign of life.
@@ -37,7 +37,6 @@ export function showControls() {
   $("owner").classList.toggle("warns", status?.state === "armed" && !status.session);
   if (status) {
     showRights(status);
-    unsay(status);
     unrefuse(status);
   }
 }
@@ -81,6 +80,13 @@ export function restored(key) {
 // An element of HTML.
 export function element(name, text = "", more = {}) {
   return Object.assign(document.createElement(name), { textContent: text, ...more });
+}
+
+// Gives the person a file. `parts`: its text.
+export function saveFile(parts, type, name) {
+  const href = URL.createObjectURL(new Blob(parts, { type }));
+  element("a", "", { href, download: name }).click();
+  setTimeout(() => URL.revokeObjectURL(href), 10000);
 }
 
 export function write(element, text) {
@@ -160,31 +166,12 @@ export function say(control, text, kind = "good") {
   if (text) speak(text, "answer");
 }
 
-// What a control says when its play was ordered: nothing, unless the play has to wait. It takes the answer to the order.
-export function ordered({ id, waits }) {
-  if (!waits) return "";
-  queued.set(id, `Queued as play ${id}.`);
-  return queued.get(id);
-}
-
-// What was said of plays that waited, by their numbers.
-const queued = new Map();
-
-// Takes back that a play waits when it waits no more.
-function unsay(status) {
-  for (const [id, text] of queued) {
-    if (status.queued.some((play) => play.id === id)) continue;
-    queued.delete(id);
-    for (const line of document.querySelectorAll(".say")) if (line.textContent === text) silence(line);
-  }
-}
-
 // Refusals because of the state, which another state may take back.
 const OF_STATE = new Set(["disarmed", "faulted", "returning", "playing", "not-home", "nothing-to-go-by", "session-exclusive", "session-running", "position-unknown", "no-device", "behind-endless", "queue-full", "rendering-running", "not-known", "unreachable", "slow", "stopped"]);
 
 // Says beside a control that something was refused, or failed, in the page's words.
 export function refuse(control, error) {
-  say(control, plain(error.message), "bad");
+  say(control, plain(error), "bad");
   if (!OF_STATE.has(error.code)) return;
   const line = answerLine(control, true);
   const text = line.textContent;
@@ -208,8 +195,7 @@ function silence(line) {
   delete line.dataset.state;
 }
 
-// Binds a button that orders something, and returns what its click does. `order`: orders it, and returns what to say beside the button, or
-// nothing. An order that takes long says so. Until its answer the button ignores clicks; always it ignores the second click of a double
+// Binds a button that orders something, and returns what its click does. `order`: orders it. An order that takes long says so. Until its answer the button ignores clicks; always it ignores the second click of a double
 // click, and a key that is held down: each of them would be another play in the queue.
 export function orders(button, order) {
   let underWay = 0;
@@ -217,7 +203,8 @@ export function orders(button, order) {
     underWay += 1;
     const wait = setTimeout(() => say(button, "The daemon prepares the play …", "wait"), SLOW_MS);
     try {
-      say(button, (await order()) ?? "");
+      await order();
+      say(button, "");
     } catch (error) {
       refuse(button, error);
     } finally {

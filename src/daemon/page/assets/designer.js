@@ -4,7 +4,7 @@
 // their fields; `picture`, a height map's file; `touch` and `method`.
 
 import { array } from "./array.js";
-import { may, refuse, say, speak } from "./control.js";
+import { $, may, refuse, say, speak } from "./control.js";
 import { History, keep, kept } from "./history.js";
 import { Live } from "./live.js";
 import { complain, forgive, number, numbers, right } from "./number.js";
@@ -14,7 +14,6 @@ import { Rendering } from "./rendering.js";
 import { drawn, live, off, rendering } from "./thing.js";
 import { part } from "./views.js";
 
-const $ = (id) => document.getElementById(id);
 // After the last change of a number, before the page asks for a rendering.
 const PAUSE_MS = 400;
 const METHODS = {
@@ -52,8 +51,6 @@ export class Designer {
   #timer = 0;
   // Whether a field has what cannot be drawn: then the drawing is older than the fields.
   #isWrong = false;
-  // What the page asks about, whether it shall replace an older pattern: the `result` and its `name`.
-  #asked = null;
   // Whether nothing was rendered because this window may not.
   #isKept = false;
   // The drawing of before a reload, until the array is known.
@@ -64,7 +61,7 @@ export class Designer {
     this.#saved = saved;
     this.#pad = new Pad($("pad"), (by) => this.#drawn(by), (text) => speak(text, "pad"));
     const changed = () => this.#buttons();
-    this.#rendering = new Rendering(() => (this.#question(null), this.#keep(), this.#buttons()));
+    this.#rendering = new Rendering(() => (this.#keep(), this.#buttons()));
     const request = () => {
       const [object] = live(this.#doc());
       return object && { object };
@@ -103,9 +100,7 @@ export class Designer {
     panel.addEventListener("dragover", (event) => event.preventDefault());
     panel.addEventListener("drop", (event) => (event.preventDefault(), this.#take(event.dataTransfer.files[0])));
     document.addEventListener("keydown", (event) => this.#key(event));
-    on("thing-name", "input", () => this.#question(null));
     on("thing-save-form", "submit", (event) => (event.preventDefault(), this.#save()));
-    on("thing-replace", "click", () => this.#replace());
     document.addEventListener("array", () => this.#arrange());
   }
 
@@ -267,43 +262,19 @@ export class Designer {
   }
 
   async #save() {
-    this.#question(null);
-    const [name, { result }] = [$("thing-name").value, this.#rendering];
+    const { result } = this.#rendering;
     if (!right("thing-name") || !result) return;
+    const name = $("thing-name").value;
     try {
-      await this.#store(result, name, false);
+      await this.#rendering.save(result, name, $("thing-replace").checked);
+      say($("thing-save"), `Saved the pattern ${name}.`);
+      this.#saved();
     } catch (error) {
-      if (error.code !== "exists") return void refuse($("thing-save"), error);
-      // The person may have gone on meanwhile.
-      const isSame = result === this.#rendering.result && name === $("thing-name").value;
-      say($("thing-save"), isSame ? "" : `A pattern ${name} is stored already, so nothing was saved.`, "bad");
-      if (isSame) this.#question({ result, name });
+      refuse($("thing-save"), error);
     }
   }
 
-  async #store(result, name, replace) {
-    await this.#rendering.save(result, name, replace);
-    say($("thing-save"), `Saved the pattern ${name}.`);
-    this.#saved();
-  }
-
-  // Asks whether to replace an older pattern; null: there is nothing to ask any more.
-  #question(asked) {
-    this.#asked = asked;
-    $("thing-save-ask").hidden = !asked;
-    if (!asked) return;
-    $("thing-save-text").textContent = `A pattern ${asked.name} is stored already.`;
-    speak($("thing-save-text").textContent, "answer");
-  }
-
-  #replace() {
-    const { result, name } = this.#asked;
-    this.#question(null);
-    this.#store(result, name, true).catch((error) => refuse($("thing-save"), error));
-  }
-
   #show() {
-    this.#question(null);
     const shape = $("shape").value;
     const doc = this.#doc();
     this.#pad.shape = shape;

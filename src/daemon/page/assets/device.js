@@ -2,10 +2,9 @@
 
 import { known, last, text } from "./api.js";
 import { array } from "./array.js";
-import { facts, write } from "./control.js";
+import { $, facts, write } from "./control.js";
 import { part } from "./views.js";
 
-const $ = (id) => document.getElementById(id);
 const ROLES = { operate: "everything but tokens: role “operate”", observe: "only read: role “observe”" };
 
 // The link's counters by name, from the metrics; null until they are known, and when they are too old.

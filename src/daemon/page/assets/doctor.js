@@ -1,11 +1,9 @@
 // The doctor's findings: each with its verdict as shape, word and colour, what was found, and what to do.
 
 import { call, known } from "./api.js";
-import { element } from "./control.js";
+import { $, element } from "./control.js";
 import { part } from "./views.js";
-import { advice } from "./words.js";
 
-const $ = (id) => document.getElementById(id);
 // A check holds one of the browser's connections to the daemon.
 const ANSWER_MS = 2000;
 // Shortest time between automatic checks.
@@ -25,9 +23,9 @@ function item({ what, level, found, advice: remedy }) {
   const head = element("p");
   head.append(element("strong", what), " ", element("span", VERDICTS[level] ?? level, { className: "verdict" }));
   const text = element("div");
-  text.append(head, worded(element("p"), advice(found)));
+  text.append(head, worded(element("p"), found));
   if (remedy) {
-    const line = worded(element("p", "", { className: "remedy" }), advice(remedy));
+    const line = worded(element("p", "", { className: "remedy" }), remedy);
     line.prepend(element("strong", "Remedy: "));
     text.append(line);
   }

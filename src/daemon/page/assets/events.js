@@ -1,11 +1,10 @@
 // What the daemon has told about the device and the session: the newest event in one line, and those before it in a list. The window
 // keeps them, so they are there after a reload.
 
-import { element, restored, speak, write } from "./control.js";
+import { $, element, restored, speak, write } from "./control.js";
 import { part } from "./views.js";
 import { SENSOR_FAULTS } from "./words.js";
 
-const $ = (id) => document.getElementById(id);
 const KEPT = "meissner-events";
 // Events that are kept.
 const MOST = 20;

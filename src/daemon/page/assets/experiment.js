@@ -9,14 +9,13 @@
 // Invariant: a trial is counted when the daemon has its answer.
 
 import { call, known, orderIn, poll } from "./api.js";
+import { isForeign } from "./array.js";
 import { order, wilson } from "./choice.js";
-import { built, element, refuse, restored, say, speak, write } from "./control.js";
-import { isForeign } from "./foreign.js";
+import { $, built, element, refuse, restored, say, speak, write } from "./control.js";
 import { optional, right } from "./number.js";
 import { part } from "./views.js";
 import { plain } from "./words.js";
 
-const $ = (id) => document.getElementById(id);
 const KEPT = "meissner-experiment";
 // The daemon holds the request for the end of a play for so long, s.
 const HELD_S = 20;
@@ -191,7 +190,7 @@ async function run() {
     while (!isOver()) await runTrial(mine.signal);
     speak(result(), "trial");
   } catch (error) {
-    why = plain(error.message);
+    why = plain(error);
     speak(`Paused. ${why}`, "trial");
   }
   running = null;

@@ -2,6 +2,7 @@
 // status tells of, whether it moves or stands, the text below the frequency or that height, and a bar the offset from rest.
 
 import { layout, scale } from "./array.js";
+import { write } from "./control.js";
 import { SENSOR_FAULTS } from "./words.js";
 
 // Drawing units: from a pin to its nearest neighbour, and from the outermost pins to the edge of the skin. What stands at a pin fits.
@@ -145,10 +146,6 @@ function summary(known, rest_um) {
     unknown ? `What ${unknown} do is not known.` : "",
     moving.length || unknown ? "" : `Largest offset from rest ${largest([0, ...rest_um.map(Math.abs)])} µm.`,
   ].filter(Boolean).join(" ");
-}
-
-function write(element, text) {
-  if (element.textContent !== text) element.textContent = text;
 }
 
 function set(element, name, value) {

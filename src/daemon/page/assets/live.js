@@ -3,12 +3,11 @@
 // The page sends signs of life while its window is visible. When hidden, closed or hung it sends none, and the daemon ends the
 // play.
 
-import { order } from "./api.js";
-import { refuse, say, speak } from "./control.js";
+import { order, Problem } from "./api.js";
+import { $, refuse, say, speak } from "./control.js";
 import { make } from "./finger.js";
 import { FINE_STEP, HALF_LENGTH, HALF_WIDTH, KEY_STEP, penAt } from "./pad.js";
 
-const $ = (id) => document.getElementById(id);
 // The daemon ends the play after such a silence.
 const TIMEOUT_MS = 1000;
 const TURN_MS = 20;
@@ -156,7 +155,7 @@ export class Live {
     this.#unanswered -= 1;
     this.#answeredAt = performance.now();
     if (applied?.ticks.some((tick) => tick !== null)) this.#applied += 1;
-    if (problem) refuse($(`${this.#id}-start`), new Error(problem.detail));
+    if (problem) refuse($(`${this.#id}-start`), new Problem(problem.code, problem.detail));
     if (ended !== undefined) this.#ended = ended;
     else this.#show();
   }

@@ -1,12 +1,10 @@
 // Fields for numbers, with a decimal comma or a point. A browser's own fields for numbers take only one of the two and drop the other, so
-// that 12,5 would become 125. These are fields of text with `inputmode="decimal"`, or `numeric` for whole numbers. They have `min`, `max`
-// and `step`; without `required` they may be empty.
+// that 12,5 would become 125. These are fields of text with `inputmode="decimal"`, or `numeric` for whole numbers. They have `min` and `max`;
+// without `required` they may be empty.
 
-import { element } from "./control.js";
+import { $, element } from "./control.js";
 
-const $ = (id) => document.getElementById(id);
 const NUMBER = /^[-+−]?(\d+([.,]\d*)?|[.,]\d+)(e[-+]?\d+)?$/i;
-const ARROWS = { ArrowUp: 1, ArrowDown: -1 };
 
 const isNumeric = ({ inputMode }) => inputMode === "decimal" || inputMode === "numeric";
 const isEmpty = ({ value }) => value.trim() === "";
@@ -72,23 +70,4 @@ export function forgive(...ids) {
 // All numbers of a text, with commas or points.
 export function numbers(text) {
   return (text.match(/[-−]?\d+([.,]\d+)?/g) ?? []).map((part) => Number(part.replace(",", ".").replace("−", "-")));
-}
-
-// Counts a field up or down by a step, as a browser does in its own fields.
-function count(event) {
-  const field = event.target;
-  const by = ARROWS[event.key];
-  if (!by || event.ctrlKey || event.metaKey || event.altKey || event.shiftKey || !isNumeric(field)) return;
-  const now = isEmpty(field) ? 0 : parse(field.value);
-  if (Number.isNaN(now)) return;
-  event.preventDefault();
-  const [least, most] = bounds(field);
-  const next = Math.min(most, Math.max(least, Number((now + by * Number(field.step || 1)).toPrecision(12))));
-  // The person's own sign for decimals stays.
-  field.value = field.value.includes(",") ? String(next).replace(".", ",") : String(next);
-  for (const name of ["input", "change"]) field.dispatchEvent(new Event(name, { bubbles: true }));
-}
-
-export function bindNumbers() {
-  document.addEventListener("keydown", count);
 }

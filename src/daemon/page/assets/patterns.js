@@ -4,14 +4,13 @@
 // a pattern plays only if the daemon still has the one that is drawn.
 
 import { call, order } from "./api.js";
+import { checkArray, isForeign } from "./array.js";
 import { Chosen } from "./chosen.js";
-import { element, operates, ordered, orders, refuse } from "./control.js";
+import { $, element, operates, orders, refuse } from "./control.js";
 import { thumbnail } from "./finger.js";
-import { checkArray, isForeign } from "./foreign.js";
 import { number, optional, right } from "./number.js";
 import { part } from "./views.js";
 
-const $ = (id) => document.getElementById(id);
 // Patterns that are listed, at most; the search finds the others.
 const LISTED = 200;
 
@@ -111,7 +110,7 @@ export class Patterns {
     });
     if (now?.sha256 === sha256) return;
     await this.refresh();
-    throw new Error(now ? `\`${name}\` was replaced by another pattern, which the page shows now. Look at it, then press again.` : `\`${name}\` was removed meanwhile.`);
+    throw new Error(now ? `“${name}” was replaced by another pattern, which the page shows now. Look at it, then press again.` : `“${name}” was removed meanwhile.`);
   }
 
   // Fills an item; its button to play, and what it said, stay.
@@ -126,7 +125,7 @@ export class Patterns {
       element("strong", name),
       element("span", `${length}; ${moves}; ${where(pattern)}${isForeign(pattern) ? `; for the array ${pattern.array}` : ""}`),
     );
-    choose.addEventListener("click", () => this.#chosen.ask(pattern));
+    choose.addEventListener("click", () => this.#chosen.choose(pattern));
     const compare = element("button", "Compare", { type: "button", className: "compare", ariaLabel: `Compare with ${name}` });
     compare.addEventListener("click", () => this.#chosen.compare(pattern));
     const [play, said] = ["button", ".say"].map((part) => item.querySelector(`:scope > ${part}`));
@@ -162,8 +161,9 @@ export class Patterns {
   }
 
   async #play(pattern) {
-    if (!right("seconds", "scale")) return undefined;
+    if (!right("seconds", "scale")) return;
     checkArray(pattern);
+    if (pattern.duration_s === null && optional("seconds") === undefined) throw new Error(`“${pattern.name}” has no end: enter its seconds.`);
     const body = { pattern: pattern.name, pattern_sha256: pattern.sha256, seconds: optional("seconds"), scale: number("scale") };
     try {
       await this.#check(pattern);
@@ -172,6 +172,6 @@ export class Patterns {
       if (!this.#byName.has(pattern.name)) return void refuse($("patterns-title"), error);
       throw error;
     }
-    return ordered(await order("/v1/play", body));
+    await order("/v1/play", body);
   }
 }

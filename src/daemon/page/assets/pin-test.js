@@ -2,10 +2,8 @@
 
 import { order } from "./api.js";
 import { array } from "./array.js";
-import { ordered, orders } from "./control.js";
+import { $, orders } from "./control.js";
 import { number, right } from "./number.js";
-
-const $ = (id) => document.getElementById(id);
 
 // The pattern that moves one pin. One stroke lasts a period.
 function pattern() {
@@ -16,8 +14,8 @@ function pattern() {
 
 async function play() {
   const isStroke = $("pin-what").value === "stroke";
-  if (!right("pin-motor", "pin-hz", "pin-um", ...(isStroke ? [] : ["pin-seconds"]))) return undefined;
-  return ordered(await order("/v1/play", { pattern: pattern() }));
+  if (!right("pin-motor", "pin-hz", "pin-um", ...(isStroke ? [] : ["pin-seconds"]))) return;
+  await order("/v1/play", { pattern: pattern() });
 }
 
 // `chosen(motor)`: called when a person has chosen a pin here; null for no such pin.

@@ -11,7 +11,9 @@ const ANSWER_MS = 60000;
 const TRACE = { width: 36, height: 22 };
 const LARGE = { height: 180, left: 44, bottom: 34, top: 8, right: 14 };
 const RASTER = { row: 0.8, gap: 12, left: 44, bottom: 34, top: 8, right: 14 };
-const CLASSES = ["SA1", "RA", "PC"];
+export const CLASSES = ["SA1", "RA", "PC"];
+// The numbers of the afferents of a class.
+export const ofClass = (classes, name) => classes.flatMap((of, i) => (of === name ? [i] : []));
 // Drawing units of a plot's width: about one for a pixel, so that its text can be read.
 const WIDTHS = [260, 640];
 // Points of a path: the highest and the lowest value of each part of the time, so that no movement is lost.
@@ -83,10 +85,10 @@ function trace(of, high, title, motor, width) {
   return svg;
 }
 
-// The spikes: a row for each afferent, by class and from the fingertip downwards.
-function raster({ spikes: { class: classes, times_s: times, places_mm: places }, ...of }, title, width) {
+// The spikes: a row for each afferent, by class and from the fingertip downwards. Returns the drawing, and how many each class has.
+export function raster({ spikes: { class: classes, times_s: times, places_mm: places }, ...of }, title, width) {
   const { row, gap, left, bottom, top } = RASTER;
-  const rows = CLASSES.map((name) => classes.flatMap((of, i) => (of === name ? [i] : [])).sort((a, b) => places[b][1] - places[a][1]));
+  const rows = CLASSES.map((name) => ofClass(classes, name).sort((a, b) => places[b][1] - places[a][1]));
   const height = top + bottom + rows.reduce((sum, of) => sum + of.length * row + gap, 0);
   const within = (s) => s >= of.from_s && s < of.from_s + of.seconds;
   const counts = rows.map((of) => of.reduce((sum, i) => sum + times[i].filter(within).length, 0));
@@ -104,14 +106,20 @@ function raster({ spikes: { class: classes, times_s: times, places_mm: places },
   return [svg, said];
 }
 
+// A figure with its title and what it says.
+export function figure(title, text, ...drawn) {
+  const caption = element("figcaption");
+  caption.append(element("strong", title), element("span", text));
+  const figure = element("figure", "", { className: "preview" });
+  figure.append(caption, ...drawn);
+  return figure;
+}
+
 // The figures of a pattern: all pins, one of them in large, and the spikes. `high`: the top of all scales, µm. `pixels`: the width there is.
 // `choose(motor)`: called when a person clicks on a pin.
 export function figures(of, title, high, motor, pixels, choose) {
   const width = Math.min(Math.max(pixels, WIDTHS[0]), WIDTHS[1]);
-  const caption = document.createElement("figcaption");
   const [spikes, counts] = raster(of, title, width);
-  caption.append(element("strong", title), element("span", `Pins up to ${highest(of).toFixed(0)} µm; predicted spikes: ${counts}`));
-  const figure = element("figure", "", { className: "preview" });
-  figure.append(caption, traces(of, high, title, motor, choose), trace(of, high, title, motor, width), spikes);
-  return figure;
+  const said = `Pins up to ${highest(of).toFixed(0)} µm; predicted spikes: ${counts}`;
+  return figure(title, said, traces(of, high, title, motor, choose), trace(of, high, title, motor, width), spikes);
 }

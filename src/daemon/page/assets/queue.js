@@ -1,18 +1,13 @@
-// What runs and what waits, and the late strokes of the running play.
+// What runs and what waits.
 
 import { call, known, poll } from "./api.js";
-import { element, facts, operates, refuse, write } from "./control.js";
-import { bindSequence, itemsOf, keepItems, showSequence } from "./sequence.js";
-import { seconds, timeline } from "./timeline.js";
+import { $, element, operates, refuse, write } from "./control.js";
 import { part } from "./views.js";
 
-const $ = (id) => document.getElementById(id);
-// Items of a running sequence that are listed, at most.
-const ITEMS = 8;
-// Late strokes of a play that this window has heard of, by play.
-const late = new Map();
 // Receipts of plays that run or wait, by play; null while they are on their way, or cannot be had.
 const receipts = new Map();
+
+const seconds = (s) => `${s.toFixed(s < 9.95 ? 1 : 0)} s`;
 
 // Fetches a receipt once.
 function receiptOf(id) {
@@ -23,31 +18,21 @@ function receiptOf(id) {
   return receipts.get(id);
 }
 
-// The plays of a status, with when they begin from now and how long they last, s: null for without end (`length_s`) and not known (`at_s`).
+// The plays of a status, with how long they last and when they begin, in words.
 function planned({ play: running, queued }) {
+  // When the next one begins, s from now; null if that is not known.
   let at = running ? -running.played_s : null;
   return [...(running ? [running] : []), ...queued].map(({ id, pattern, waits_for_edge: waits = false }) => {
-    // When an edge comes, nobody knows.
-    if (waits) at = null;
     const receipt = receiptOf(id);
     const ms = receipt ? (receipt.duration_ms.compiled ?? receipt.duration_ms.ordered) : undefined;
-    const length = ms === undefined || ms === null ? null : ms / 1000;
-    const play = { id, name: pattern, at_s: at, length_s: length, isKnown: ms !== undefined, items: itemsOf(id), count: receipt?.items_planned ?? null, waits };
-    // A play that is due begins soon.
-    at = at === null || length === null ? null : Math.max(0, at + length);
-    return play;
+    const items = (receipt?.items_planned ?? null) === null ? "" : `, ${receipt.items_planned} items`;
+    const length = `${ms ? seconds(ms / 1000) : receipt ? "without end" : "length not known"}${items}`;
+    const begins = id === running?.id ? `began ${seconds(running.played_s)} ago`
+      : waits ? "waits for an edge of the trigger input" : at === null ? "begins when those before it are over" : `begins in about ${seconds(at)}`;
+    // When an edge comes, nobody knows. A play that is due begins soon.
+    at = waits || at === null || !ms ? null : Math.max(0, at + ms / 1000);
+    return { id, name: pattern, words: `${length}; ${begins}` };
   });
-}
-
-function lengthOf({ length_s: length, isKnown }) {
-  return length !== null ? seconds(length) : isKnown ? "without end" : "length not known";
-}
-
-function words(play, isRunning) {
-  const items = play.count === null ? "" : `, ${play.count} items`;
-  if (isRunning) return `${lengthOf(play)}${items}; began ${seconds(-play.at_s)} ago`;
-  const begins = play.waits ? "waits for an edge of the trigger input" : play.at_s === null ? "begins when those before it are over" : `begins in about ${seconds(play.at_s)}`;
-  return `${lengthOf(play)}${items}; ${begins}`;
 }
 
 // The line of a play, which stays the same element, with what has the focus there.
@@ -70,10 +55,9 @@ function showLines(plays, runningId) {
   const before = new Map([...$("queue").querySelectorAll("[data-play]")].map((item) => [Number(item.dataset.play), item]));
   const lines = plays.map((play) => {
     const item = before.get(play.id) ?? line(play);
-    const isRunning = play.id === runningId;
-    write(item.querySelector("span"), words(play, isRunning));
+    write(item.querySelector("span"), play.words);
     const button = item.querySelector("button");
-    if (isRunning) button?.remove();
+    if (play.id === runningId) button?.remove();
     else if (!button) item.firstChild.after(removal(play));
     return item;
   });
@@ -81,54 +65,15 @@ function showLines(plays, runningId) {
   if (lines.length !== shown.length || lines.some((item, i) => item !== shown[i])) $("queue").replaceChildren(...lines);
 }
 
-// The items of a sequence that runs: the one that is on, and the next ones.
-function showItems(play) {
-  const items = play?.items;
-  $("items-part").hidden = !play || play.count === null;
-  if (!play || play.count === null) return;
-  write($("items-title"), `Items of ${play.name}`);
-  const now = -play.at_s;
-  const at = items ? Math.max(0, items.findIndex((item) => item.at_s + item.length_s > now)) : 0;
-  const next = items?.slice(at, at + ITEMS) ?? [];
-  const begins = (s) => (s > now ? `in ${seconds(s - now)}` : "now");
-  const lines = next.map((item, i) => `${at + i + 1}. ${item.name}, ${seconds(item.length_s)}: ${begins(item.at_s)}`);
-  const rest = items ? items.length - at - next.length : 0;
-  write($("items-note"), items ? (rest ? `${rest} more follow.` : "") : `Another window or program has ordered these ${play.count} items: its receipt lists them when it is over.`);
-  while ($("items").children.length > lines.length) $("items").lastChild.remove();
-  lines.forEach((text, i) => {
-    if (!$("items").children[i]) $("items").append(document.createElement("li"));
-    write($("items").children[i], text);
-  });
-}
-
 function show() {
   const status = known();
   const plays = status ? planned(status) : [];
-  const running = status?.play ? plays[0] : null;
-  if (status) {
-    const ids = plays.map((play) => play.id);
-    for (const id of receipts.keys()) if (!ids.includes(id)) receipts.delete(id);
-    keepItems(ids);
-  }
-  $("timeline").replaceChildren(...(plays.length ? [timeline(plays.map((play) => (play.isKnown ? play : { ...play, at_s: null })), Math.max(200, $("timeline").clientWidth))] : []));
-  showLines(plays, running?.id);
+  const running = status?.play?.id;
+  if (status) for (const id of receipts.keys()) if (!plays.some((play) => play.id === id)) receipts.delete(id);
+  showLines(plays, running);
   write($("queue-none"), !status ? "Not known." : plays.length ? (status.queued.length ? "" : "No play waits.") : "No play runs or waits.");
-  showItems(running);
-  showSequence();
-  facts($("play-facts"), running ? [["Late strokes that this window has heard of", late.get(running.id) ?? "none"]] : []);
 }
 
 export function bindQueue() {
-  bindSequence();
-  part({
-    view: "play",
-    at: "queue-title",
-    state: show,
-    always: {
-      // Of another start of the daemon the numbers begin anew.
-      linked: () => late.clear(),
-      late: ({ id }) => void late.set(id, (late.get(id) ?? 0) + 1),
-      ended: ({ receipt }) => void late.delete(receipt.id),
-    },
-  });
+  part({ view: "play", at: "queue-title", state: show });
 }

@@ -1,11 +1,8 @@
 // The last play: its receipt.
 
 import { call, last, text } from "./api.js";
-import { facts, refuse, say, write } from "./control.js";
-import { keep } from "./toml.js";
+import { $, facts, refuse, saveFile, say, write } from "./control.js";
 import { part } from "./views.js";
-
-const $ = (id) => document.getElementById(id);
 
 // Items of a sequence that are shown as JSON: the file has all.
 const ITEMS = 100;
@@ -59,7 +56,7 @@ export function bindReceipt() {
   $("receipt-keep").addEventListener("click", async () => {
     try {
       const id = shown;
-      keep(await text(`/v1/plays/${id}`), "application/json", `play-${id}.json`);
+      saveFile([await text(`/v1/plays/${id}`)], "application/json", `play-${id}.json`);
       say($("receipt-keep"), "");
     } catch (error) {
       refuse($("receipt-keep"), error);

@@ -3,14 +3,13 @@
 // A session may have thousands of plays. The daemon answers with some of them, and the table has a page of these.
 
 import { call, DISK_MS } from "./api.js";
-import { element, facts, refuse, say, write } from "./control.js";
+import { $, element, facts, refuse, saveFile, say, write } from "./control.js";
 import { bindExperiment } from "./experiment.js";
 import { csv, json, readSession } from "./export.js";
 import { number, right } from "./number.js";
 import { bindSession } from "./session.js";
 import { part } from "./views.js";
 
-const $ = (id) => document.getElementById(id);
 // Rows of a page, and sessions of the list.
 const PAGE = 100;
 const LISTED = 100;
@@ -130,10 +129,8 @@ async function download(button, kind, write) {
   say(button, "The daemon reads its record …", "wait");
   try {
     const read = await readSession(shown.id);
-    const url = URL.createObjectURL(new Blob(await write(read), { type: kind }));
     const name = `session-${read.session.id}${read.complete ? "" : "-incomplete"}.${kind.split("/")[1]}`;
-    element("a", "", { href: url, download: name }).click();
-    setTimeout(() => URL.revokeObjectURL(url), 10000);
+    saveFile(await write(read), kind, name);
     say(button, read.complete ? `Saved as ${name}.` : `Saved as ${name}. It is incomplete: ${read.missing.join("; ")}.`, read.complete ? "good" : "bad");
   } catch (error) {
     refuse(button, error);

@@ -2,11 +2,10 @@
 // judged. One rendering runs at a time: a newer one cancels the one before.
 
 import { call, known, last, order, put } from "./api.js";
-import { rasters, responses, rows, verdict } from "./compare.js";
-import { orders, refuse, say, speak } from "./control.js";
-import { plain } from "./words.js";
+import { rasters, responses, rows } from "./compare.js";
+import { $, orders, refuse, say, speak } from "./control.js";
+import { sentence } from "./words.js";
 
-const $ = (id) => document.getElementById(id);
 // So often another rendering that runs is cancelled and this one asked for again.
 const TRIES = 5;
 // A rendering with a file of some megabytes takes a while to send.
@@ -30,7 +29,7 @@ export class Rendering {
   constructor(changed) {
     this.#changed = changed;
     for (const event of ["pointerdown", "keydown"]) document.addEventListener(event, () => (this.#atOnce = false), { capture: true });
-    this.#feel = orders($("thing-feel"), () => order("/v1/play", { pattern: `rendering:${this.#rendering.id}`, replace: true }).then(() => ""));
+    this.#feel = orders($("thing-feel"), () => order("/v1/play", { pattern: `rendering:${this.#rendering.id}`, replace: true }));
     this.#show();
   }
 
@@ -93,7 +92,7 @@ export class Rendering {
   #take(rendering, isNew) {
     this.#rendering = rendering;
     this.#show();
-    if (isNew && rendering.rendered) speak(`Found a pattern for ${rendering.object}. ${$("thing-verdict").textContent}`, "rendering");
+    if (isNew && rendering.rendered) speak(`Found a pattern for ${rendering.object}.`, "rendering");
     this.#changed();
   }
 
@@ -180,7 +179,7 @@ export class Rendering {
   #show(isAsked = false) {
     const { state, found, rendered, problem, object, method } = this.#rendering ?? {};
     const isRunning = isAsked || state === "running";
-    const words = { running: found ? `Found a pattern for ${object}. Judging it …` : `Rendering ${object} …`, failed: `Failed: ${plain(problem ?? "")}`, cancelled: "Cancelled." };
+    const words = { running: found ? `Found a pattern for ${object}. Judging it …` : `Rendering ${object} …`, failed: `Failed: ${sentence(problem ?? "")}`, cancelled: "Cancelled." };
     $("thing-note").textContent = isAsked ? "Rendering …" : (words[state] ?? "");
     $("thing-busy").hidden = !isRunning;
     $("thing-feel").disabled = !found;
@@ -193,11 +192,10 @@ export class Rendering {
       return;
     }
     this.#shown = rendered;
-    $("thing-verdict").textContent = verdict(rendered.judged).join("\n");
-    $("thing-facts").textContent = `${rendered.duration_s.toFixed(2)} s, pins up to ${rendered.highest_um.toFixed(0)} µm, method ${method}. In brackets: the same of the other pattern.`;
+    $("thing-facts").textContent = `${rendered.duration_s.toFixed(2)} s, pins up to ${rendered.highest_um.toFixed(0)} µm, method ${method}.`;
     $("thing-maps").replaceChildren(...responses(rendered));
     $("thing-rasters").replaceChildren(...rasters(rendered));
     $("thing-figures").tBodies[0].replaceChildren(...rows(rendered.judged));
-    $("thing-warnings").textContent = rendered.warnings.map((line) => plain(line)).join(" ");
+    $("thing-warnings").textContent = rendered.warnings.map(sentence).join(" ");
   }
 }

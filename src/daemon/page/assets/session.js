@@ -4,12 +4,11 @@
 // session is over it is forgotten, because the daemon refuses all changes of a client that still shows it.
 
 import { call, known, poll } from "./api.js";
-import { element, facts, open, refuse, say, write } from "./control.js";
+import { $, element, facts, open, refuse, say, write } from "./control.js";
 import { optional, right } from "./number.js";
 import { part } from "./views.js";
-import { plain } from "./words.js";
+import { sentence } from "./words.js";
 
-const $ = (id) => document.getElementById(id);
 // Where `estop.js` finds the token, and whose it is.
 const TOKEN = "meissner-session";
 const ABOUT = "meissner-session-about";
@@ -75,7 +74,7 @@ async function start() {
     sessionStorage.setItem(TOKEN, token);
     sessionStorage.setItem(ABOUT, JSON.stringify({ id, participant }));
     say($("session-start"), "");
-    say($("session-end"), problem ? `The daemon does not record this session: ${plain(problem)}` : "", "bad");
+    say($("session-end"), problem ? `The daemon does not record this session: ${sentence(problem)}` : "", "bad");
   } catch (error) {
     refuse($("session-start"), error);
   }

@@ -1,6 +1,4 @@
-// Tables as TOML text, and files of text to keep.
-
-import { element } from "./control.js";
+// Tables as TOML text.
 
 const isTable = (value) => value !== null && typeof value === "object" && !Array.isArray(value);
 const isTables = (value) => Array.isArray(value) && value.length > 0 && value.every(isTable);
@@ -26,11 +24,4 @@ export function toml(table) {
   const lists = entries.filter(([, value]) => isTables(value)).flatMap(([key, all]) => all.map((of) => `\n[[${name(key)}]]\n${lines(of)}`));
   const tables = entries.filter(([, value]) => isTable(value)).map(([key, of]) => `\n[${name(key)}]\n${lines(of)}`);
   return [lines(Object.fromEntries(flat)), ...lists, ...tables].join("");
-}
-
-// Gives the person a file.
-export function keep(text, type, file) {
-  const url = URL.createObjectURL(new Blob([text], { type }));
-  element("a", "", { href: url, download: file }).click();
-  setTimeout(() => URL.revokeObjectURL(url), 10000);
 }

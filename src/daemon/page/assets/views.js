@@ -2,9 +2,8 @@
 //
 // A module adds each thing that it shows as a `part` of a view. The page then calls what the part has: see `part`.
 
-import { refuse, say } from "./control.js";
+import { $, refuse, say } from "./control.js";
 
-const $ = (id) => document.getElementById(id);
 const VIEWS = ["play", "design", "record", "device"];
 const title = document.title;
 
@@ -19,8 +18,8 @@ let isReady = false;
 // runs when the view is shown first, and again when events may have been missed: after a new connection, or after an event of `on`
 // that came while the view was hidden. `again`: what it fetches may change without an event, so it is also loaded each time that its
 // view comes into sight, or the window gets the focus. `state`: shows the status (`known()` of `api.js`), at each status while the
-// view is shown. `on`: handlers of the daemon's events, by name, for the time in which the view is shown; `linked` is the begin of their
-// stream. `always`: handlers that also run while it is hidden. `hide`: called when a person leaves the view.
+// view is shown. `on`: handlers of the daemon's events, by name, for the time in which the view is shown.
+// `always`: handlers that also run while it is hidden. `hide`: called when a person leaves the view.
 export function part(what) {
   const mine = { on: {}, always: {}, ...what, fresh: false };
   parts.push(mine);
