@@ -9,8 +9,6 @@ use std::time::{Duration, Instant};
 use std::{env, fs, thread};
 use tempfile::TempDir;
 
-/// Linux gives processor times in these.
-const TICKS_PER_S: f64 = 100.0;
 /// No participant feels what is played.
 const NOBODY: &str = "[participant]\nmax_continuous_s = 86400\nmax_day_s = 86400\n";
 
@@ -81,19 +79,6 @@ impl Daemon {
             Ok::<u64, Box<dyn Error>>(line.trim_matches([':', ' ', '\t', 'k', 'B']).parse()?)
         };
         Ok([kb("VmRSS")? * 1024 / 1_000_000, kb("VmHWM")? * 1024 / 1_000_000])
-    }
-
-    /// Processor time that it has used, s.
-    ///
-    /// # Errors
-    /// If the system does not tell.
-    pub fn processor_s(&self) -> Result<f64, Box<dyn Error>> {
-        let stat = fs::read_to_string(format!("/proc/{}/stat", self.child.id()))?;
-        // The name, in parentheses, may have spaces.
-        let after = stat.rsplit(") ").next().unwrap_or_default();
-        let ticks: u64 =
-            after.split(' ').skip(11).take(2).filter_map(|field| field.parse::<u64>().ok()).sum();
-        Ok(ticks as f64 / TICKS_PER_S)
     }
 }
 

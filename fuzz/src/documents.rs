@@ -14,7 +14,6 @@ use meissner_api::{
 use meissner_array::pattern::Pattern;
 use meissner_array::samples;
 use meissner_paper::Target;
-use meissner_research::Trace;
 use meissner_skin::AnyScene;
 use meissner_stream::calibrate::Calibration;
 use meissner_stream::device::Spec;
@@ -27,13 +26,12 @@ use std::sync::LazyLock;
 pub type Read = fn(&[u8]);
 
 /// The kinds of documents; the number is the first byte of an input.
-pub const KINDS: [(&str, Read); 18] = [
+pub const KINDS: [(&str, Read); 17] = [
     ("pattern", pattern),
     ("target", target),
     ("scene", scene),
     ("configuration", configuration),
     ("calibration", calibration),
-    ("trace", trace),
     ("table", |bytes| samples(&["a.csv"], bytes)),
     ("samples", |bytes| samples(&["a.npy", "a.wav"], bytes)),
     ("session record", session_record),
@@ -103,14 +101,6 @@ fn calibration(bytes: &[u8]) {
             );
         }
         Err(error) => told(error),
-    });
-}
-
-fn trace(bytes: &[u8]) {
-    text(bytes, |text| {
-        if let Err(error) = Trace::read(text, "file") {
-            told(error);
-        }
     });
 }
 

@@ -1,8 +1,7 @@
-//! Pins that follow any motion, in figures: what the motors reach of each stimulus, and how far pins drift without telemetry.
+//! Pins that follow any motion, in figures: what the motors reach of each stimulus.
 //!
 //! [`motion_figures`] compiles each stimulus as the daemon does and compares the ideal motor's displacement with the waveform, and with
-//! the waveform after the motor's response. [`drift_figures`] plays noise on simulated motors in open loop, burst by burst, and compares
-//! the error of the pins with its theory: a random walk without a stop, and with a lower stop the reflected walk of the visits to rest.
+//! the waveform after the motor's response.
 //!
 //! Invariant: results depend on the request alone.
 
@@ -13,14 +12,8 @@ use meissner_array::motion::{
     Compiled, Envelope, MotionError, Noise, Path, RampHold, Shape, Strength, Tone, Waveform, compile,
 };
 use meissner_array::motor::HalfTick;
-use meissner_array::pattern::{Form, Motion, Pattern};
-use meissner_array::per_motor::PerMotor;
-use meissner_array::reflected_walk::ReflectedWalk;
-use meissner_array::simulated::{LowerStop, Pin, SimulatedMotorsConfig};
 use meissner_array::spec::Array;
-use meissner_array::strokes::{Step, StrokeOptions, Strokes};
-use meissner_stream::{Bandwidth, Gains, LowerStopSettings, Settings};
-use rayon::prelude::*;
+use meissner_stream::{Bandwidth, Settings};
 use serde::Serialize;
 use std::f64::consts::{PI, TAU};
 
@@ -186,171 +179,6 @@ fn third_harmonic_db(array: Array, moves: &[Move]) -> f64 {
     20.0 * (amplitude(120.0) / amplitude(40.0)).log10()
 }
 
-/// Drift of noise that is played without telemetry.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct DriftFigures {
-    /// Motors of each array.
-    pub motors: usize,
-    /// Arrays, each with other motors.
-    pub arrays: u64,
-    /// Seconds of noise with a rest in each.
-    pub seconds: u32,
-    /// A row per kind of motors.
-    pub rows: Vec<DriftRow>,
-}
-
-/// What holds the pins, and by what they push against it.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Held {
-    /// Nothing.
-    Free,
-    /// A lower stop; moves to rest are as long as the pin is high.
-    Stop,
-    /// A lower stop; moves to rest have the surplus that the daemon gives them.
-    StopAndSurplus,
-}
-
-/// Simulated arrays of each row: enough that chance is a few per cent.
-const ARRAYS: u64 = 8;
-
-/// How far pins are from rest in the rests of noise that is played in open loop.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct DriftRow {
-    /// Standard deviation of a burst's gain.
-    pub scatter: f64,
-    /// Standard deviation of the asymmetry over motors.
-    pub asymmetry_sd: f64,
-    /// What holds the pins.
-    pub held: Held,
-    /// Mean surplus of a move to rest, µm.
-    pub surplus_um: f64,
-    /// RMS over motors and rests, µm.
-    pub rms_um: f64,
-    /// The same by the theory, µm.
-    pub theory_um: f64,
-    /// RMS over motors in the last rest, µm.
-    pub last_um: f64,
-    /// The same by the theory, µm.
-    pub last_theory_um: f64,
-}
-
-/// Plays a second of noise with a rest again and again, on each pin another one, on simulated motors in open loop.
-///
-/// # Errors
-/// If the noise cannot be compiled, which is our bug.
-pub fn drift_figures(array: Array, seconds: u32) -> Result<DriftFigures> {
-    let cases = [(0.1, 0.0), (0.1, 0.02), (0.3, 0.02)];
-    let held = [Held::Free, Held::Stop, Held::StopAndSurplus];
-    let cells: Vec<_> = cases.iter().flat_map(|case| held.map(|held| (*case, held))).collect();
-    let rows = cells
-        .par_iter()
-        .map(|&((scatter, asymmetry_sd), held)| drift(array, seconds, (scatter, asymmetry_sd), held));
-    Ok(DriftFigures { motors: array.motors(), arrays: ARRAYS, seconds, rows: rows.collect::<Result<_>>()? })
-}
-
-/// Noise of 5 to 50 Hz and 10 um RMS about 60 um for 0.8 s, and a rest; each motor has its own.
-fn noise_with_rests(array: Array) -> Result<Pattern> {
-    let motion = |motor: u8| {
-        let (start_s, duration_s, low_hz, high_hz) = (0.0, 0.8, 5.0, 50.0);
-        let (strength, about_um, seed) = (Strength::RmsUm(10.0), Some(60.0), 100 + u64::from(motor));
-        let envelope = Envelope::AttackRelease { attack_s: 0.1, release_s: 0.1 };
-        let noise = Noise { start_s, duration_s, low_hz, high_hz, strength, about_um, seed, envelope };
-        Motion { motor, form: Form::Noise(noise) }
-    };
-    let pattern = Pattern::new(array, "noise", Some(1.0), Vec::new(), toml::Table::new())?;
-    Ok(pattern.with_motions(array.numbers().map(motion).collect())?)
-}
-
-fn drift(array: Array, seconds: u32, (scatter, asymmetry_sd): (f64, f64), held: Held) -> Result<DriftRow> {
-    let gains = Gains { scatter, ..Gains::default() };
-    let lower_stop = (held == Held::StopAndSurplus).then(|| LowerStopSettings::of(array));
-    let settings = Settings { lower_stop, ..Settings::of(array) };
-    let surplus = settings.surplus(&PerMotor::all(array, gains));
-    let options = StrokeOptions { surplus, ..StrokeOptions::lasting(f64::from(seconds)) };
-    let motors = SimulatedMotorsConfig {
-        gain_sd: scatter,
-        asymmetry_sd,
-        // The theory has neither.
-        transient_gain: Some(1.0),
-        end_stop_um: 100_000.0,
-        telemetry_hz: 0,
-        lower_stop: if held == Held::Free { LowerStop::None } else { LowerStop::AtRest },
-        ..SimulatedMotorsConfig::default()
-    };
-    let steps: Vec<Step> = Strokes::new(&noise_with_rests(array)?, &options)?.collect::<Result<_, _>>()?;
-    let um_per_pulse = array.motor().um_per_pulse;
-    let mut walks = vec![Walk::default(); array.motors()];
-    for step in &steps {
-        let walk = &mut walks[usize::from(step.motor())];
-        walk.add(f64::from(step.pulses()) * um_per_pulse, f64::from(step.surplus()) * um_per_pulse);
-        walk.rests += usize::from(step.level() == 0);
-    }
-    let rests = walks.iter().map(|walk| walk.rests).min().unwrap_or(0);
-    // Mean squares in each rest, played and by the theory.
-    let of_array = |seed: u64| -> Vec<[f64; 2]> {
-        let motors = SimulatedMotorsConfig { seed, ..motors };
-        let mut pins: Vec<Pin> =
-            array.numbers().map(|motor| Pin::new(array, &motors, motor.into())).collect();
-        let mut squares = vec![[0.0; 2]; rests];
-        let mut rest = vec![0; array.motors()];
-        for step in &steps {
-            let motor = usize::from(step.motor());
-            step.bursts().for_each(|burst| pins[motor].play(burst));
-            if step.level() == 0 && rest[motor] < rests {
-                squares[rest[motor]][0] += pins[motor].position_um(step.end()).powi(2);
-                rest[motor] += 1;
-            }
-        }
-        for (walk, pin) in walks.iter().zip(&pins) {
-            let theory = walk.squares(pin.asymmetry(), scatter, held, rests);
-            squares.iter_mut().zip(theory).for_each(|(square, theory)| square[1] += theory);
-        }
-        squares
-    };
-    let arrays: Vec<Vec<[f64; 2]>> = (0..ARRAYS).into_par_iter().map(of_array).collect();
-    let pins = ARRAYS as f64 * array.motors() as f64;
-    let mean =
-        |rest: usize| [0, 1].map(|of| arrays.iter().map(|squares| squares[rest][of]).sum::<f64>() / pins);
-    let means: Vec<[f64; 2]> = (0..rests).map(mean).collect();
-    let [rms_um, theory_um] =
-        [0, 1].map(|of| (means.iter().map(|mean| mean[of]).sum::<f64>() / rests as f64).sqrt());
-    let [last_um, last_theory_um] = means.last().map_or([0.0; 2], |mean| mean.map(f64::sqrt));
-    let surplus: f64 = walks.iter().map(|walk| walk.surplus_um).sum();
-    let all_rests: usize = walks.iter().map(|walk| walk.rests).sum();
-    let surplus_um = surplus / all_rests as f64;
-    Ok(DriftRow { scatter, asymmetry_sd, held, surplus_um, rms_um, theory_um, last_um, last_theory_um })
-}
-
-/// Sums over the bursts of a motor.
-#[derive(Clone, Default)]
-struct Walk {
-    travel_um: f64,
-    squares_um2: f64,
-    surplus_um: f64,
-    rests: usize,
-}
-
-impl Walk {
-    fn add(&mut self, travel_um: f64, surplus_um: f64) {
-        self.travel_um += travel_um;
-        self.squares_um2 += travel_um * travel_um;
-        self.surplus_um += surplus_um;
-    }
-
-    /// Mean square of the error in each of so many rests. From rest to rest a pin goes up by the asymmetry's share of its travel, half
-    /// of it in each direction, and down by the surplus; its bursts scatter independently. A stop reflects it in the rests.
-    fn squares(&self, asymmetry: f64, scatter: f64, held: Held, rests: usize) -> Vec<f64> {
-        let each = self.rests as f64;
-        let mean = (asymmetry / 2.0 * self.travel_um - self.surplus_um) / each;
-        let sd = scatter * (self.squares_um2 / each).sqrt();
-        if held == Held::Free {
-            return (1..=rests).map(|n| (n as f64 * mean).powi(2) + n as f64 * sd * sd).collect();
-        }
-        ReflectedWalk::of_steps(mean, sd).rms_after_um(rests).into_iter().map(|um| um * um).collect()
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -368,24 +196,5 @@ mod tests {
         for row in &found.third_harmonic_db {
             assert!(row.db <= -40.0, "{row:?}");
         }
-    }
-
-    #[test]
-    fn drift_in_open_loop_is_that_of_the_theory() {
-        let found = drift_figures(Array::paper(), 20).unwrap();
-        for row in &found.rows {
-            println!("{row:?}");
-            // Where the surplus takes everything, rare rests above the stop are left.
-            let off = (row.rms_um - row.theory_um).abs();
-            assert!(off < 0.15 * row.theory_um + 0.5, "{row:?}");
-            assert!((row.held == Held::StopAndSurplus) == (row.surplus_um > 0.0), "{row:?}");
-        }
-        // The stop alone takes half of a drift without a mean; the surplus keeps it small.
-        let [free, stop, surplus] = &found.rows[3..6] else { panic!() };
-        assert!(stop.rms_um < free.rms_um && surplus.rms_um < 0.3 * stop.rms_um, "{found:?}");
-        // It is what keeps the rest error within 5 um, and no more: it grows with the scatter, and is below the most of the controller.
-        let [even, uneven, wide] = [2, 5, 8].map(|at| found.rows[at]);
-        assert!(even.rms_um < 6.0 && uneven.rms_um < 6.0 && even.surplus_um < 60.0, "{found:?}");
-        assert!(uneven.surplus_um < 100.0 && uneven.surplus_um < wide.surplus_um, "{found:?}");
     }
 }

@@ -35,7 +35,7 @@ pub(super) fn is_file(argument: &str) -> bool {
 ///
 /// # Errors
 /// It is too large, cannot be read, or is not UTF-8 text: in one line.
-pub fn text(place: &Path, most: u64, kind: &str) -> Result<String> {
+pub(super) fn text(place: &Path, most: u64, kind: &str) -> Result<String> {
     let at = shown(place);
     if let Ok(found) = fs::metadata(place)
         && found.is_file()

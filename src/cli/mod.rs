@@ -43,7 +43,6 @@ mod tradeoff;
 mod validate;
 mod watch;
 
-pub use files::text as text_of_file;
 pub use motions::{FollowingError, steps_of};
 pub use output::give;
 pub use text::{columns, number};

@@ -1,8 +1,7 @@
 //! The search: a subgradient method on blocks of motors, from a start to a point that no move improves.
 //!
 //! The paper names a subgradient method without details. Implemented literally, with a difference of the contrast for every motor's
-//! frequency and diminishing steps, it reaches much less (`cargo bench -p meissner-benches --bench optimise` shows how much), for
-//! three reasons. Each has a remedy with a source:
+//! frequency and diminishing steps, it reaches much less, for three reasons. Each has a remedy with a source:
 //!
 //! - *The contrast has ridges.* The displacements of motors of one frequency add up on the skin; as soon as one motor's frequency
 //!   changes, they beat. On such a ridge every change of a single motor lowers the value. So motors in unison form one block and

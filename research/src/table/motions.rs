@@ -1,7 +1,7 @@
-//! Prints what motors reach of motions, and their drift without telemetry.
+//! Prints what motors reach of motions.
 
 use meissner::cli::{columns, number};
-use meissner_research::{DriftFigures, DriftRow, Held, MotionFigures, StimulusRow};
+use meissner_research::{MotionFigures, StimulusRow};
 
 pub(crate) fn table(found: &MotionFigures) -> Vec<String> {
     let head = [
@@ -47,35 +47,4 @@ pub(crate) fn table(found: &MotionFigures) -> Vec<String> {
         )
     }));
     lines
-}
-
-pub(crate) fn drift(found: &DriftFigures) -> Vec<String> {
-    let head =
-        ["scatter", "asym. SD", "held by", "surplus um", "rest um", "theory", "last rest um", "theory"];
-    let row = |row: &DriftRow| {
-        let held = match row.held {
-            Held::Free => "nothing",
-            Held::Stop => "stop",
-            Held::StopAndSurplus => "stop and surplus",
-        };
-        let um = |um: f64| format!("{um:.1}");
-        vec![
-            row.scatter.to_string(),
-            row.asymmetry_sd.to_string(),
-            held.to_owned(),
-            um(row.surplus_um),
-            um(row.rms_um),
-            um(row.theory_um),
-            um(row.last_um),
-            um(row.last_theory_um),
-        ]
-    };
-    vec![
-        format!(
-            "Distance from rest of {} times {} simulated pins in the rests of noise (5 to 50 Hz, 10 um RMS about 60 um for 0.8 s of each second), \
-             in open loop: RMS over pins and over {} rests, and in the last one.",
-            found.arrays, found.motors, found.seconds
-        ),
-        columns(&head, found.rows.iter().map(row)),
-    ]
 }

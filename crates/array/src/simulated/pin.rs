@@ -79,12 +79,6 @@ impl Pin {
         Self { asymmetry, ..self }
     }
 
-    /// Its gain up minus its gain down, over their mean.
-    #[must_use]
-    pub const fn asymmetry(&self) -> f64 {
-        self.asymmetry
-    }
-
     /// The same, at rest at `um` µm.
     #[must_use]
     pub fn at(mut self, um: f64) -> Self {
