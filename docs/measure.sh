@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Prints the figures of docs/measurements.md that need no benchmark, one line each. Usage: docs/measure.sh [demos|idle|cold]
+# Prints the figures of docs/dev/measurements.md that need no benchmark, one line each. Usage: docs/measure.sh [demos|idle|cold]
 #   demos  twenty demos on a quiet machine and twenty beside four busy loops
 #   idle   processor time and memory of an idle daemon
 #   cold   the README's two commands from an empty target directory, with the registry's crates downloaded
