@@ -69,7 +69,7 @@ def export_bids(
     `task` names the task, else the session's experiment does. `subject` and `session` are labels of letters and digits, by
     default what remains of the participant's pseudonym and of the session's id; `run` is a number. Raises `BidsConflict` if one of
     them stands for something else in the dataset, such as a participant `P-07` for `P07`, and if a file is in the way that no export of
-    this session wrote: `overwrite` replaces it. A symbolic link is never written through. Nothing is written unless all can be.
+    this session wrote: `overwrite` replaces it.
 
     `zero` is the instant from which onsets count, such as the
     start of an EEG recording: of this process's `time.monotonic()`, or an `Instant`. Without it the first onset counts.
