@@ -8,7 +8,7 @@ classdef Meissner < handle
   %   receipt.onset.time                              % on your clock, within +-receipt.onset.uncertainty s
   %   m.close();                                      % disarms, if this client has armed
   %
-  % Methods as in the Python package: status, synchronise, now, arm, disarm, stop, estop, reset, play, sequence, later, wait, receipt,
+  % Methods as in the Python package: status, synchronise, now, arm, disarm, stop, estop, reset, play, later, wait, receipt,
   % session, answer, session_end, close. What are methods of a play or a session there take it first here, as in m.wait(play). Times
   % are in seconds of the clock that 'clock' reads: GetSecs of Psychtoolbox, or by default the time since this object was made. What
   % needs no times, such as storing a pattern, the command line does.
@@ -160,20 +160,7 @@ classdef Meissner < handle
       name = pattern;
       if isstruct(pattern), name = 'inline'; end
       if isstruct(pattern) && isfield(pattern, 'name'), name = pattern.name; end
-      play = self.order('/v1/play', body, name);
-    end
-
-    function play = sequence(self, items, varargin)
-      % Queue patterns as one play with exact times. An item is a name, or a struct with pattern and any of seconds, scale, trigger,
-      % gap and start (s). Options: isi (pause from an item's end) or soa (distance of onsets), seconds and scale of items that give
-      % none, at, name, trial, labels, late, replace, open_loop, strict, hold (s), on_edge (s), stop_on_edge.
-      names = {'isi', 'soa', 'seconds', 'scale', 'at', 'name', 'trial', 'labels', 'late', 'replace', 'open_loop', 'strict', 'hold', 'on_edge', 'stop_on_edge'};
-      body = Meissner.options(names, varargin);
-      [made, body] = Meissner.items(items, body);
-      body.items = made;
-      name = 'sequence';
-      if isfield(body, 'name'), name = body.name; end
-      play = self.order('/v1/sequence', body, name);
+      play = self.order(body, name);
     end
 
     function instant = later(self, instant, seconds)
@@ -285,7 +272,7 @@ classdef Meissner < handle
       runs = ~isempty(self.session_id) && isstruct(state.session) && strcmp(state.session.id, self.session_id);
     end
 
-    function play = order(self, path, body, name)
+    function play = order(self, body, name)
       body = Meissner.with_texts(body);
       if ~isempty(self.session_id), body.session = self.session_id; end
       numbers = '';
@@ -314,7 +301,7 @@ classdef Meissner < handle
       text = jsonencode(body);
       if ~isempty(numbers), text = [text(1:end - 1) ',' numbers '}']; end
       try
-        answer = jsondecode(self.send('POST', path, text, 20));
+        answer = jsondecode(self.send('POST', '/v1/play', text, 20));
       catch failure
         % MATLAB hides the daemon's answer, so the status has to tell.
         is_refusal = any(strcmp(failure.identifier, {'meissner:http', 'meissner:session_running', 'meissner:session_exclusive'}));
@@ -328,14 +315,9 @@ classdef Meissner < handle
 
     function receipt = receipt_of(self, raw)
       receipt = struct('id', raw.id, 'pattern', raw.pattern, 'state', raw.state, 'cause', raw.cause, 'onset', [], 'offset', [], ...
-        'late', raw.lateness.host + raw.lateness.link + raw.lateness.device, 'items', {{}}, 'raw', raw);
+        'late', raw.lateness.host + raw.lateness.link + raw.lateness.device, 'raw', raw);
       receipt.onset = self.instant(raw.onset, raw, 'actual_tick');
       receipt.offset = self.instant(raw.offset, raw, 'tick');
-      for number = 1:numel(raw.items)
-        item = Meissner.element(raw.items, number);
-        receipt.items{number} = struct('pattern', item.pattern, 'state', item.state, 'scale', item.scale, ...
-          'onset', self.instant(item.onset, raw, 'tick'), 'offset', self.instant(item.offset, raw, 'tick'));
-      end
     end
 
     function made = instant(self, record, raw, tick)
@@ -402,45 +384,6 @@ classdef Meissner < handle
         value = body.(of).(key{1});
         if ~ischar(value), body.(of).(key{1}) = num2str(value, 15); end
       end
-    end
-
-    function [made, body] = items(items, body)
-      % Items as the daemon takes them: times in ms, from the item before or from the sequence's onset.
-      if isfield(body, 'isi') && isfield(body, 'soa')
-        error('meissner:bad_option', 'give isi (pause from an item''s end) or soa (distance of onsets), not both');
-      end
-      if ischar(items), items = {items}; end
-      made = cell(1, numel(items));
-      for number = 1:numel(items)
-        item = Meissner.element(items, number);
-        if ischar(item), item = struct('pattern', item); end
-        for key = {'seconds', 'scale'}
-          if isfield(body, key{1}) && ~isfield(item, key{1}), item.(key{1}) = body.(key{1}); end
-        end
-        for key = {'gap', 'start'}
-          if isfield(item, key{1})
-            item.([key{1} '_ms']) = 1000 * item.(key{1});
-            item = rmfield(item, key{1});
-          end
-        end
-        if isfield(item, 'trigger') && isnumeric(item.trigger), item.trigger = struct('code', item.trigger); end
-        if ~isfield(item, 'gap_ms') && ~isfield(item, 'start_ms')
-          if isfield(body, 'soa')
-            item.start_ms = 1000 * (number - 1) * body.soa;
-          elseif isfield(body, 'isi') && number > 1
-            item.gap_ms = 1000 * body.isi;
-          end
-        end
-        made{number} = item;
-      end
-      for key = {'isi', 'soa', 'seconds', 'scale'}
-        if isfield(body, key{1}), body = rmfield(body, key{1}); end
-      end
-    end
-
-    function one = element(many, number)
-      % jsondecode makes a cell of structs that differ, and an array of those that do not.
-      if iscell(many), one = many{number}; else, one = many(number); end
     end
 
     function answer = by_curl(method, url, body, headers, timeout)

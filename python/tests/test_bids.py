@@ -150,19 +150,6 @@ def test_a_session_becomes_a_dataset(m: meissner.Client, tmp_path: Path) -> None
         m.remove_pattern(each)
 
 
-def test_a_dataset_that_is_there_keeps_its_files(m: meissner.Client, tmp_path: Path) -> None:
-    (tmp_path / "README.md").write_text("kept")
-    (tmp_path / "participants.tsv").write_text("participant_id\tage\nsub-P01\t30\n")
-    with m.session("P02") as session:
-        m.play("pin-60", 0.05).wait()
-    m.export_bids(session.id, tmp_path)
-    assert (tmp_path / "README.md").read_text() == "kept"
-    assert (tmp_path / "participants.tsv").read_text() == (
-        "participant_id\tage\tmeissner_participant\nsub-P01\t30\tn/a\nsub-P02\tn/a\tP02\n"
-    )
-    assert next(tmp_path.rglob("*_events.tsv")).name.endswith("_task-tactile_events.tsv")
-
-
 def row(play: int, onset_s: float, **keys: Any) -> dict[str, Any]:
     """A row of the session record: `pin` for 0.1 s."""
     made: dict[str, Any] = {

@@ -94,9 +94,6 @@ def test_onsets_err_by_less_than_stated_and_are_exact_to_the_tick(
 REST = """
 m.arm('assume_rest', true, 'checked', 'a test');
 id = m.session('participant', 'P07', 'experiment', 'octave', 'exclusive', true, 'seed', 3);
-pair = m.sequence({'pin-60', struct('pattern', 'edge-45', 'scale', 0.5, 'trigger', 7), 'pin-60'}, 'seconds', 0.05, 'isi', 0.1, 'trial', 1);
-r = m.wait(pair);
-ticks = cellfun(@(item) item.onset.tick, r.items);
 asked = m.play('pin-60', 'seconds', 0.05, 'hold', 10);
 m.wait(asked);
 m.answer(asked, 'left', 'correct', true, 'factors', struct('block', 2));
@@ -105,7 +102,7 @@ long = m.play('pin-60', 'endless', true);
 m.stop();
 told = {};
 tries = {@() m.wait(long), @() m.play('no-such'), @() m.play('pin-60', 'at', struct('tick', 1, 'boot', 1)), @() m.play('pin-60', 'second', 1), ...
-  @() m.sequence({'pin-60'}, 'isi', 1, 'soa', 1), @() m.receipt(999999)};
+  @() m.receipt(999999)};
 for number = 1:numel(tries)
   try
     tries{number}();
@@ -119,24 +116,18 @@ m.estop();
 faulted = m.status();
 m.reset('force', true);
 m.disarm();
-out = struct('session', id, 'steps', diff(ticks), 'states', {cellfun(@(item) item.state, r.items, 'UniformOutput', false)}, ...
-  'told', {told}, 'last', last.id == long.id, 'faulted', faulted.state);
+out = struct('session', id, 'told', {told}, 'last', last.id == long.id, 'faulted', faulted.state);
 disp(jsonencode(out));
 """
 
 
-def test_sessions_sequences_and_errors_are_as_in_python(
-    daemon: meissner.Daemon, network: Network, tmp_path: Path
-) -> None:
+def test_sessions_and_errors_are_as_in_python(daemon: meissner.Daemon, network: Network, tmp_path: Path) -> None:
     told: dict[str, Any] = json.loads(octave(begin(REST), tmp_path, network))
-    assert told["steps"] == [round(0.15 * 85_000)] * 2
-    assert told["states"] == ["played"] * 3
     assert (told["last"], told["faulted"]) == (True, "faulted")
     assert told["told"] == [
         "meissner:play_stopped",
         "meissner:not_found",
         "meissner:stale_boot",
-        "meissner:bad_option",
         "meissner:bad_option",
         "meissner:not_found",
     ]
@@ -156,15 +147,11 @@ first = m.wait(m.play('pin-60', 'seconds', 0.05));
 other = Meissner(getenv('MEISSNER_URL'));
 system(sprintf('curl --silent --show-error --fail -X POST %s/v1/sessions/%s/end >&2', getenv('MEISSNER_URL'), over));
 next = other.session('participant', 'P08');
-tries = {@() m.play('pin-60', 'seconds', 0.05), @() m.sequence({'pin-60', 'pin-60'}, 'seconds', 0.05, 'isi', 0.1)};
-told = {};
-for number = 1:numel(tries)
-  try
-    tries{number}();
-    told{end + 1} = 'no error';
-  catch failure
-    told{end + 1} = failure.identifier;
-  end
+told = 'no error';
+try
+  m.play('pin-60', 'seconds', 0.05);
+catch failure
+  told = failure.identifier;
 end
 m.session_end();
 still = other.status();
@@ -174,7 +161,7 @@ again = m.session('participant', 'P07');
 second = m.wait(m.play('pin-60', 'seconds', 0.05));
 m.session_end();
 m.close();
-out = struct('over', over, 'next', next, 'again', again, 'told', {told}, 'still', still.session.id, 'ended', isempty(ended.session), ...
+out = struct('over', over, 'next', next, 'again', again, 'told', told, 'still', still.session.id, 'ended', isempty(ended.session), ...
   'first', first.raw.session, 'second', second.raw.session);
 disp(jsonencode(out));
 """
@@ -182,7 +169,7 @@ disp(jsonencode(out));
 
 def test_after_the_session_is_over_nothing_plays(daemon: meissner.Daemon, network: Network, tmp_path: Path) -> None:
     told: dict[str, Any] = json.loads(octave(begin(OVER), tmp_path, network))
-    assert told["told"] == ["meissner:session_over"] * 2
+    assert told["told"] == "meissner:session_over"
     # Leaving a session that is over does not end that of somebody else.
     assert (told["still"], told["ended"]) == (told["next"], True)
     assert (told["first"], told["second"]) == (told["over"], told["again"])

@@ -1,7 +1,7 @@
 """Names in a BIDS dataset: the labels of subject, session and task, the run, and which source each label stands for.
 
 A label has letters and digits alone, so `P-07` and `P 07` both become `P07`. The dataset keeps the source: of a subject in a column
-of `participants.tsv`, of a session and a task in the sidecars of events. `Names.check` refuses a label that has another source.
+of `participants.tsv`, of a session in the sidecars of events. `Names.check` refuses a label that has another source.
 
 Invariant: `check` writes nothing.
 """
@@ -11,12 +11,13 @@ from __future__ import annotations
 import json
 import numbers
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from ._labels import exact
+from ._text_file import text_of
 from .errors import BidsConflict, MeissnerError
 
 SOURCE = "meissner_participant"
@@ -96,122 +97,67 @@ class Names:
     def check(self, root: Path) -> None:
         """Raises `BidsConflict` if a name stands for something else in this dataset."""
         self._check_subject(root)
-        self._check_case(root.glob("sub-*"), f"sub-{self.subject}", "subject")
-        self._check_case((root / f"sub-{self.subject}").glob("ses-*"), f"ses-{self.session}", "session")
-        for sidecar, about in _sidecars(root):
-            self._check_task(sidecar, about)
-            if sidecar.parent.parent == root / self.folder:
-                self._check_session(sidecar, about)
+        for sidecar in sorted((root / self.folder / "beh").glob("*_events.json")):
+            known = source(sidecar)
+            is_same_file = sidecar.name == Path(self.file).with_suffix(".json").name
+            if known is None or known == self.session_id or (self.states_session and not is_same_file):
+                continue
+            raise BidsConflict(
+                f"ses-{self.session} of sub-{self.subject} has the session `{known}`, not `{self.session_id}`: give another "
+                + ("`session`, `run` or `task`" if is_same_file else "`session`")
+            )
 
     def _check_subject(self, root: Path) -> None:
-        name, source = f"sub-{self.subject}", exact(self.participant)
-        header, rows = participants(root)
-        known = {row[0]: dict(zip(header, row, strict=False)).get(SOURCE, "n/a") for row in rows}
-        self._check_case((Path(each) for each in known), name, "subject")
+        name, own = f"sub-{self.subject}", exact(self.participant)
+        known = {row["participant_id"]: row.get(SOURCE) or "n/a" for row in participants(root)[1]}
         if name not in known and not (root / name).exists():
             return
-        known_source = known.get(name, "n/a")
-        if known_source == "n/a":
+        found = known.get(name, "n/a")
+        if found == "n/a":
             if self.participant != self.subject and not self.states_subject:
                 raise BidsConflict(
                     f"{name} is in {root}, which does not say of which participant: it may not be `{self.participant}`. If it "
                     f"is, give subject={self.subject!r}; else another `subject`"
                 )
-        elif known_source != source:
+        elif found != own:
             raise BidsConflict(
-                f"{name} in {root} is the participant `{known_source}`, not `{self.participant}`: give another `subject`"
+                f"{name} in {root} is the participant `{found}`, not `{self.participant}`: give another `subject`"
             )
 
-    def _check_case(self, there: Iterator[Path], name: str, kind: str) -> None:
-        for each in there:
-            if each.name != name and each.name.casefold() == name.casefold():
-                raise BidsConflict(
-                    f"{each.name} is in the dataset, and {name} differs in case alone: give another `{kind}`"
-                )
 
-    def _check_task(self, sidecar: Path, about: Mapping[str, Any]) -> None:
-        found = re.search("_task-([A-Za-z0-9]+)_", sidecar.name)
-        if found is None or found[1].casefold() != self.task.casefold() or SESSION_SOURCE not in about:
-            return
-        if (found[1], about.get("TaskName")) != (self.task, self.task_name):
-            raise BidsConflict(
-                f"task-{found[1]} in {sidecar.parent} is the task `{about.get('TaskName')}`, not `{self.task_name}`: give another `task`"
-            )
-
-    def _check_session(self, sidecar: Path, about: Mapping[str, Any]) -> None:
-        known = about.get(SESSION_SOURCE)
-        is_same_file = sidecar.name == Path(self.file).with_suffix(".json").name
-        if known is None or known == self.session_id or (self.states_session and not is_same_file):
-            return
-        raise BidsConflict(
-            f"ses-{self.session} of sub-{self.subject} has the session `{known}`, not `{self.session_id}`: give another "
-            + ("`session`, `run` or `task`" if is_same_file else "`session`")
-        )
+def source(sidecar: Path) -> str | None:
+    """The session that a sidecar of events is from; None: another program's, or no sidecar that can be read."""
+    try:
+        about = json.loads(text_of(sidecar))
+    except (OSError, ValueError):
+        return None
+    return about.get(SESSION_SOURCE) if isinstance(about, dict) else None
 
 
-def _sidecars(root: Path) -> Iterator[tuple[Path, dict[str, Any]]]:
-    """The sidecars of events for behavioural data."""
-    for sidecar in sorted(root.glob("sub-*/ses-*/beh/*_events.json")):
-        try:
-            about = json.loads(sidecar.read_text(encoding="utf-8-sig"))
-        except OSError:
-            # A link of git-annex without its file.
-            continue
-        except ValueError as error:
-            raise BidsConflict(f"{sidecar} cannot be read: {error}") from error
-        yield sidecar, about if isinstance(about, dict) else {}
-
-
-_LINE = re.compile(r"([^\r\n]*)(\r\n?|\n|$)")
-
-
-def _people(root: Path) -> tuple[str, list[tuple[list[str], str]]]:
-    """The byte order mark of `participants.tsv`, and its lines: the cells, and the line's end."""
+def participants(root: Path) -> tuple[list[str], list[dict[str, str]]]:
+    """The columns and the rows of `participants.tsv`."""
     people = root / "participants.tsv"
     try:
-        text = people.read_bytes().decode() if people.exists() else ""
-    except UnicodeDecodeError as error:
-        raise BidsConflict(f"{people} is no text in UTF-8: save it as UTF-8") from error
-    except OSError as error:
-        raise BidsConflict(f"{people} cannot be read ({error.strerror}): correct it") from error
-    mark = "\ufeff" if text.startswith("\ufeff") else ""
-    if not text.removeprefix(mark).strip():
-        return mark, [(["participant_id"], "\n")]
-    return mark, [(found[1].split("\t"), found[2]) for found in _LINE.finditer(text, len(mark)) if found[0]]
-
-
-def participants(root: Path) -> tuple[list[str], list[list[str]]]:
-    """The columns and the rows of `participants.tsv`, which begin with the participant."""
-    people = root / "participants.tsv"
-    header, *rows = [cells for cells, _ in _people(root)[1] if "".join(cells).strip()]
-    if header[0] != "participant_id":
-        raise BidsConflict(f"{people}: its first column is `{header[0]}`, not `participant_id`: correct it")
-    long = next((row for row in rows if len(row) > len(header)), None)
-    if long is not None:
+        text = text_of(people) if people.exists() else "participant_id\n"
+    except (OSError, ValueError) as error:
+        raise BidsConflict(f"{people} cannot be read: {error}") from error
+    header, *rows = [line.split("\t") for line in text.splitlines() if line.strip()] or [["participant_id"]]
+    if header[0] != "participant_id" or any(len(row) > len(header) for row in rows):
         raise BidsConflict(
-            f"{people}: the row of {long[0]} has {len(long)} cells, the header has {len(header)}: correct it"
+            f"{people}: its first column must be `participant_id`, and no row longer than the header: correct it"
         )
-    return header, rows
+    return header, [dict(zip(header, row, strict=False)) for row in rows]
 
 
 def with_participant(root: Path, names: Names) -> bytes:
-    """`participants.tsv` with the subject and its source. What others wrote there stays as it is, to the byte."""
-    name, source = f"sub-{names.subject}", exact(names.participant)
-    width = len(participants(root)[0])
-    mark, lines = _people(root)
-    filled = [number for number, (cells, _) in enumerate(lines) if "".join(cells).strip()]
-    header, end = lines[filled[0]]
-    rows = [lines[number][0] for number in filled[1:]]
+    """`participants.tsv` with the subject and its source."""
+    header, rows = participants(root)
     if SOURCE not in header:
         header.append(SOURCE)
-        for cells in rows:
-            cells += ["n/a"] * (width + 1 - len(cells))
-    place = header.index(SOURCE)
-    row = next((cells for cells in rows if cells[0] == name), None)
+    name = f"sub-{names.subject}"
+    row = next((row for row in rows if row["participant_id"] == name), None)
     if row is None:
-        row, last = [name], filled[-1]
-        lines[last] = (lines[last][0], lines[last][1] or end or "\n")
-        lines.insert(last + 1, (row, end or "\n"))
-    row += ["n/a"] * (len(header) - len(row))
-    row[place] = source
-    return (mark + "".join("\t".join(cells) + end for cells, end in lines)).encode()
+        rows.append(row := {"participant_id": name})
+    row[SOURCE] = exact(names.participant)
+    lines = [header, *([row.get(key) or "n/a" for key in header] for row in rows)]
+    return "".join("\t".join(cells) + "\n" for cells in lines).encode()

@@ -69,7 +69,7 @@ def export_bids(
     `task` names the task, else the session's experiment does. `subject` and `session` are labels of letters and digits, by
     default what remains of the participant's pseudonym and of the session's id; `run` is a number. Raises `BidsConflict` if one of
     them stands for something else in the dataset, such as a participant `P-07` for `P07`, and if a file is in the way that no export of
-    this session wrote: `overwrite` replaces it. A symbolic link is never written through. Nothing is written unless all can be.
+    this session wrote: `overwrite` replaces it.
 
     `zero` is the instant from which onsets count, such as the
     start of an EEG recording: of this process's `time.monotonic()`, or an `Instant`. Without it the first onset counts.
@@ -111,15 +111,13 @@ def export_nwb(
     displacement_hz: float | None = 1000.0,
     array: ArrayName | None = None,
     incomplete: bool = False,
-    spikes: bool = False,
     overwrite: bool = False,
 ) -> Op[nwb.Export]:
     """Write a recorded session as an NWB file: a table of stimuli, the trials with their answers, the displacement of the pins.
 
     It needs the package `pynwb`. `subject` has keys of `pynwb.file.Subject`, such as `age="P30Y"` and `sex="F"`, `metadata` those of
     `pynwb.NWBFile`, such as `experimenter`, `institution` and `keywords`. `displacement_hz`,
-    `array` and `incomplete`: as in `export_bids`. `spikes`: also the spikes of a simulated fingertip's afferents, as units: predicted by
-    the program `meissner` on this machine. A file that is there is left as it is, unless `overwrite`.
+    `array` and `incomplete`: as in `export_bids`. A file that is there is left as it is, unless `overwrite`.
     """
     nwb.needs_pynwb()
     nwb.check_place(Path(file), overwrite)
@@ -140,6 +138,5 @@ def export_nwb(
         **about,
         displacement_hz=displacement_hz,
         array=array,
-        spikes=spikes,
         overwrite=overwrite,
     )

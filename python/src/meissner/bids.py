@@ -2,11 +2,10 @@
 a dataset needs around them.
 
 `Client.export_bids` uses it. The files follow BIDS 1.10 for behavioural data (`beh`): onsets in seconds, sorted, and every
-column described. Files of the dataset that are there already stay as they are: the participant is added, and `HEDVersion` if the
-description lacks it. `_bids_names.py` names the files.
+column described. What a dataset has already stays: the participant is added. `_bids_names.py` names the files.
 
 Invariants: an export writes the same files for the same session, so that it may be repeated. All files are written beside their
-places before the first one takes its place. No link is written through, and no file of others is replaced unless the caller says so.
+places before the first one takes its place. No file of others is replaced unless the caller says so.
 """
 
 from __future__ import annotations
@@ -14,7 +13,6 @@ from __future__ import annotations
 import contextlib
 import gzip
 import json
-import os
 import platform
 import re
 from collections.abc import Callable, Mapping
@@ -22,10 +20,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ._bids_names import SESSION_SOURCE, SOURCE, Names, with_participant
+from ._bids_names import SESSION_SOURCE, SOURCE, Names, source, with_participant
 from ._bids_names import label as label
 from ._labels import Labels, exact
-from ._text_file import replacing, sync
+from ._text_file import replacing, text_of
 from .errors import BidsConflict, MeissnerError, ProgramError
 from .motions import pattern_toml
 from .results import reached_um
@@ -176,13 +174,13 @@ def write(
             left_out.append(f"no displacement of the pins: {error}")
         else:
             made[samples.with_name(samples.name.replace(".tsv.gz", ".json"))] = _samples_sidecar(grid, names.task_name)
-    places = [*merged, *made, *([samples] if grid else [])]
-    changed = {file: data for file, data in {**merged, **made}.items() if not _holds(file, data)}
-    _check_places(root, [file for file in places if file in changed or file == samples])
+    files = {**merged, **made}
+    changed = {file: data for file, data in files.items() if not _holds(file, data)}
     if not overwrite:
-        is_own = _is_own(events, names, {*sidecar, "Incomplete"})
-        ours = [file for file in places if file.parent == events.parent] if is_own else []
-        of_others = [file for file in places if (file in changed or file == samples) and file not in {*merged, *ours}]
+        is_own = source(events.with_suffix(".json")) == names.session_id
+        of_others = [
+            file for file in (*changed, samples) if file not in merged and not (is_own and file.parent == events.parent)
+        ]
         _check_foreign(of_others)
     writers: dict[Path, Callable[[Path], object]] = {
         file: lambda beside, data=data: beside.write_bytes(data)  # type: ignore[misc]
@@ -203,33 +201,6 @@ def _holds(file: Path, data: bytes) -> bool:
         return False
 
 
-def _check_places(root: Path, files: list[Path]) -> None:
-    """Raises `BidsConflict` if one of these files cannot be put into its place. A link may lead to the only copy of what it names."""
-    for file in files:
-        for part in [*reversed(file.relative_to(root).parents), file.relative_to(root)][1:]:
-            place = root / part
-            if place.is_symlink():
-                raise BidsConflict(
-                    f"{place} is a symbolic link, which no export writes through: put a copy in its place (`git annex unlock`, "
-                    "`datalad unlock`), or export into another folder; nothing was written"
-                )
-            if os.path.lexists(place) and not (place.is_file() if place == file else place.is_dir()):
-                kind = "file" if place == file else "folder"
-                raise BidsConflict(f"{place} is no {kind}: move it away; nothing was written")
-        if file.exists() and not file.stat().st_mode & 0o222:
-            raise BidsConflict(f"{file} is read-only: make it writable; nothing was written")
-
-
-def _is_own(events: Path, names: Names, columns: set[str]) -> bool:
-    """Whether an export of this session wrote the events that are there, and nobody has added a column."""
-    try:
-        about = json.loads(events.with_suffix(".json").read_text(encoding="utf-8-sig"))
-        header = events.read_text(encoding="utf-8").split("\n", 1)[0].split("\t")
-    except (OSError, ValueError):
-        return False
-    return isinstance(about, dict) and about.get(SESSION_SOURCE) == names.session_id and {*about, *header} <= columns
-
-
 def _check_foreign(files: list[Path]) -> None:
     """Raises `BidsConflict` if one of these files is there."""
     there = [str(file) for file in files if file.exists()]
@@ -241,29 +212,16 @@ def _check_foreign(files: list[Path]) -> None:
 
 
 def _write_all(root: Path, writers: Mapping[Path, Callable[[Path], object]]) -> None:
-    """Writes files: all of them beside their places first. After an error in that nothing is left."""
-    made: list[Path] = []
-    is_begun = False
+    """Writes files: all of them beside their places first."""
     try:
         with contextlib.ExitStack() as stack:
             for file, write in reversed(list(writers.items())):
-                for folder in reversed([file.parent, *file.parent.parents]):
-                    if not folder.exists():
-                        folder.mkdir()
-                        made.append(folder)
-                beside = stack.enter_context(replacing(file))
-                write(beside)
-                sync(beside)
-            is_begun = True
-    except BaseException as error:
-        if not is_begun:
-            for folder in reversed(made):
-                with contextlib.suppress(OSError):
-                    folder.rmdir()
-        if not isinstance(error, OSError):
-            raise
-        what = "not all files are in their places: export again" if is_begun else "nothing was written"
-        raise MeissnerError(f"{root} cannot be written ({error.strerror}: {error.filename or root}): {what}") from error
+                file.parent.mkdir(parents=True, exist_ok=True)
+                write(stack.enter_context(replacing(file)))
+    except OSError as error:
+        raise MeissnerError(
+            f"{root} cannot be written ({error.strerror}: {error.filename or root}): export again; what was there is whole"
+        ) from error
 
 
 def losses(recorded: Mapping[str, Any]) -> list[str]:
@@ -396,10 +354,8 @@ def _hed_name(text: str) -> str:
 
 
 def _dataset(root: Path, names: Names) -> tuple[dict[Path, bytes], bool]:
-    """What stands at the top of a dataset, with what others have written there, and whether HED tags may follow."""
-    made: dict[Path, bytes] = {}
-    description, text = root / "dataset_description.json", ""
-    about: dict[str, Any] = {
+    """What a dataset needs at its top and lacks, the participants, and whether HED tags may follow."""
+    about = {
         "Name": "Tactile stimulation by meissner",
         "BIDSVersion": VERSION,
         "HEDVersion": _HED_VERSION,
@@ -407,47 +363,24 @@ def _dataset(root: Path, names: Names) -> tuple[dict[Path, bytes], bool]:
         "Authors": ["n/a"],
         "License": "n/a",
     }
-    if description.exists():
-        text, about = _object(description)
-        made[description] = _with_key(text, about, "HEDVersion", _HED_VERSION)
-    else:
-        made[description] = _json(about)
-    versions = about.get("HEDVersion", _HED_VERSION)
-    has_hed = any(str(each).startswith("8.") for each in (versions if isinstance(versions, list) else [versions]))
-    if not root.is_dir() or not any(re.fullmatch(r"readme(\.\w+)?", each.lower()) for each in os.listdir(root)):
-        made[root / "README.md"] = (
-            b"# Tactile stimulation\n\nVibration patterns played under a fingertip by meissner. Each `events.tsv` has a row per stimulus, and its\n"
-            b"sidecar describes the columns. `stimuli/` holds the patterns, as text files. Describe the experiment here.\n"
-        )
-    made[root / "participants.tsv"] = with_participant(root, names)
-    meaning = root / "participants.json"
-    source = {
-        "Description": "The participant's pseudonym in the session record of meissner, from which the label comes"
+    meaning = "The participant's pseudonym in the session record of meissner, from which the label comes"
+    readme = (
+        b"# Tactile stimulation\n\nVibration patterns played under a fingertip by meissner. Each `events.tsv` has a row per stimulus, and its\n"
+        b"sidecar describes the columns. `stimuli/` holds the patterns, as text files. Describe the experiment here.\n"
+    )
+    tops = {
+        "dataset_description.json": _json(about),
+        "participants.json": _json({SOURCE: {"Description": meaning}}),
+        **({} if any(root.glob("[Rr][Ee][Aa][Dd][Mm][Ee]*")) else {"README.md": readme}),
     }
-    text, about = _object(meaning) if meaning.exists() else ("{}\n", {})
-    made[meaning] = _with_key(text, about, SOURCE, source)
-    return made, has_hed
-
-
-def _object(file: Path) -> tuple[str, dict[str, Any]]:
-    """A JSON object that others may have written, with its text."""
+    made = {root / name: data for name, data in tops.items() if not (root / name).exists()}
+    made[root / "participants.tsv"] = with_participant(root, names)
     try:
-        text = file.read_bytes().decode()
-        about = json.loads(text.removeprefix("\ufeff"))
-    except (OSError, ValueError) as error:
-        raise BidsConflict(f"{file} cannot be read ({error}): correct it; nothing was written") from error
-    if not isinstance(about, dict):
-        raise BidsConflict(f"{file} is no JSON object: correct it; nothing was written")
-    return text, about
-
-
-def _with_key(text: str, about: Mapping[str, Any], key: str, value: Any) -> bytes:
-    """The text of a JSON object with this key, at its end if it lacks it. All else stays as it is."""
-    if key in about:
-        return text.encode()
-    head, _, tail = text.rpartition("}")
-    lines = json.dumps({key: value}, indent=2).splitlines()[1:-1]
-    return (head.rstrip() + ("," if about else "") + "\n" + "\n".join(lines) + "\n}" + tail).encode()
+        description = root / "dataset_description.json"
+        versions = json.loads(text_of(description)).get("HEDVersion", "") if description.exists() else _HED_VERSION
+    except (AttributeError, OSError, ValueError) as error:
+        raise BidsConflict(f"{description} cannot be read ({error}): correct it; nothing was written") from error
+    return made, any(str(each).startswith("8.") for each in (versions if isinstance(versions, list) else [versions]))
 
 
 def _json(document: Mapping[str, Any]) -> bytes:

@@ -17,7 +17,6 @@ from pathlib import Path
 from typing import Any
 
 from ._labels import Labels
-from ._spikes import Predicted, predict
 from ._text_file import replacing
 from .bids import answer_cells, edge_cells, first_pulse_ns, losses, stimulus_rows, trial_rows
 from .clocks import NS
@@ -75,14 +74,10 @@ def needs_pynwb() -> Any:
 
 def check_place(file: Path, overwrite: bool) -> None:
     """Raises `MeissnerError` if a file cannot be written here, or is there and may not be replaced."""
-    if file.is_symlink():
-        raise MeissnerError(f"{file} is a symbolic link, which no export writes through: name another file")
     if not file.parent.is_dir() or (file.exists() and not file.is_file()):
         raise MeissnerError(f"{file} cannot be written: name a file in a folder that is there")
     if file.exists() and not overwrite:
         raise MeissnerError(f"{file} is there already: name another file, or replace it by overwrite=True")
-    if file.exists() and not file.stat().st_mode & 0o222:
-        raise MeissnerError(f"{file} is read-only: name another file, or make it writable")
 
 
 def write(
@@ -95,7 +90,6 @@ def write(
     metadata: Mapping[str, Any] | None = None,
     displacement_hz: float | None = 1000.0,
     array: ArrayName | None = None,
-    spikes: bool = False,
     overwrite: bool = False,
 ) -> Export:
     """Writes a session. `recorded` is as of `session_plays`, `patterns` holds the patterns' keys by SHA-256."""
@@ -134,13 +128,6 @@ def write(
             left_out.append(f"no displacement of the pins: {error}")
         else:
             left_out += _add_displacement(pynwb, nwb, grid)
-    if spikes:
-        predicted = predict(rows, texts, array)
-        left_out += predicted.problems
-        if any(predicted.spikes_ns):
-            _add_units(pynwb, nwb, predicted, zero_ns)
-        else:
-            left_out.append("no units: no spike is predicted")
     with replacing(file) as beside, pynwb.NWBHDF5IO(str(beside), "w") as io:
         io.write(nwb)
     return Export(file, tuple(left_out), recorded["plays_missing"])
@@ -168,21 +155,8 @@ def _number(value: Any) -> float:
 
 def _table(pynwb: Any, rows: list[dict[str, Any]], labels: Labels, zero_ns: int) -> Any:
     """A row per stimulus."""
-    numbers = {
-        "trial",
-        "scale",
-        "reached_um",
-        "first_pulse",
-        "late_strokes",
-        "trigger_code",
-        "onset_uncertainty",
-        "item",
-        "start_edge",
-        "start_edge_tick",
-        "stop_edge",
-        "stop_edge_tick",
-    }
-    numbers |= {"response_time", "level"}
+    numbers = {*"trial scale reached_um first_pulse late_strokes trigger_code onset_uncertainty item".split()}
+    numbers |= {*"start_edge start_edge_tick stop_edge stop_edge_tick response_time level".split()}
     meanings = {**_COLUMNS, **{column.name: f"{column.description}; empty: none" for column in labels.columns}}
     columns: dict[str, list[Any]] = {name: [] for name in ("timestamp", "duration", *meanings)}
     for row in rows:
@@ -253,19 +227,6 @@ def _add_trials(nwb: Any, plays: list[dict[str, Any]], session: Mapping[str, Any
                 name: _number(cell) if name in numbers else "" if cell is None else cell for name, cell in cells.items()
             },
         )
-
-
-def _add_units(pynwb: Any, nwb: Any, predicted: Predicted, zero_ns: int) -> None:
-    """A unit per afferent."""
-    about = (
-        "RA afferents of a simulated fingertip. Their spikes are PREDICTED from what was ordered by the model `membrane`: "
-        "nothing was recorded. Each stimulus is predicted by itself, from rest."
-    )
-    nwb.units = pynwb.misc.Units(name="units", description=about, resolution=1 / NS)
-    nwb.add_unit_column(name="x_mm", description="Place on the fingertip, from the array's middle, mm")
-    nwb.add_unit_column(name="y_mm", description="Place on the fingertip, from the array's middle, towards the tip, mm")
-    for (x_mm, y_mm), times in zip(predicted.afferents, predicted.spikes_ns, strict=True):
-        nwb.add_unit(x_mm=x_mm, y_mm=y_mm, spike_times=[(time - zero_ns) / NS for time in times])
 
 
 def _add_displacement(pynwb: Any, nwb: Any, grid: Grid) -> list[str]:

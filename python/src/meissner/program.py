@@ -124,20 +124,6 @@ def simulate(scene: Scene, *, model: str | None = None, rates_only: bool = False
     return Simulation(spikes, as_array(raw["rates_hz"]), raw)
 
 
-def simulate_pattern(
-    file: str | os.PathLike[str],
-    scale: float | None,
-    seconds: float | None,
-    fit: str,
-    array: str | os.PathLike[str] | None,
-) -> Any:
-    """The program's answer about a pattern's file on its own fingertip."""
-    arguments = ["simulate", os.fspath(file), f"--fit={fit}", f"--scale={1.0 if scale is None else scale!r}"]
-    arguments += [] if seconds is None else [f"--seconds={seconds!r}"]
-    arguments += [] if array is None else [f"--array={os.fspath(array)}"]
-    return _run(arguments)
-
-
 @dataclass(frozen=True)
 class Design:
     """A pattern that a search has found."""
