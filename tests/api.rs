@@ -1,6 +1,6 @@
 //! The local API of a real daemon: commands, receipts, events, errors, and the end.
 
-use crate::harness::{Daemon, TIMEOUT, assert_accounts, began, ended, next, problem, refusal, wait_until};
+use crate::harness::{Daemon, TIMEOUT, assert_accounts, began, ended, next, problem, refusal};
 use meissner_api::{EndCause, Event, MAX_BODY, PlayState, Receipt, Status};
 use meissner_client::{Client, Events};
 use rustix::process::Signal;
@@ -19,21 +19,11 @@ fn play(client: &mut Client, request: &Value) -> u64 {
 }
 
 #[test]
-fn the_status_is_complete_from_the_start() {
-    let daemon = Daemon::start();
-    let status: Value = daemon.client().get("/v1/status").unwrap();
-    assert_eq!((&status["state"], &status["position"]), (&"disarmed".into(), &"unknown".into()));
-    assert_eq!(status["device"]["kind"], "mock");
-    assert!(status["tick"].as_u64().unwrap() > 1 << 31);
-    assert!(status["play"].is_null() && status["queued"].as_array().unwrap().is_empty());
-    assert_eq!((&status["lead_ms"], &status["lease_ms"]), (&900.0.into(), &10_000.0.into()));
-    assert_eq!(status["motors"].as_array().unwrap().len(), 24);
-}
-
-#[test]
 fn plays_are_refused_until_motors_are_armed() {
     let daemon = Daemon::start();
     let mut client = daemon.client();
+    let status: Value = client.get("/v1/status").unwrap();
+    assert_eq!((&status["state"], &status["position"]), (&"disarmed".into(), &"unknown".into()));
     assert_eq!(refusal(client.post("/v1/play", &json!({"pattern": "edge-45"}))), ("disarmed".into(), 409));
     let refused = problem(client.post("/v1/arm", &json!({})));
     assert_eq!((refused.code.as_str(), refused.status), ("position-unknown", 409));
@@ -41,19 +31,6 @@ fn plays_are_refused_until_motors_are_armed() {
     let status: Value = client.post("/v1/arm", &json!({"assume_rest": true})).unwrap();
     assert_eq!((&status["state"], &status["position"]), (&"armed".into(), &"known".into()));
     assert_eq!(problem(client.get("/v1/plays/last")).code, "not-found");
-}
-
-/// The host watchdog counts from arming, not from the last keep-alive, which an idle daemon sends once a second.
-#[test]
-fn a_device_that_was_idle_stays_armed() {
-    let daemon = Daemon::with("mock", "lease_ms = 500\n");
-    // A machine that stands still disarms them rightly: then again.
-    wait_until(|| {
-        thread::sleep(Duration::from_millis(1_800));
-        let mut client = daemon.armed();
-        thread::sleep(Duration::from_millis(300));
-        client.get::<Status>("/v1/status").unwrap().state == "armed"
-    });
 }
 
 #[test]
@@ -74,12 +51,10 @@ fn a_play_has_events_and_a_receipt() {
     let receipt: Value = client.get(&format!("/v1/plays/{id}")).unwrap();
     assert_eq!(receipt, client.get::<Value>("/v1/plays/last").unwrap());
     assert_accounts(&receipt);
-    assert_eq!((&receipt["pattern"], &receipt["seconds"]), (&"edge-45".into(), &0.5.into()));
-    assert_eq!(receipt["pattern_sha256"].as_str().unwrap().len(), 64);
     assert!(receipt["onset"]["actual_tick"].as_u64() >= receipt["onset"]["requested_tick"].as_u64());
-    assert!(receipt["onset_latency_ms"].as_f64().unwrap() > 0.0);
-    assert!(receipt["wire"]["bytes_to_device"].as_u64().unwrap() > 0);
-    assert_eq!(receipt["rest_error_um"].as_array().unwrap().len(), 24);
+    let text = daemon.raw(b"GET /v1/metrics HTTP/1.1\r\nhost: x\r\nconnection: close\r\n\r\n");
+    assert!(text.contains("meissner_plays_total{end=\"done\"} 1\n"), "{text}");
+    assert!(text.contains("meissner_state{state=\"armed\"} 1\n"), "{text}");
 }
 
 #[test]
@@ -180,21 +155,14 @@ fn one_sample_of_the_status_pairs_the_clocks() {
     let clock = status.clock.unwrap();
     assert!((before_ns..=wall_ns()).contains(&clock.wall_ns));
     assert_eq!((clock.tick_hz, Some(clock.tick)), (85_000, status.tick));
-    assert_eq!(Some(clock.uncertainty_us), status.clock_uncertainty_us);
-    // Another sample lies on the same line.
-    let later: Status = client.get("/v1/status").unwrap();
-    let later = later.clock.unwrap();
-    let ticks = (later.monotonic_ns - clock.monotonic_ns) as f64 * 85e-6;
-    let error_us = ((later.tick - clock.tick) as f64 - ticks).abs() / 0.085;
-    assert!(error_us < clock.uncertainty_us + later.uncertainty_us + 12.0, "{clock:?} {later:?}");
     let mut events = client.events().unwrap();
-    let at_monotonic_ns = later.monotonic_ns + 2_000_000_000;
+    let at_monotonic_ns = clock.monotonic_ns + 2_000_000_000;
     play(&mut client, &json!({"pattern": "edge-45", "seconds": 0.2, "at_monotonic_ns": at_monotonic_ns}));
     let onset = ended(&mut events).onset.unwrap();
     assert_eq!(onset.requested_tick, onset.actual_tick);
     let error_ns = onset.monotonic_ns.abs_diff(at_monotonic_ns);
     assert!(
-        (error_ns as f64) < 1e3 * later.uncertainty_us + (onset.uncertainty_ns + 6_000) as f64,
+        (error_ns as f64) < 1e3 * clock.uncertainty_us + (onset.uncertainty_ns + 6_000) as f64,
         "{onset:?}"
     );
     assert_eq!(
@@ -228,23 +196,6 @@ fn a_receipt_is_waited_for() {
         assert_eq!(refusal(wait(&mut client, id, seconds)), ("bad-request".into(), 400), "{seconds}");
     }
     assert_eq!(refusal(wait(&mut client, 99, "1")), ("not-found".into(), 404));
-}
-
-#[test]
-fn patterns_are_listed_shown_and_stored() {
-    let daemon = Daemon::start();
-    let mut client = daemon.client();
-    let text = "format = 1\nname = \"mine\"\n[[drive]]\nmotor = 3\nfrequency_hz = 300.0\namplitude_um = 80\n";
-    let imported: Value = client.put("/v1/patterns/mine", text.to_owned()).unwrap();
-    assert!(imported["warnings"][0].as_str().unwrap().contains("saturated"));
-    let shown: Value = client.get("/v1/patterns/mine").unwrap();
-    assert_eq!((&shown["pattern"]["drive"][0]["motor"], &shown["library"]), (&3.into(), &false.into()));
-    assert_eq!(shown["sha256"], imported["sha256"]);
-    let list: Value = client.get("/v1/patterns").unwrap();
-    let names: Vec<_> = list["patterns"].as_array().unwrap().iter().map(|entry| &entry["name"]).collect();
-    assert!(names.contains(&&"mine".into()) && names.contains(&&"edge-45".into()), "{list}");
-    assert_eq!(problem(client.put("/v1/patterns/edge-45", text.to_owned())).code, "exists");
-    assert_eq!(refusal(client.put("/v1/patterns/other", text.to_owned())), ("bad-pattern".into(), 422));
 }
 
 #[test]
@@ -286,41 +237,33 @@ fn a_pattern_is_shown_as_it_was_played() {
 #[test]
 fn every_error_is_a_problem() {
     let daemon = Daemon::start();
-    let mut client = daemon.client();
-    assert_eq!(problem(client.get("/v1/nothing")).code, "not-found");
-    assert_eq!(problem(client.get("/nothing")).code, "not-found");
-    assert_eq!(problem(client.get("/v1/patterns/%FF")).code, "bad-request");
-    assert_eq!(problem(client.get("/v1/plays/soon")).code, "bad-request");
-    assert_eq!(problem(client.get("/v1/plays/99")).code, "not-found");
+    let mut client = daemon.armed();
+    for (path, code) in [
+        ("/v1/nothing", "not-found"),
+        ("/nothing", "not-found"),
+        ("/v1/patterns/%FF", "bad-request"),
+        ("/v1/plays/soon", "bad-request"),
+        ("/v1/plays/99", "not-found"),
+    ] {
+        assert_eq!(problem(client.get(path)).code, code, "{path}");
+    }
     assert_eq!(problem(client.put("/v1/status", String::new())).code, "method-not-allowed");
     assert_eq!(problem(client.put("/v1/patterns/x", "#".repeat(MAX_BODY + 1))).code, "too-large");
-    daemon.armed();
-    let nothing = problem(client.post("/v1/play", &json!({"pattern": "edge-45", "seconds": 0.000_001})));
-    assert!(nothing.code == "empty" && nothing.status == 422, "{nothing:?}");
-    let long = json!({"note": "x".repeat(20_000)});
-    assert_eq!(problem(client.post("/v1/arm", &long)).code, "too-large", "a command is small");
-    let refused = problem(client.post("/v1/play", &json!({"patern": "edge-45"})));
-    assert!(refused.code == "bad-request" && refused.detail.contains("did you mean `pattern`?"));
-    let refused = problem(client.post("/v1/play", &json!({"pattern": "edge-45", "seconds": -1})));
-    assert!(refused.code == "bad-request" && refused.detail.contains("`seconds`"), "{refused:?}");
-    let refused = problem(client.post("/v1/stop", &json!({"now": true})));
-    assert!(refused.detail.contains("`now`"));
+    for (path, body, code, says) in [
+        ("/v1/arm", json!({"note": "x".repeat(20_000)}), "too-large", "bytes"),
+        ("/v1/play", json!({"pattern": "edge-45", "seconds": 0.000_001}), "empty", "no stroke"),
+        ("/v1/play", json!({"patern": "edge-45"}), "bad-request", "did you mean `pattern`?"),
+        ("/v1/play", json!({"pattern": "egde-45"}), "not-found", "did you mean `edge-45`?"),
+        ("/v1/play", json!({"pattern": "edge-45", "seconds": -1}), "bad-request", "`seconds`"),
+        ("/v1/stop", json!({"now": true}), "bad-request", "`now`"),
+    ] {
+        let refused = problem(client.post(path, &body));
+        assert!(refused.code == code && refused.detail.contains(says), "{path}: {refused:?}");
+    }
     let answer = daemon.raw(
         b"POST /v1/play HTTP/1.1\r\nhost: x\r\ncontent-length: 9\r\nconnection: close\r\n\r\n{\"pattern",
     );
     assert!(answer.contains("application/problem+json") && answer.contains("bad-request"), "{answer}");
-}
-
-#[test]
-fn metrics_count_plays() {
-    let daemon = Daemon::start();
-    let mut client = daemon.armed();
-    let mut events = client.events().unwrap();
-    play(&mut client, &json!({"pattern": "edge-45", "seconds": 0.2}));
-    ended(&mut events);
-    let text = daemon.raw(b"GET /v1/metrics HTTP/1.1\r\nhost: x\r\nconnection: close\r\n\r\n");
-    assert!(text.contains("meissner_plays_total{end=\"done\"} 1\n"), "{text}");
-    assert!(text.contains("meissner_state{state=\"armed\"} 1\n"), "{text}");
 }
 
 #[test]
@@ -335,14 +278,6 @@ fn a_daemon_that_ends_closes_event_streams_and_removes_its_socket() {
     while events.next(Some(TIMEOUT)).unwrap().is_some() {}
     assert!(daemon.wait().success());
     assert!(!daemon.socket().exists());
-}
-
-#[test]
-fn the_log_names_the_client_of_each_change() {
-    let daemon = Daemon::start();
-    let _client = daemon.armed();
-    let line = format!("pid {})", std::process::id());
-    assert!(daemon.log().lines().any(|log| log.contains("arm") && log.contains(&line)), "{}", daemon.log());
 }
 
 #[test]

@@ -1,10 +1,11 @@
 //! Other arrays: each shipped one and one of a site's own plays; what is for another array is refused in one line.
 
-use crate::harness::{Daemon, PATIENT, complaint, directory, document, ended, meissner, printed, problem};
+use crate::harness::{
+    Daemon, PATIENT, complaint, directory, document, ended, meissner, printed, problem, write_pattern,
+};
 use meissner_api::{ArrayDetails, Status};
 use meissner_array::spec::{Array, names};
 use serde_json::{Value, json};
-use std::fs;
 
 /// A daemon with the simulated array of this description.
 fn with_array(description: &str) -> Daemon {
@@ -65,108 +66,38 @@ fn each_shipped_array_plays_its_own_patterns_and_refuses_those_of_others() {
 #[test]
 fn an_array_of_ones_own_takes_a_file_and_no_code() {
     let dir = directory();
-    let in_dir = |arguments: &[&str]| {
+    let in_dir = |arguments: &str| {
         let mut command = meissner();
-        command.current_dir(dir.path()).args(arguments);
+        command.current_dir(dir.path()).args(arguments.split(' '));
         command
     };
-    let new = [
-        "array",
-        "new",
-        "--rows",
-        "3",
-        "--columns",
-        "2",
-        "--pitch-mm",
-        "1.8",
-        "--name",
-        "lab-3x2",
-        "--tick-hz",
-        "70000",
-    ];
-    let text = printed(&mut in_dir(&new));
+    let new = "array new --rows 3 --columns 2 --pitch-mm 1.8 --name lab-3x2 --tick-hz 70000";
+    let text = printed(&mut in_dir(new));
     assert!(text.starts_with(" 0   1\n\n 2   3\n\n 4   5\n") && text.contains("70000 per second"), "{text}");
-    let line = complaint(&mut in_dir(&new));
+    let line = complaint(&mut in_dir(new));
     assert!(line.starts_with("meissner: lab-3x2.toml exists: give another --output"), "{line}");
-    let shown = document(&mut in_dir(&["array", "show", "lab-3x2.toml", "--json"]));
+    let shown = document(&mut in_dir("array show lab-3x2.toml --json"));
     assert_eq!((&shown["tick_hz"], &shown["grid"]["columns"]), (&json!(70_000), &json!(2)));
 
-    // Simulated, searched for, sampled and played, all by its file.
-    let file = dir.path().join("lab-3x2.toml").display().to_string();
-    in_dir(&["optimise", "edge-0", "--array", "lab-3x2.toml", "--budget", "100", "-o", "lab-edge.toml"])
-        .assert()
-        .success();
-    let pattern = fs::read_to_string(dir.path().join("lab-edge.toml")).unwrap();
-    assert!(pattern.contains("array = \"lab-3x2\""), "{pattern}");
-    assert!(pattern.contains("[[drive]]"), "{pattern}");
-    let line = complaint(&mut in_dir(&["displacement", "lab-edge.toml"]));
-    assert!(
-        line.contains("`array` is unknown: no array is called `lab-3x2`: known are tula35-6x4"),
-        "{line}"
-    );
-    let table = printed(&mut in_dir(&[
-        "displacement",
-        "lab-edge.toml",
-        "--array",
-        "lab-3x2.toml",
-        "--seconds",
-        "0.1",
-    ]));
-    assert!(table.starts_with("time_s,motor_"), "{table}");
-
-    let line = complaint(&mut in_dir(&["displacement", "pin-60", "--array", "lab-3x2.toml"]));
+    // Sampled and played, all by its file.
+    let drive = "array = \"lab-3x2\"\nduration_s = 1.0\n[[drive]]\nmotor = 5\nfrequency_hz = 60.0\namplitude_um = 80.0\n";
+    write_pattern(&dir.path().join("lab-edge.toml"), "lab-edge", drive);
+    let line = complaint(&mut in_dir("displacement lab-edge.toml"));
+    assert!(line.contains("no array is called `lab-3x2`: known are tula35-6x4"), "{line}");
+    let table = printed(&mut in_dir("displacement lab-edge.toml --array lab-3x2.toml --seconds 0.1"));
+    assert!(table.starts_with("time_s,motor_5"), "{table}");
+    let line = complaint(&mut in_dir("displacement pin-60 --array lab-3x2.toml"));
     assert!(line.contains("pin-60: is for the array tula35-6x4, and --array names lab-3x2"), "{line}");
-    let line = complaint(&mut in_dir(&["tradeoff", "--array", "lab-3x2.toml"]));
-    assert!(line.contains("sixty-hertz.toml: is for the array tula35-6x4"), "{line}");
 
-    let daemon = with_array(&file);
+    let daemon = with_array(&dir.path().join("lab-3x2.toml").display().to_string());
     let mut client = daemon.armed();
     let mut events = client.events().unwrap();
-    let text = printed(daemon.meissner().current_dir(dir.path()).args(["import", "lab-edge.toml"]));
-    assert!(text.starts_with("imported lab-edge "), "{text}");
+    printed(daemon.meissner().current_dir(dir.path()).args(["import", "lab-edge.toml"]));
     let text = printed(daemon.meissner().arg("list"));
     assert!(text.lines().any(|line| line.starts_with("lab-edge ") && line.contains(" lab-3x2 ")), "{text}");
-    assert!(printed(daemon.meissner().arg("status")).contains("lab-3x2"));
     let _: Value = client.post("/v1/play", &json!({"pattern": "lab-edge", "seconds": 0.2})).unwrap();
     let receipt = ended(&mut events);
     assert_eq!((receipt.array.as_str(), receipt.tick_hz, receipt.state.name()), ("lab-3x2", 70_000, "done"));
-    let line = complaint(daemon.meissner().args(["play", "edge-45", "--seconds", "0.2"]));
-    assert!(line.contains("`edge-45` is for the array tula35-6x4, and this one is lab-3x2: "), "{line}");
     let text = printed(daemon.meissner().args(["show", "lab-edge"]));
     assert!(text.contains("fingertip\n") && text.contains("um"), "{text}");
-}
-
-#[test]
-fn a_bad_description_ends_the_daemon_before_it_begins() {
-    let dir = directory();
-    let file = dir.path().join("bad.toml");
-    let good = printed(meissner().current_dir(dir.path()).args([
-        "array",
-        "new",
-        "--rows",
-        "1",
-        "--columns",
-        "2",
-        "--pitch-mm",
-        "3",
-    ]));
-    assert!(good.contains("2 pins"));
-    let text = fs::read_to_string(dir.path().join("array-1x2.toml")).unwrap();
-    for (from, to, says) in [
-        ("chips = [[0, 1]]", "chips = [[0, 1], [1]]", "`chips[1]` has motor 1, as chips[0] has"),
-        ("pitch_mm = 3.0", "pitch_mm = 0.5", "`pins` are too near: 0 and 1 overlap"),
-        ("duty = { up = 0.2", "duty = { up = 0.0", "`duty.up` is 0: must be"),
-        ("name = \"array-1x2\"", "name = \"tula35-6x4\"", "which is known with other values"),
-    ] {
-        assert!(text.contains(from), "{text}");
-        fs::write(&file, text.replace(from, to)).unwrap();
-        fs::write(dir.path().join("c.toml"), "[array]\ndescription = \"bad.toml\"\n").unwrap();
-        let config = dir.path().join("c.toml");
-        for line in [
-            complaint(meissner().current_dir(dir.path()).args(["array", "show", "./bad.toml"])),
-            complaint(meissner().args(["daemon", "--check-config", "--config"]).arg(&config)),
-        ] {
-            assert!(line.contains(says) && line.trim_end().lines().count() == 1, "{line}\ninstead of {says}");
-        }
-    }
 }

@@ -5,7 +5,7 @@ use firmware_protocol::frame::PROTOCOL;
 use meissner_api::Status;
 use meissner_array::simulated::SimulatedMotorsConfig;
 use meissner_array::spec::Array;
-use meissner_stream::device::{self, DeviceError, PtyMock, Spec, WallMock};
+use meissner_stream::device::{PtyMock, WallMock};
 use meissner_stream::time::HostInstant;
 use rustix::process::geteuid;
 use serde_json::Value;
@@ -110,29 +110,6 @@ fn a_missing_board_is_reported_with_its_identity() {
 }
 
 #[test]
-fn a_file_that_is_no_serial_port_is_reported() {
-    for name in ["/dev/null", "/tmp"] {
-        let report = report(&format!("serial:{name}"));
-        let found = finding(&report, "device");
-        assert_eq!(found["found"], format!("serial port {name}: not a serial port"));
-        assert!(found["advice"].as_str().unwrap().contains("ls /dev/serial/by-id"), "{found}");
-    }
-    let usb =
-        device::open(&"usb:0123abcd".parse().unwrap(), Array::paper(), &SimulatedMotorsConfig::default())
-            .unwrap_err();
-    assert!(
-        usb.to_string().contains("`lsusb -d 1209:0001`") && usb.to_string().contains("2e8a:0003"),
-        "{usb}"
-    );
-    for (device, says) in [("nonsense", "not one of"), ("serial:1209:1", "four hex digits")] {
-        let output =
-            meissner().args(["doctor", "--device", device]).assert().code(2).get_output().stderr.clone();
-        let output = String::from_utf8(output).unwrap();
-        assert!(output.contains(says) && output.matches(device).count() == 1, "{output}");
-    }
-}
-
-#[test]
 fn a_daemon_without_a_device_says_which_one_it_wants() {
     let daemon = Daemon::without_device("serial:/nonexistent/tty");
     let missing = "serial port /nonexistent/tty: not there; plug the board in, or see `ls /dev/serial/by-id`";
@@ -143,23 +120,15 @@ fn a_daemon_without_a_device_says_which_one_it_wants() {
         ("serial:/nonexistent/tty", Some(missing))
     );
     let text = printed(daemon.meissner().arg("status"));
-    assert!(text.contains("state      no device\n"), "{text}");
-    assert!(text.contains(&format!("device     none: {missing}\n")), "{text}");
-    let output = daemon
-        .meissner()
-        .args(["doctor", "--json", "--seconds", "0.5"])
-        .assert()
-        .code(1)
-        .get_output()
-        .stdout
-        .clone();
-    let report: Value = serde_json::from_slice(&output).unwrap();
+    assert!(text.contains("state      no device\n") && text.contains(missing), "{text}");
+    let asked = daemon.meissner().args(["doctor", "--json", "--seconds", "0.5"]).assert().code(1);
+    let report: Value = serde_json::from_slice(&asked.get_output().stdout).unwrap();
     let findings = report["findings"].as_array().unwrap();
     let fails: Vec<_> = findings.iter().filter(|finding| finding["level"] == "fail").collect();
     assert!(report["device"].is_null() && fails.len() == 1, "the doctor looked for another device: {report}");
-    assert_eq!(
-        (&fails[0]["what"], &fails[0]["found"]),
-        (&"daemon".into(), &format!("the daemon has no device: {missing}").into())
+    assert!(
+        fails[0]["what"] == "daemon" && fails[0]["found"].as_str().unwrap().contains(missing),
+        "{report}"
     );
     let text = printed(daemon.meissner().arg("estop"));
     assert!(
@@ -173,40 +142,26 @@ fn the_doctor_warns_that_a_device_without_telemetry_drifts() {
     let blind = SimulatedMotorsConfig { telemetry_hz: 0, ..SimulatedMotorsConfig::default() };
     let board = PtyMock::spawn(WallMock::new(Array::paper(), &blind, HostInstant::now()).unwrap()).unwrap();
     let device = format!("serial:{}", board.path().display());
-    let examined = measured(&device);
     let daemon = Daemon::with("mock", &format!("{PATIENT}[mock]\ntelemetry_hz = 0\n"));
     let asked = document(daemon.meissner().args(["doctor", "--json", "--seconds", "0.5"]));
-    for report in [examined, asked] {
+    for report in [measured(&device), asked] {
         let found = finding(&report, "telemetry");
         assert_eq!((&found["level"], &found["advice"]), (&"warn".into(), &"keep plays short".into()));
-        assert_eq!(found["found"], "none: bursts are not corrected, pins drift");
     }
     let text = printed(daemon.meissner().arg("status"));
-    assert!(
-        text.contains("telemetry  none: bursts are not corrected, pins drift; keep plays short"),
-        "{text}"
-    );
+    assert!(text.contains("telemetry  none: bursts are not corrected, pins drift"), "{text}");
     let text = printed(daemon.meissner().args(["doctor", "--seconds", "0.5"]));
     assert!(text.ends_with("\ngo, on a simulated device\n"), "{text}");
-    assert!(text.contains("no real pin moves: plug a board in, which replaces it"), "{text}");
 }
 
 #[test]
 fn a_board_for_another_array_is_refused_with_the_key_that_differs() {
-    for (name, says) in [
-        (
-            "ubi-pen-3x3",
-            "the device is built for another array: its name is ubi-pen-3x3, this array is tula35-6x4",
-        ),
-        ("simulated-8x8", "its name is simulated-8x8"),
-    ] {
-        let array = Array::named(name).unwrap();
-        let mock = WallMock::new(array, &SimulatedMotorsConfig::default(), HostInstant::now()).unwrap();
-        let board = PtyMock::spawn(mock).unwrap();
-        let daemon = Daemon::without_device(&format!("serial:{}", board.path().display()));
-        let line = daemon.wait_for_log("another array");
-        assert!(line.contains(says), "{line}");
-    }
+    let array = Array::named("ubi-pen-3x3").unwrap();
+    let mock = WallMock::new(array, &SimulatedMotorsConfig::default(), HostInstant::now()).unwrap();
+    let board = PtyMock::spawn(mock).unwrap();
+    let daemon = Daemon::without_device(&format!("serial:{}", board.path().display()));
+    let line = daemon.wait_for_log("another array");
+    assert!(line.contains("its name is ubi-pen-3x3, this array is tula35-6x4"), "{line}");
 }
 
 #[test]
@@ -226,18 +181,11 @@ fn a_port_has_one_user() {
         let opened = shell.output().unwrap();
         !opened.status.success() && String::from_utf8_lossy(&opened.stderr).contains("busy")
     });
-    let spec: Spec = name.parse().unwrap();
-    wait_until(|| {
-        let opened = device::open(&spec, Array::paper(), &SimulatedMotorsConfig::default());
-        matches!(opened, Err(DeviceError::InUse(_)))
-    });
     let mut report = Value::Null;
     wait_until(|| {
         report = self::report(&name);
         finding(&report, "device").to_string().contains("in use by another program")
     });
-    let found = finding(&report, "device").to_string();
-    assert!(found.contains(&board.path().display().to_string()), "{found}");
     let holder = finding(&report, "port");
     let (advice, found) = (holder["advice"].as_str().unwrap(), holder["found"].as_str().unwrap());
     assert!(found.contains("open in meissner (pid ") && advice.contains("`meissner status`"), "{holder}");
@@ -247,9 +195,6 @@ fn a_port_has_one_user() {
     // The daemon that has the port noticed nothing.
     let status: Status = daemon.client().get("/v1/status").unwrap();
     assert!(status.is_connected());
-    let asked = document(daemon.meissner().args(["doctor", "--json", "--seconds", "0.5"]));
-    assert!(asked["device"].is_null() && finding(&asked, "daemon").to_string().contains(&name), "{asked}");
-    finding(&asked, "line");
 }
 
 #[test]
@@ -279,15 +224,4 @@ fn a_port_without_a_board_is_reported_once() {
     drop(daemon);
     end.store(true, Ordering::Relaxed);
     writer.join().unwrap();
-}
-
-#[test]
-fn a_daemon_reports_what_the_line_of_a_mock_carries() {
-    let daemon = Daemon::start();
-    let mut carried = None;
-    wait_until(|| {
-        carried = daemon.client().get::<Status>("/v1/status").unwrap().line_bytes_per_s;
-        carried.is_some()
-    });
-    assert!(carried > Some(0));
 }

@@ -1,8 +1,6 @@
 //! `meissner calibrate` and its API: measure, fit, store, use; refuse and stop.
 
-use crate::harness::{
-    Daemon, PATIENT, complaint, document, ended, meissner, next, printed, problem, refusal,
-};
+use crate::harness::{Daemon, PATIENT, began, complaint, document, next, printed, problem, refusal};
 use meissner_api::Event;
 use meissner_client::Events;
 use meissner_stream::calibrate::Calibration;
@@ -45,51 +43,28 @@ fn a_calibration_is_played_fitted_stored_and_used() {
     let (up, se) = (&report["motors"][0]["gain_up"], &report["motors"][0]["gain_up_se"]);
     let off = up.as_f64().unwrap() - 1.0 - asymmetry / 2.0;
     assert!(off.abs() < 5.0 * se.as_f64().unwrap(), "{report}");
-    // The measured points lie near the fitted line.
-    for way in ["up", "down"] {
-        let line = &report["motors"][0][way];
-        let number = |value: &Value| value.as_f64().unwrap();
-        let points = line["points"].as_array().unwrap();
-        assert_eq!(points.iter().map(|at| &at["pulses"]).collect::<Vec<_>>(), [14, 140]);
-        assert_eq!(
-            points.iter().map(|at| at["bursts"].as_u64()).sum::<Option<u64>>(),
-            line["bursts"].as_u64()
-        );
-        for at in points {
-            let fitted =
-                number(&line["offset_um"]) + number(&line["slope_um_per_pulse"]) * number(&at["pulses"]);
-            assert!((number(&at["travel_um"]) / fitted - 1.0).abs() < 0.02, "{line}");
-        }
-    }
     let status: Value = client.get("/v1/status").unwrap();
     assert_eq!(
         (&status["motors"][3]["calibrated"], &status["motors"][4]["calibrated"]),
         (&true.into(), &false.into())
     );
-    assert_eq!(status["calibrated"], report["provenance"]["date"]);
     // A second motor, from the command line.
     let arguments = "calibrate --motor 5 --pulses 14,140 --repetitions 1 -o copy.toml".split(' ');
     let text = printed(daemon.meissner().args(arguments));
-    assert!(text.contains("motor  gain up") && text.contains("\n5      "), "{text}");
     assert!(text.contains("calibration.toml") && text.contains("copy.toml"), "{text}");
     let stored = fs::read_to_string(daemon.path("calibration.toml")).unwrap();
     assert_eq!(stored, fs::read_to_string(daemon.path("copy.toml")).unwrap());
     let calibration = Calibration::parse(&stored, "calibration.toml").unwrap();
     assert_eq!(calibration.motors().iter().map(|fit| fit.motor).collect::<Vec<_>>(), [3, 5]);
-    let text = printed(daemon.meissner().arg("status"));
-    assert!(text.contains("2 of 24 motors, 20"), "{text}");
 
     // The calibration belongs only to this array, with telemetry or without.
     let at = format!("{PATIENT}calibration = {:?}\n[mock]\n{STEADY}", daemon.path("calibration.toml"));
     let blind = Daemon::with("mock", &format!("{at}telemetry_hz = 0\n"));
     assert_eq!(document(blind.meissner().args(["status", "--json"]))["motors"][5]["calibrated"], true);
-    let mut client = blind.armed();
-    assert_eq!(refusal(client.post("/v1/calibrate", &quick(3))), ("no-telemetry".into(), 409));
+    assert_eq!(refusal(blind.armed().post("/v1/calibrate", &quick(3))), ("no-telemetry".into(), 409));
     let other = Daemon::with("mock", &format!("{at}seed = 9\n"));
     let log = other.log();
     assert!(log.contains("belongs to another device: not used; run `meissner calibrate`"), "{log}");
-    let report: Value = other.client().get("/v1/calibration").unwrap();
-    assert_eq!((&report["used"], report["motors"].as_array().unwrap().len()), (&false.into(), 2));
     let status: Value = other.client().get("/v1/status").unwrap();
     assert!(status["calibrated"].is_null() && status["motors"][3]["calibrated"] == false, "{status}");
     // A calibration of the other array does not destroy that of the first.
@@ -98,44 +73,40 @@ fn a_calibration_is_played_fitted_stored_and_used() {
     let _: Value = client.post("/v1/calibrate", &quick(7)).unwrap();
     assert_eq!(outcome(&mut events), (vec![7], None));
     assert_eq!(fs::read_to_string(daemon.path("calibration.1.toml")).unwrap(), stored);
-    let new = fs::read_to_string(daemon.path("calibration.toml")).unwrap();
-    let new = Calibration::parse(&new, "calibration.toml").unwrap();
-    assert_eq!(new.motors().iter().map(|fit| fit.motor).collect::<Vec<_>>(), [7]);
 }
 
 #[test]
-fn a_calibration_that_is_stopped_stores_nothing() {
-    let daemon = Daemon::start();
+fn a_calibration_that_is_stopped_or_invalid_stores_nothing() {
+    let dir = tempfile::tempdir().unwrap();
+    let file = dir.path().join("bad.toml");
+    fs::write(&file, "format = 1\nmotr = 1\n").unwrap();
+    let daemon = Daemon::with("mock", &format!("{PATIENT}calibration = {file:?}\n"));
+    let log = daemon.log();
+    assert_eq!(log.matches("unknown key `motr`").count(), 1, "{log}");
+    assert!(log.contains("correct it, or run `meissner calibrate`"), "{log}");
     let mut client = daemon.armed();
+    assert_eq!(problem(client.get("/v1/calibration")).code, "not-found");
+    assert_eq!(refusal(client.post("/v1/calibrate", &json!({"moter": 2}))), ("bad-request".into(), 400));
+    for (arguments, says) in [
+        ("calibrate --pulses 14", "name two numbers of pulses or more"),
+        ("calibrate --plan --motor 24", "motor 24: must be 0 to 23"),
+        ("calibrate --plan --motor 2 --repetitions 0", "0 repetitions: must be 1 to"),
+        ("calibrate -o /nonexistent/c.toml", "/nonexistent/c.toml"),
+    ] {
+        let line = complaint(daemon.meissner().args(arguments.split(' ')));
+        assert!(line.contains(says), "{line}");
+    }
+    assert_eq!(problem(client.get("/v1/plays/last")).code, "not-found", "nothing has played");
     let mut events = client.events().unwrap();
-    let play: Value = client.post("/v1/play", &json!({"pattern": "pin-60", "endless": true})).unwrap();
-    assert_eq!(refusal(client.post("/v1/calibrate", &json!({}))), ("playing".into(), 409));
-    let _: Value = client.post("/v1/stop", &json!({})).unwrap();
-    assert_eq!(ended(&mut events).id, play["id"]);
     let id = client.post::<Value>("/v1/calibrate", &json!({})).unwrap()["id"].as_u64().unwrap();
-    next(&mut events, |event| matches!(event, Event::Began { id: of, .. } if of == id).then_some(()));
+    assert_eq!(began(&mut events), id);
     let _: Value = client.post("/v1/stop", &json!({})).unwrap();
     let (motors, problem) = outcome(&mut events);
     let problem = problem.unwrap();
     assert!(motors.is_empty() && problem.contains("was cut (stop): nothing was stored"), "{problem}");
-    assert!(!daemon.path("calibration.toml").exists());
+    assert_eq!(fs::read_to_string(&file).unwrap(), "format = 1\nmotr = 1\n");
     // Other plays may run again.
     let _: Value = client.post("/v1/play", &json!({"pattern": "pin-60", "seconds": 0.1})).unwrap();
-}
-
-#[test]
-fn a_bad_file_is_reported_once_and_not_used() {
-    let dir = tempfile::tempdir().unwrap();
-    let file = dir.path().join("bad.toml");
-    fs::write(&file, "format = 1\nmotr = 1\n").unwrap();
-    let daemon = Daemon::with("mock", &format!("calibration = {file:?}\n"));
-    let log = daemon.log();
-    assert_eq!(log.matches("unknown key `motr`").count(), 1, "{log}");
-    assert!(log.contains("correct it, or run `meissner calibrate`"), "{log}");
-    let mut client = daemon.client();
-    assert_eq!(problem(client.get("/v1/calibration")).code, "not-found");
-    assert_eq!(refusal(client.post("/v1/calibrate", &json!({"motor": 24}))), ("bad-request".into(), 400));
-    assert_eq!(refusal(client.post("/v1/calibrate", &json!({"moter": 2}))), ("bad-request".into(), 400));
 }
 
 /// A board without telemetry: the plan is played and written, and gains that were measured elsewhere are stored and used.
@@ -190,22 +161,4 @@ fn a_device_without_telemetry_plays_a_plan_for_a_laser_and_takes_its_gains() {
     assert!(problem.code == "bad-request" && problem.detail.contains("connect the device that was measured"));
     let refused = refusal(daemon.client().put::<Value>("/v1/calibration", "format = 1".to_owned()));
     assert_eq!(refused, ("bad-request".into(), 400));
-}
-
-#[test]
-fn an_invalid_plan_is_refused_before_anything_plays() {
-    let daemon = Daemon::start();
-    daemon.armed();
-    for (arguments, says) in [
-        ("calibrate --pulses 14", "name two numbers of pulses or more"),
-        ("calibrate --plan --motor 24", "motor 24: must be 0 to 23"),
-        ("calibrate --plan --motor 2 --repetitions 0", "0 repetitions: must be 1 to"),
-    ] {
-        let line = complaint(daemon.meissner().args(arguments.split(' ')));
-        assert!(line.contains(says), "{line}");
-    }
-    assert_eq!(problem(daemon.client().get("/v1/plays/last")).code, "not-found");
-    // No daemon answers here.
-    let line = complaint(meissner().args(["calibrate", "-o", "/nonexistent/c.toml"]));
-    assert!(line.contains("/nonexistent/c.toml"), "{line}");
 }

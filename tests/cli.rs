@@ -1,16 +1,14 @@
 use crate::harness::{
-    Daemon, PROGRAM, assert_accounts, complaint, document, meissner, printed, wait_until, write_pattern,
+    Daemon, PROGRAM, assert_accounts, complaint, document, meissner, printed, write_pattern,
 };
 use rustix::fs::{OFlags, fcntl_getfl, fcntl_setfl};
 use rustix::process::Signal;
 use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
 use serde_json::{Value, json};
-use std::fs::{File, Permissions};
+use std::fs::File;
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
-use std::os::unix::fs::PermissionsExt;
 use std::os::unix::net::UnixListener;
-use std::os::unix::process::CommandExt;
 use std::path::Path;
 use std::process::Stdio;
 
@@ -20,11 +18,8 @@ fn play_wait_prints_a_summary() {
     assert!(complaint(daemon.meissner().args(["play", "edge-45"])).contains("meissner arm"));
     assert!(printed(daemon.meissner().args(["arm", "--assume-rest"])).starts_with("armed"));
     let text = printed(daemon.meissner().args(["play", "edge-45", "--seconds", "0.3", "--wait"]));
-    let shows = |text: &str, label: &str, value: &str| {
-        text.lines()
-            .any(|line| line.strip_prefix(label).is_some_and(|rest| rest.trim_start().starts_with(value)))
-    };
-    assert!(text.contains("play 1 began at tick") && shows(&text, "state", "done"), "{text}");
+    let is_done = |line: &str| line.strip_prefix("state").is_some_and(|rest| rest.trim() == "done");
+    assert!(text.contains("play 1 began at tick") && text.lines().any(is_done), "{text}");
     let receipt = document(daemon.meissner().args(["receipt", "--json"]));
     assert_accounts(&receipt);
     let played = document(daemon.meissner().args(["play", "pin-60", "--endless", "--at", "+1", "--json"]));
@@ -33,31 +28,6 @@ fn play_wait_prints_a_summary() {
     assert!(printed(daemon.meissner().arg("estop")).starts_with("faulted"));
     assert!(complaint(daemon.meissner().args(["play", "pin-60", "--endless"])).contains("meissner reset"));
     assert!(printed(daemon.meissner().arg("reset")).starts_with("disarmed"));
-    let status = document(daemon.meissner().args(["status", "--json"]));
-    assert_eq!(status["state"], "disarmed");
-}
-
-#[test]
-fn a_cut_play_exits_with_1() {
-    let daemon = Daemon::start();
-    let mut client = daemon.armed();
-    let waiting = std::thread::spawn({
-        let mut command = daemon.meissner();
-        move || {
-            command
-                .args(["play", "pin-60", "--endless", "--wait", "--json"])
-                .assert()
-                .code(1)
-                .get_output()
-                .stdout
-                .clone()
-        }
-    });
-    wait_until(|| !client.get::<Value>("/v1/status").unwrap()["play"].is_null());
-    let _: Value = client.post("/v1/stop", &json!({})).unwrap();
-    let receipt: Value = serde_json::from_slice(&waiting.join().unwrap()).unwrap();
-    assert_eq!(receipt["state"], "stopped");
-    assert_accounts(&receipt);
 }
 
 #[test]
@@ -120,13 +90,13 @@ fn waiting(daemon: &Daemon) -> (std::process::Child, BufReader<std::process::Chi
 }
 
 #[test]
-fn a_closed_stdout_does_not_change_the_exit_code() {
+fn a_cut_play_exits_with_1_even_with_a_closed_stdout() {
     let daemon = Daemon::start();
     daemon.armed();
     let (mut child, lines) = waiting(&daemon);
     drop(lines);
     printed(daemon.meissner().arg("stop"));
-    assert_eq!(child.wait().unwrap().code(), Some(1), "it was cut");
+    assert_eq!(child.wait().unwrap().code(), Some(1));
 }
 
 /// Ctrl-C, `kill`, and a terminal that is closed.
@@ -155,18 +125,13 @@ const DRIVE: &str = "duration_s = 0.3\n[[drive]]\nmotor = 9\nfrequency_hz = 60.0
 fn patterns_are_listed_shown_and_imported() {
     let daemon = Daemon::start();
     assert!(printed(daemon.meissner().arg("list")).contains("edge-45"));
-    assert!(printed(daemon.meissner().args(["show", "pin-60"])).contains("60.0 Hz"));
-    let sweep = printed(daemon.meissner().args(["show", "sweep"]));
-    assert!(sweep.contains("fingertip, 0 to 0.25 s\n") && sweep.contains("and 2 more segments"), "{sweep}");
     write_pattern(&daemon.path("f.toml"), "mine", DRIVE);
     let imported = document(daemon.meissner().args(["import", "f.toml", "--json"]));
-    assert_eq!(imported["name"], "mine");
     let shown = document(daemon.meissner().args(["show", "mine", "--json"]));
-    assert_eq!(shown["sha256"], imported["sha256"]);
-    // The reached amplitude, in JSON and text.
-    let reached_um = shown["drives"][0]["reached_um"].as_f64().unwrap();
-    let (reached, whole) =
-        (format!("{reached_um:.1}"), format!("{:.1}", shown["compiled_ms"].as_f64().unwrap()));
+    assert_eq!((&imported["name"], &shown["sha256"]), (&json!("mine"), &imported["sha256"]));
+    // The reached amplitude and the time of whole strokes.
+    let reached = format!("{:.1}", shown["drives"][0]["reached_um"].as_f64().unwrap());
+    let whole = format!("{:.1}", shown["compiled_ms"].as_f64().unwrap());
     let text = printed(daemon.meissner().args(["show", "mine"]));
     assert!(
         text.contains(&format!("0.3 s ({whole} ms in whole strokes)")) && text.contains(&reached),
@@ -176,28 +141,16 @@ fn patterns_are_listed_shown_and_imported() {
     let row = list.lines().find(|line| line.starts_with("mine ")).unwrap();
     assert!(row.contains(&reached) && row.contains(&whole), "{row}");
     // A drive whose frame is too short for a stroke never moves its pin: no map shows it, and it is not counted.
-    let short = "duration_s = 0.3\n[[drive]]\nmotor = 9\nfrequency_hz = 60.0\namplitude_um = 80.0\nstop_s = 0.012\n\
-                 [[drive]]\nmotor = 14\nfrequency_hz = 200.0\namplitude_um = 80.0\n";
-    write_pattern(&daemon.path("short.toml"), "short", short);
-    assert!(
-        printed(daemon.meissner().args(["import", "short.toml"]))
-            .contains("drive 1 (motor 9) gives no stroke")
-    );
+    let short =
+        format!("{DRIVE}stop_s = 0.012\n{}", DRIVE[17..].replace("= 9", "= 14").replace("60.0", "200.0"));
+    write_pattern(&daemon.path("short.toml"), "short", &short);
+    let text = printed(daemon.meissner().args(["import", "short.toml"]));
+    assert!(text.contains("drive 1 (motor 9) gives no stroke"), "{text}");
     let list = printed(daemon.meissner().arg("list"));
     assert!(list.lines().any(|line| line.starts_with("short ") && line.contains("1 of 2 move")), "{list}");
-    let listed = document(daemon.meissner().args(["list", "--json"]));
-    let listed =
-        listed["patterns"].as_array().unwrap().iter().find(|entry| entry["name"] == "short").unwrap();
-    assert_eq!((&listed["drives"], &listed["drives_moving"]), (&2.into(), &1.into()));
     let text = printed(daemon.meissner().args(["show", "short"]));
     let (map, _) = text.split_once("motor").unwrap();
-    let shown = document(daemon.meissner().args(["show", "short", "--json"]));
-    let reached_um = shown["drives"][1]["reached_um"].as_f64().unwrap();
     assert!(!map.contains("60.0 Hz") && map.contains("200.0 Hz"), "{text}");
-    assert!(
-        reached_um < 20.0 && map.contains(&format!("{reached_um:.1} um")) && !map.contains("80"),
-        "{text}"
-    );
     // The name is taken.
     let sha256 = imported["sha256"].as_str().unwrap();
     let line = complaint(daemon.meissner().args(["import", "f.toml"]));
@@ -206,36 +159,30 @@ fn patterns_are_listed_shown_and_imported() {
     let text = printed(daemon.meissner().args(["import", "f.toml", "--replace"]));
     assert!(text.contains(&format!("replaced the one with sha256 {sha256}")), "{text}");
     assert!(printed(daemon.meissner().args(["remove", "mine"])).starts_with("removed mine (sha256 "));
-    assert!(complaint(daemon.meissner().args(["show", "mine"])).contains("no pattern is called"));
-    assert!(complaint(daemon.meissner().args(["remove", "edge-45"])).contains("part of the library"));
-}
-
-#[test]
-fn an_invalid_log_filter_is_reported() {
-    let daemon = |filter: &str| {
-        let mut command = meissner();
-        // The daemon reads the filter, and then fails because its socket has no directory.
-        command.args(["daemon", "--device", "mock"]).env("RUST_LOG", filter);
-        String::from_utf8(command.assert().code(1).get_output().stderr.clone()).unwrap()
-    };
-    assert_eq!(daemon("meissner=loud").matches("RUST_LOG is not a valid filter").count(), 1);
-    assert!(!daemon("").contains("RUST_LOG"));
+    write_pattern(&daemon.path("f.toml"), "mine", &DRIVE.replace("= 9", "= 24"));
+    for (arguments, says) in [
+        (["show", "mine"], "no pattern is called"),
+        (["show", "egde-45"], "did you mean `edge-45`"),
+        (["remove", "edge-45"], "part of the library"),
+        (["import", "f.toml"], "f.toml:5: drive 1: `motor` is 24: must be 0 to 23"),
+        (["import", "/dev/zero"], "not a regular file"),
+        (["import", "/nonexistent/p.toml"], "/nonexistent/p.toml"),
+    ] {
+        let line = complaint(daemon.meissner().args(arguments));
+        assert!(line.contains(says), "{line}");
+    }
 }
 
 #[test]
 fn the_motor_needs_no_daemon() {
     let steady =
         document(meissner().args(["motor", "--frequency-hz", "60", "--amplitude-um", "80", "--json"]));
-    assert!(
-        (steady["peak_to_peak_um"].as_f64().unwrap() - 68.706).abs() < 0.001 && steady["saturated"] == false
-    );
-    assert_eq!(steady["pulses"], 589);
-    for hz in ["-60", "0", "NaN", "inf"] {
-        let line = complaint(meissner().args(["motor", "--frequency-hz", hz, "--amplitude-um", "80"]));
-        assert!(line.contains("frequency"), "{line}");
+    assert!((steady["peak_to_peak_um"].as_f64().unwrap() - 68.706).abs() < 0.001, "{steady}");
+    assert_eq!((&steady["pulses"], &steady["saturated"]), (&json!(589), &json!(false)));
+    for (hz, um, says) in [("NaN", "80", "frequency"), ("0", "80", "frequency"), ("60", "inf", "amplitude")] {
+        let line = complaint(meissner().args(["motor", "--frequency-hz", hz, "--amplitude-um", um]));
+        assert!(line.contains(says), "{line}");
     }
-    let line = complaint(meissner().args(["motor", "--frequency-hz", "60", "--amplitude-um", "inf"]));
-    assert!(line.contains("amplitude"), "{line}");
 }
 
 #[test]
@@ -254,32 +201,25 @@ fn without_a_daemon_every_client_command_fails_in_one_line() {
 #[test]
 fn without_a_daemon_both_places_are_named() {
     let dir = tempfile::tempdir().unwrap();
+    let run = |arguments: &[&str]| {
+        let mut command = meissner();
+        command.env_remove("MEISSNER_SOCKET").env("XDG_RUNTIME_DIR", dir.path()).args(arguments);
+        command
+    };
+    let service = Path::new("/run/meissner/meissner.sock").exists();
     // No daemon listens in this directory.
-    let line = complaint(
-        meissner().env_remove("MEISSNER_SOCKET").env("XDG_RUNTIME_DIR", dir.path()).args(["show", "no-such"]),
-    );
+    let line = complaint(&mut run(&["show", "no-such"]));
     let users = dir.path().join("meissner.sock");
     let nobody = format!("no daemon answers at {}, nor at /run/meissner/meissner.sock: ", users.display());
-    assert!(line.contains(&nobody) || Path::new("/run/meissner/meissner.sock").exists(), "{line}");
+    assert!(line.contains(&nobody) || service, "{line}");
     let daemon = Daemon::start();
     std::os::unix::fs::symlink(daemon.socket(), &users).unwrap();
-    let own = document(
-        meissner()
-            .env_remove("MEISSNER_SOCKET")
-            .env("XDG_RUNTIME_DIR", dir.path())
-            .args(["status", "--json"]),
-    );
     // An e-stop goes to both places, and prints the answer of the one that has a daemon.
-    let mut estop = meissner();
-    estop.env_remove("MEISSNER_SOCKET").env("XDG_RUNTIME_DIR", dir.path()).arg("estop");
-    assert!(printed(&mut estop).starts_with("faulted (estop)"));
-    let status = document(daemon.meissner().args(["status", "--json"]));
-    assert_eq!(status["state"], "faulted");
-    assert_eq!(status["socket"], daemon.socket().to_str().unwrap());
+    assert!(printed(&mut run(&["estop"])).starts_with("faulted (estop)"));
+    let status = document(&mut run(&["status", "--json"]));
+    assert_eq!((&status["state"], status["socket"].as_str()), (&json!("faulted"), daemon.socket().to_str()));
     drop(daemon);
-    let service = Path::new("/run/meissner/meissner.sock").exists();
-    assert!(service || complaint(&mut estop).contains("nor at /run/meissner/meissner.sock: "));
-    assert!(own["realtime"]["fifo"].is_boolean() && own["realtime"]["mlock"].is_boolean(), "{own}");
+    assert!(service || complaint(&mut run(&["estop"])).contains("nor at /run/meissner/meissner.sock: "));
 }
 
 /// A daemon that answers emergency stops, and no other request.
@@ -317,107 +257,28 @@ fn an_emergency_stop_without_a_status_succeeds_and_warns() {
     }
 }
 
-#[test]
-fn a_denied_socket_is_reported_with_the_remedy() {
-    let dir = tempfile::tempdir().unwrap();
-    let socket = dir.path().join("m.sock");
-    let _listener = UnixListener::bind(&socket).unwrap();
-    let mut command = std::process::Command::new(PROGRAM);
-    command.arg("stop").env("MEISSNER_SOCKET", &socket);
-    let says = if rustix::process::geteuid().is_root() {
-        // Root is never refused, so run the command as user nobody, with a socket of a group without that user.
-        let groups = std::fs::read_to_string("/etc/group").unwrap();
-        let other = |line: &&str| !["root", "nogroup", "nobody"].contains(&line.split(':').next().unwrap());
-        let mut fields = groups.lines().find(other).unwrap().split(':');
-        let (group, gid) = (fields.next().unwrap(), fields.nth(1).unwrap().parse().unwrap());
-        std::os::unix::fs::chown(&socket, None, Some(gid)).unwrap();
-        std::fs::set_permissions(&socket, Permissions::from_mode(0o660)).unwrap();
-        std::fs::set_permissions(dir.path(), Permissions::from_mode(0o755)).unwrap();
-        command.uid(65534).gid(65534);
-        format!(
-            "m.sock: you (nobody) are not in its group `{group}`: `sudo usermod -aG {group} nobody`, then"
-        )
-    } else {
-        std::fs::set_permissions(&socket, Permissions::from_mode(0o000)).unwrap();
-        "m.sock: its mode 000 lets nobody in, not even you".to_owned()
-    };
-    let output = match command.output() {
-        Ok(output) => output,
-        // The program is in a directory that only root may enter.
-        Err(error) => return assert_eq!(error.kind(), std::io::ErrorKind::PermissionDenied),
-    };
-    let line = String::from_utf8(output.stderr).unwrap();
-    assert!(output.status.code() == Some(1) && line.contains(&says), "{line}");
-    assert_eq!(line.lines().count(), 1, "{line}");
-}
-
 const INVALID: &str = "
 paly
 play
 play x --at soon
 play x --late never
 play x --seconds nan
-play x --seconds inf
 play x --seconds -1
-play x --at +nan
 play x --at +inf
 demo --seconds nan
 daemon --device uart
-stop --now
-home now
 doctor --seconds 0
-doctor --seconds nan
-report --outt x
+doctor --device serial:1209:1
 optimise dot --budget=
-optimise dot --budget some
 optimise dot --budget -1
 optimise dot --budget 1,,2
-optimise dot --setting off
-optimise dot --seed -1
-simulate
-simulate x --method quick
-simulate x --model skin
 simulate x --csv --json
-simulate x --method exact --step-us 5
-simulate x --method exact --precision f32
-simulate x --max-rate-error 1 --method exact
-simulate x --max-rate-error 1 --step-us 5
-simulate x --max-rate-error 1 --integrator euler
-simulate x --max-rate-error 1 --precision f64
-simulate x --step-us 0.5
-tradeoff x --method exact
 ";
 
 #[test]
 fn an_invalid_command_line_exits_with_2() {
     for line in INVALID.lines().skip(1) {
         assert_eq!(meissner().args(line.split(' ')).output().unwrap().status.code(), Some(2), "{line}");
-    }
-}
-
-#[test]
-fn the_doctor_measures_and_names_obstacles() {
-    let output = meissner().args(["doctor", "--json"]).assert().code(1).get_output().stdout.clone();
-    let report: Value = serde_json::from_slice(&output).unwrap();
-    assert!(report["wake_up"]["p50_us"].as_f64().unwrap() > 0.0 && report["ok"] == false);
-    assert_eq!(report["wake_up"]["count"], 5000, "five seconds by default");
-    let daemon = Daemon::start();
-    let report = document(daemon.meissner().args(["doctor", "--json", "--seconds", "0.5"]));
-    let findings = report["findings"].as_array().unwrap();
-    for what in [
-        "SCHED_FIFO",
-        "mlockall",
-        "timers",
-        "governor",
-        "service",
-        "daemon",
-        "daemon rights",
-        "device",
-        "state",
-        "clock",
-    ] {
-        let finding = findings.iter().find(|finding| finding["what"] == what).unwrap();
-        assert_eq!(finding["level"] == "ok", finding["advice"] == "", "{finding}");
     }
 }
 

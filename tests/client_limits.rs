@@ -1,7 +1,7 @@
 //! More clients than there are places, clients that do not read, hang up or send nonsense, and few descriptors.
 
-use crate::harness::{Daemon, TIMEOUT, ended, refusal, wait_until};
-use meissner_api::{MAX_CLIENTS, Problem, Status};
+use crate::harness::{Daemon, TIMEOUT, refusal, wait_until};
+use meissner_api::{MAX_CLIENTS, Status};
 use meissner_client::{Client, Events, STOPPED, estop, estop_socket};
 use serde_json::{Value, json};
 use std::io::{Read, Write};
@@ -49,10 +49,6 @@ fn the_65th_client_gets_an_error_and_the_others_go_on() {
     }
     // A client that is idle for some seconds loses its place to the next one.
     wait_until(|| daemon.client().get::<Value>("/v1/status").is_ok());
-    clients.pop();
-    wait_until(|| daemon.client().get::<Value>("/v1/status").is_ok());
-    let metrics = daemon.raw(b"GET /v1/metrics HTTP/1.1\r\nhost: x\r\nconnection: close\r\n\r\n");
-    assert!(metrics.contains("\nmeissner_clients_refused_total "), "{metrics}");
     let lines = daemon.log().lines().filter(|line| line.contains("too many clients")).count();
     assert!((1..4).contains(&lines), "refusals are counted, not logged one by one");
 }
@@ -88,9 +84,8 @@ fn every_emergency_stop_gets_through_while_clients_hold_places_and_connect() {
 fn a_request_of_a_client_that_hangs_up_counts() {
     let daemon = Daemon::start();
     let mut client = daemon.client();
-    let status = b"GET /v1/status HTTP/1.1\r\nhost: x\r\nconnection: close\r\n\r\n";
     for _ in 0..20 {
-        assert!(half_closed(&daemon, status).contains("\"disarmed\""));
+        assert!(half_closed(&daemon, STATUS).contains("\"disarmed\""));
         assert!(half_closed(&daemon, ESTOP).contains("\"faulted\""));
         reset(&mut client);
         UnixStream::connect(daemon.socket()).unwrap().write_all(ESTOP).unwrap();
@@ -165,22 +160,10 @@ fn another_terminal_resets_an_emergency_stop_by_force_alone() {
 }
 
 #[test]
-fn a_listener_that_does_not_read_delays_nothing() {
-    let daemon = Daemon::start();
-    let mut client = daemon.armed();
-    let _unread: Vec<_> = (0..8).map(|_| client.events().unwrap()).collect();
-    let mut events = client.events().unwrap();
-    for _ in 0..50 {
-        let _: Value = client.post("/v1/play", &json!({"pattern": "pin-60", "seconds": 0.02})).unwrap();
-        ended(&mut events);
-    }
-    client.get::<Value>("/v1/status").unwrap();
-}
-
-#[test]
 fn event_streams_leave_places_for_commands() {
     let daemon = Daemon::start();
     let listen = || daemon.client().events();
+    // Nobody reads them, and nobody waits for them.
     let streams: Vec<Events> = (0..MAX_CLIENTS).map_while(|_| listen().ok()).collect();
     assert_eq!(streams.len(), MAX_CLIENTS * 3 / 4);
     assert_eq!(refusal(listen().map(|_| Value::Null)), ("too-many-clients".into(), 503));
@@ -238,18 +221,13 @@ fn with_few_descriptors_there_are_fewer_clients_and_emergency_stops_work() {
 fn requests_that_are_not_http_get_a_problem() {
     let daemon = Daemon::start();
     let line = |target: &str| format!("GET {target} HTTP/1.1\r\nhost: x\r\n\r\n");
-    let many = format!("GET / HTTP/1.1\r\n{}\r\n", "x: y\r\n".repeat(500));
     let large = format!("GET / HTTP/1.1\r\nx: {}\r\n\r\n", "y".repeat(1 << 20));
-    let requests = [
+    for (request, status) in [
         ("nonsense\r\n\r\n".to_owned(), 400),
-        (line("/\u{1}"), 400),
-        (line(&"/".repeat(70_000)), 431),
-        (many, 431),
         (large, 431),
         // An invalid request after a valid one.
         (line("/v1/status") + "nonsense\r\n\r\n", 400),
-    ];
-    for (request, status) in requests {
+    ] {
         let mut stream = UnixStream::connect(daemon.socket()).unwrap();
         // The daemon may answer before it has everything.
         let _ = stream.write_all(request.as_bytes());
@@ -259,10 +237,17 @@ fn requests_that_are_not_http_get_a_problem() {
         let last = &answer[answer.rfind("HTTP/1.1 ").expect("an answer")..];
         assert!(last.starts_with(&format!("HTTP/1.1 {status} ")), "{answer}");
         assert!(last.contains("content-type: application/problem+json"), "{answer}");
-        let body = last.split_once("\r\n\r\n").unwrap().1;
-        let problem: Problem = serde_json::from_str(body).unwrap();
-        assert_eq!(problem.status, status);
     }
+    // A request that breaks off is none, wherever it does.
+    let body = r#"{"pattern":"pin-60"}"#;
+    let mut client = daemon.armed();
+    let whole = format!("POST /v1/play HTTP/1.1\r\nhost: x\r\ncontent-length: {}\r\n\r\n{body}", body.len());
+    for cut in (0..whole.len()).step_by(7) {
+        UnixStream::connect(daemon.socket()).unwrap().write_all(&whole.as_bytes()[..cut]).unwrap();
+    }
+    let status: Status = client.get("/v1/status").unwrap();
+    assert!(status.play.is_none() && status.queued.is_empty());
+    assert_eq!(refusal(client.get("/v1/plays/last")).0, "not-found");
 }
 
 const STATUS: &[u8] = b"GET /v1/status HTTP/1.1\r\nhost: x\r\nconnection: close\r\n\r\n";

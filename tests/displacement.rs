@@ -7,13 +7,17 @@ const BLIP: &str =
 
 #[test]
 fn a_pattern_becomes_a_row_per_sample_as_table_and_as_document() {
-    let asked = ["displacement", "pin-60", "--seconds", "0.1", "--scale", "0.5", "--rate-hz", "500"];
-    let table = printed(meissner().args(asked));
+    let run = |more: &[&str]| {
+        let mut command = meissner();
+        command.args(["displacement", "pin-60", "--seconds", "0.1", "--rate-hz", "500"]).args(more);
+        command
+    };
+    let table = printed(&mut run(&["--scale", "0.5"]));
     let mut lines = table.lines();
     assert_eq!(lines.next(), Some("time_s,motor_9_um"));
     let rows: Vec<Vec<f64>> =
         lines.map(|line| line.split(',').map(|cell| cell.parse().unwrap()).collect()).collect();
-    let found = document(meissner().args(asked).arg("--json"));
+    let found = document(&mut run(&["--scale", "0.5", "--json"]));
     assert_eq!((&found["rate_hz"], &found["first_s"]), (&500.into(), &0.into()));
     assert_eq!(found["motors"], serde_json::json!([9]));
     let listed = found["displacement_um"].as_array().unwrap();
@@ -24,17 +28,7 @@ fn a_pattern_becomes_a_row_per_sample_as_table_and_as_document() {
     }
     let highest = rows.iter().map(|row| row[1]).fold(0.0, f64::max);
     assert!((38.0..42.0).contains(&highest), "half of 80 um: {highest}");
-    let whole = printed(meissner().args(["displacement", "pin-60", "--seconds", "0.1", "--rate-hz", "500"]));
-    let later = printed(meissner().args([
-        "displacement",
-        "pin-60",
-        "--seconds",
-        "0.1",
-        "--rate-hz",
-        "500",
-        "--first-s",
-        "0.01",
-    ]));
+    let [whole, later] = [&[][..], &["--first-s", "0.01"]].map(|more| printed(&mut run(more)));
     assert_eq!(later.lines().skip(1).collect::<Vec<_>>(), whole.lines().skip(6).collect::<Vec<_>>());
 }
 

@@ -1,8 +1,7 @@
 //! Drift: `status`, plays that end or are refused at the limit without telemetry, and the level check of `assume_rest`.
 
 use crate::harness::{Daemon, PATIENT, complaint, ended, printed, refusal, wait_until};
-use meissner_api::{EndCause, ErrorSource, PlanCheck, Status};
-use meissner_client::Client;
+use meissner_api::{EndCause, PlanCheck, Status};
 use serde_json::{Value, json};
 use std::fs;
 
@@ -14,18 +13,12 @@ fn a_drifting_array_ends_plays_refuses_them_and_asks_for_a_check() {
     let logbook = dir.path().join("logbook");
     let daemon = Daemon::with("mock", &format!("{PATIENT}logbook_dir = {logbook:?}\n{BLIND}"));
     let mut client = daemon.armed();
-    assert!(!printed(daemon.meissner().arg("status")).contains("\ndrift "));
     let mut events = client.events().unwrap();
     let _: Value = client.post("/v1/play", &json!({"pattern": "pin-60", "seconds": 10.0})).unwrap();
     let receipt = ended(&mut events);
     assert_eq!((receipt.state.name(), receipt.cause.as_ref()), ("stopped", Some(&EndCause::DriftLimit)));
     let text = printed(daemon.meissner().arg("receipt"));
     assert!(text.contains("a pin may be farther from rest than `drift_limit_um`"), "{text}");
-    let status: Value = client.get("/v1/status").unwrap();
-    assert_eq!((&status["state"], &status["drift_limit_um"]), (&"armed".into(), &60.0.into()));
-    let um =
-        status["motors"].as_array().unwrap().iter().map(|motor| motor["rest_error_um"].as_f64().unwrap());
-    assert!(um.fold(0.0, f64::max) > 60.0, "{status}");
     let text = printed(daemon.meissner().arg("status"));
     assert!(text.contains("um from rest (estimated), 1 of 24 pins; limit 60 um: no play drives"), "{text}");
 
@@ -35,8 +28,6 @@ fn a_drifting_array_ends_plays_refuses_them_and_asks_for_a_check() {
     assert!(line.contains("more than drift_limit_um = 60") && line.contains("--checked NAME"), "{line}");
     // Disarming does not reset the drift, and a script cannot state that the pins are level.
     let _: Value = client.post("/v1/disarm", &json!({})).unwrap();
-    let assumed = json!({"assume_rest": true});
-    assert_eq!(refusal(client.post("/v1/arm", &assumed)), ("level-not-checked".into(), 409));
     let line = complaint(daemon.meissner().args(["arm", "--assume-rest"]));
     assert!(line.contains("look at them, level them, and say who did"), "{line}");
     let _: Value = client.post("/v1/arm", &json!({})).unwrap();
@@ -54,25 +45,6 @@ fn a_drifting_array_ends_plays_refuses_them_and_asks_for_a_check() {
     };
     // The disk may be slow.
     wait_until(|| recorded().contains("\"checked\":\"Ada\""));
-}
-
-#[test]
-fn pins_that_telemetry_shows_need_no_check_after_a_disarm_in_the_middle_of_a_play() {
-    let daemon = Daemon::with("mock", PATIENT);
-    let mut client = daemon.armed();
-    let mut events = client.events().unwrap();
-    let play = json!({"pattern": "all-in-phase", "seconds": 60.0, "open_loop": true});
-    let _: Value = client.post("/v1/play", &play).unwrap();
-    let offset_um = |client: &mut Client| {
-        let status: Status = client.get("/v1/status").unwrap();
-        status.motors.iter().map(|motor| motor.rest_error_um.abs()).fold(0.0, f32::max)
-    };
-    wait_until(|| offset_um(&mut client) > 30.0);
-    let _: Value = client.post("/v1/disarm", &json!({})).unwrap();
-    assert_eq!(ended(&mut events).state.name(), "stopped");
-    let _: Value = client.post("/v1/arm", &json!({"assume_rest": true})).unwrap();
-    wait_until(|| client.get::<Status>("/v1/status").unwrap().motors[0].source == ErrorSource::Telemetry);
-    assert!(offset_um(&mut client) > 20.0);
 }
 
 /// A script never checks the pins: the drift of its plays adds up over several arms, even if each play is small.
@@ -101,13 +73,13 @@ fn plays_below_the_level_check_sum_up_until_somebody_looks() {
     let _: Value = client.post("/v1/play", &one_stroke).unwrap();
 }
 
-/// A study on the simulated array with telemetry, which a board would stop: `session check` says so, and `mock:board` shows it.
 #[test]
 fn a_pilot_is_told_what_a_board_would_do() {
     let dir = tempfile::tempdir().unwrap();
     let plan = dir.path().join("plan.json");
     let item = json!({"pattern": "edge-45", "seconds": 0.3, "gap_ms": 100.0});
-    fs::write(&plan, json!({"items": vec![item; 40]}).to_string()).unwrap();
+    let order = json!({"items": vec![item; 40]});
+    fs::write(&plan, order.to_string()).unwrap();
     let checked = |daemon: &Daemon, code: i32| -> PlanCheck {
         let mut command = daemon.meissner();
         let output = command.args(["session", "check", "--json"]).arg(&plan).assert().code(code);
@@ -115,14 +87,10 @@ fn a_pilot_is_told_what_a_board_would_do() {
     };
 
     let mock = Daemon::with("mock", PATIENT);
-    let mut client = mock.armed();
     assert!(mock.log().contains("telemetry: simulated: no board has it"), "{}", mock.log());
-    assert!(printed(mock.meissner().arg("status")).contains("no board has it"));
     let told = checked(&mock, 1);
     let stop = told.stopped_at.clone().expect("a board would stop");
     assert_eq!((told.items, told.calibrated, told.followed_ms), (40, false, None));
-    let order = json!({"items": [{"pattern": "no-such"}]});
-    assert_eq!(refusal(client.post("/v1/sequence/check", &order)), ("not-found".into(), 404));
     drop(mock);
 
     let board = Daemon::with("mock:board", PATIENT);
@@ -131,9 +99,8 @@ fn a_pilot_is_told_what_a_board_would_do() {
     let device = status.device.unwrap();
     assert_eq!((&*device.kind, device.simulated, device.telemetry), ("mock:board", true, false));
     assert_eq!(checked(&board, 1), told, "the same plan, limit and array");
-    let text = fs::read_to_string(&plan).unwrap();
     let mut events = client.events().unwrap();
-    let _: Value = client.post("/v1/sequence", &serde_json::from_str::<Value>(&text).unwrap()).unwrap();
+    let _: Value = client.post("/v1/sequence", &order).unwrap();
     let receipt = ended(&mut events);
     assert_eq!((receipt.state.name(), receipt.cause.as_ref()), ("stopped", Some(&EndCause::DriftLimit)));
     let receipt: meissner_api::Receipt = client.get("/v1/plays/last").unwrap();
@@ -144,8 +111,7 @@ fn a_pilot_is_told_what_a_board_would_do() {
     drop(board);
 
     let with_stop = Daemon::with("mock:board,lower-stop", PATIENT);
-    let mut client = Client::new(&with_stop.socket()).unwrap();
-    let _: Value = client.post("/v1/arm", &json!({})).unwrap();
+    let _: Value = with_stop.client().post("/v1/arm", &json!({})).unwrap();
     let told = checked(&with_stop, 0);
     assert_eq!((told.lower_stop, told.stopped_at, told.drift_um), (true, None, 0.0));
 }

@@ -3,7 +3,6 @@
 use crate::harness::{Daemon, complaint, document, ended, next, printed, problem};
 use meissner_api::{EdgeEffect, EdgeRecord, EndCause, Event, PlayState, Receipt, Status};
 use meissner_client::{Client, Events};
-use rustix::process::Signal;
 use serde_json::{Value, json};
 
 /// 2 s: what a busy machine may miss; 170 000 ticks.
@@ -46,45 +45,24 @@ fn played_after_an_edge(client: &mut Client, events: &mut Events) -> (EdgeRecord
 }
 
 #[test]
-fn status_and_receipt_tell_that_a_play_waits_until_its_edge_has_come() {
-    let daemon = Daemon::start();
-    let mut client = daemon.armed();
-    let mut events = client.events().unwrap();
-    let id = play(&mut client, &json!({"on_edge_ms": DELAY_MS}));
-    let status: Status = client.get("/v1/status").unwrap();
-    assert_eq!(
-        status.queued.iter().map(|play| (play.id, play.waits_for_edge)).collect::<Vec<_>>(),
-        [(id, true)]
-    );
-    let shown = printed(daemon.meissner().args(["status"]));
-    assert!(shown.contains(&format!("{id} of pin-60, which waits for an edge")), "{shown}");
-    let path = format!("/v1/plays/{id}");
-    let waiting: Receipt = client.get(&path).unwrap();
-    assert_eq!((waiting.on_edge_ms, waiting.start_edge), (Some(DELAY_MS as f64), None));
-    make_edge(&mut client);
-    let (edge, ..) = edge(&mut events);
-    // Before its onset, too.
-    let begins: Receipt = client.get(&path).unwrap();
-    assert_eq!(begins.start_edge, Some(edge));
-    let status: Status = client.get("/v1/status").unwrap();
-    assert!(status.queued.iter().all(|play| !play.waits_for_edge));
-}
-
-#[test]
 fn a_play_waits_for_an_edge_and_the_record_has_both() {
     let daemon = Daemon::start();
     let mut client = daemon.armed();
-    let status: Status = client.get("/v1/status").unwrap();
-    assert!(status.device.unwrap().trigger_input);
     let session: Value = client.post("/v1/sessions", &json!({"participant": "P07"})).unwrap();
     let mut events = client.events().unwrap();
     make_edge(&mut client);
     let (first, of, effect) = edge(&mut events);
     assert_eq!((first.number, of, effect), (1, None, EdgeEffect::Mark));
+    let waits = play(&mut client, &json!({"on_edge_ms": DELAY_MS}));
+    let status: Status = client.get("/v1/status").unwrap();
+    assert!(status.device.unwrap().trigger_input && status.queued[0].waits_for_edge);
+    let shown = printed(daemon.meissner().args(["status"]));
+    assert!(shown.contains(&format!("{waits} of pin-60, which waits for an edge")), "{shown}");
+    let _: Status = client.post("/v1/stop", &json!({})).unwrap();
+    ended(&mut events);
     let (edge, receipt) = played_after_an_edge(&mut client, &mut events);
     let onset = receipt.onset.unwrap();
     assert_eq!((onset.requested_tick, onset.actual_tick), (edge.tick + DELAY, edge.tick + DELAY));
-    assert!(edge.number > 1 && edge.tick > first.tick && edge.monotonic_ns > first.monotonic_ns);
     let shown = printed(daemon.meissner().args(["receipt"]));
     assert!(shown.contains(&format!("{} at tick {} started it", edge.number, edge.tick)), "{shown}");
 
@@ -99,10 +77,7 @@ fn a_play_waits_for_an_edge_and_the_record_has_both() {
         .map(|line| csv.lines().nth(line).unwrap().split(',').collect::<Vec<_>>());
     let field = |name: &str| row[names.iter().position(|&column| column == name).unwrap()];
     assert_eq!((field("start_edge"), field("stop_edge")), (&*edge.number.to_string(), ""));
-    assert_eq!(
-        (field("start_edge_tick"), field("onset_tick")),
-        (&*edge.tick.to_string(), &*onset.actual_tick.to_string())
-    );
+    assert_eq!(field("start_edge_tick"), edge.tick.to_string());
 }
 
 #[test]
@@ -131,30 +106,13 @@ fn what_cannot_be_kept_is_refused_in_one_line() {
     let mut refused = |body: Value| problem(client.post("/v1/play", &body));
     let short = refused(json!({"pattern": "pin-60", "seconds": 0.2, "on_edge_ms": 1}));
     assert_eq!((short.code.as_str(), short.status), ("too-soon", 409));
-    assert!(
-        short.detail.contains("at least ") && short.detail.contains(" ms after the edge"),
-        "{}",
-        short.detail
-    );
+    assert!(short.detail.contains(" ms after the edge"), "{}", short.detail);
     let two = refused(json!({"pattern": "pin-60", "seconds": 0.2, "on_edge_ms": 100, "at_ms": 100}));
     assert_eq!(two.detail, "`at_ms` and `on_edge_ms` exclude each other: leave one out");
-    let far = refused(json!({"pattern": "pin-60", "seconds": 0.2, "on_edge_ms": 3_600_001}));
-    assert!(far.detail.contains("on_edge_ms"), "{}", far.detail);
-    let line = complaint(daemon.meissner().args(["play", "pin-60", "--seconds", "0.2", "--on-edge", "1"]));
-    assert!(line.contains("ms after the edge"), "{line}");
-    printed(daemon.meissner().args([
-        "play",
-        "pin-60",
-        "--seconds",
-        "0.2",
-        "--on-edge",
-        "2000",
-        "--stop-on-edge",
-    ]));
+    let waits = "play pin-60 --seconds 0.2 --on-edge 2000 --stop-on-edge";
+    printed(daemon.meissner().args(waits.split(' ')));
     let behind = refused(json!({"pattern": "pin-60", "seconds": 0.2, "at_ms": 100}));
     assert_eq!((behind.code.as_str(), behind.status), ("overlaps", 409));
-    printed(daemon.meissner().args(["stop"]));
-
     // Such an edge would keep its place for years.
     let far = problem(client.post("/v1/edge", &json!({"at_tick": u64::MAX / 2})));
     assert_eq!(far.detail, "the time asked for is more than 60 minutes ahead: choose a sooner one");
@@ -162,28 +120,4 @@ fn what_cannot_be_kept_is_refused_in_one_line() {
     let board = Daemon::on("pty");
     let line = complaint(board.meissner().args(["edge"]));
     assert!(line.contains("only a simulated array (`--device mock`) takes an edge by command"), "{line}");
-}
-
-/// A scheduled edge comes in its tick. A daemon that is killed while a play waits plays nothing of it afterwards.
-#[test]
-fn a_restart_forgets_a_play_that_waits() {
-    let mut daemon = Daemon::start();
-    let mut client = daemon.armed();
-    let mut events = client.events().unwrap();
-    let tick = client.get::<Status>("/v1/status").unwrap().tick.unwrap() + 170_000;
-    printed(daemon.meissner().args(["edge", "--at", &tick.to_string()]));
-    let (scheduled, ..) = edge(&mut events);
-    // A machine that stood still for two seconds asked too late: then it came at once.
-    assert!(scheduled.tick >= tick);
-    play(&mut client, &json!({"on_edge_ms": 100}));
-    daemon.signal(Signal::KILL);
-    daemon.wait();
-    let again = daemon.again();
-    let mut client = again.armed();
-    let mut events = client.events().unwrap();
-    make_edge(&mut client);
-    let (edge, of, effect) = edge(&mut events);
-    assert_eq!((edge.number, of, effect), (1, None, EdgeEffect::Mark));
-    let status: Status = client.get("/v1/status").unwrap();
-    assert!(status.play.is_none() && status.queued.is_empty());
 }

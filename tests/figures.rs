@@ -1,9 +1,6 @@
 use crate::harness::{document, meissner};
 use meissner_array::motor::SteadyState;
-use meissner_array::pattern::Pattern;
 use meissner_array::spec::Array;
-use meissner_skin::membrane::{AfferentModel, POPULATION_NOISE_SD, Position, Rectify};
-use meissner_skin::{Method, Options, Scene, simulate};
 use serde_json::Value;
 use std::sync::LazyLock;
 
@@ -23,27 +20,9 @@ fn rows(value: &Value) -> &[Value] {
 fn the_displacement_follows_the_pulses_as_in_the_paper() {
     let found = &SIMULATED["pulses"];
     assert_eq!((&SIMULATED["array"], &found["motor"]), (&"tula35-6x4".into(), &9.into()));
+    // 20 groups of ten strokes; no fit uses the first stroke of a group.
     let bursts = rows(&found["bursts"]);
-    // 20 groups of ten strokes, one every three seconds.
-    assert_eq!(bursts.len(), 20 * 10 * 2);
-    let start_s = |burst: &Value| number(&burst["start_s"]);
-    assert!(bursts.iter().all(|burst| start_s(burst) % 3.0 < 2.5 && start_s(burst) < 60.0));
-    let pulses_and_um = |burst: &Value| (number(&burst["pulses"]), number(&burst["travel_um"]));
-    for (fit, up) in [(&found["up"], true), (&found["down"], false)] {
-        let measured = || bursts.iter().filter(|burst| burst["up"] == up && burst["warm_up"] == false);
-        assert_eq!((measured().count(), &fit["blocks"]), (180, &180.into()));
-        let [offset_um, slope_um, sd] =
-            ["offset_um", "slope_um_per_pulse", "relative_sd"].map(|key| number(&fit[key]));
-        // The residuals from the fitted line, per pulse.
-        let off = |burst: &Value| {
-            let (pulses, um) = pulses_and_um(burst);
-            (um - offset_um) / pulses - slope_um
-        };
-        let squares: f64 = measured().map(|burst| off(burst).powi(2)).sum();
-        assert!(((squares / 178.0).sqrt() / slope_um - sd).abs() < 1e-3);
-        assert!(measured().map(off).sum::<f64>().abs() < 1e-3);
-    }
-    // A motor's asymmetry is as large downwards as upwards, with the opposite sign: together they are the model.
+    assert_eq!((bursts.len(), &found["up"]["blocks"]), (20 * 10 * 2, &180.into()));
     let (all, slope) = (&found["all"], 0.95 / 7.0);
     assert_eq!((number(&found["model_um_per_pulse"]), &all["blocks"]), (slope, &(24 * 360).into()));
     let [slope_um, se_um, offset_um, sd] =
@@ -55,12 +34,6 @@ fn the_displacement_follows_the_pulses_as_in_the_paper() {
     assert!((sd - 0.1005).abs() < 4.0 * 0.1 / (2.0 * 8640.0_f64).sqrt(), "{all}");
     // First bursts, 24 × 20 of them.
     assert!((number(&found["transient_gain"]) - 0.8).abs() < 4.0 * 0.1 / 480_f64.sqrt());
-    for pulses in (14..=140).step_by(14).map(f64::from) {
-        let measured = bursts.iter().filter(|burst| burst["warm_up"] == false).map(pulses_and_um);
-        let travels: Vec<f64> = measured.filter(|of| of.0 == pulses).map(|of| of.1).collect();
-        let mean = travels.iter().sum::<f64>() / travels.len() as f64;
-        assert!((mean - slope * pulses).abs() < 4.0 * 0.1 * slope * pulses / 6.0, "{pulses}: {mean}");
-    }
 }
 
 #[test]
@@ -103,30 +76,6 @@ fn motors_of_another_array_are_measured_too() {
 }
 
 #[test]
-fn the_rate_under_a_pin_against_frequency_is_another_program_s() {
-    let rate_hz = |frequency_hz: f64| {
-        let drive = meissner_array::pattern::Drive {
-            motor: 9,
-            frequency_hz,
-            amplitude_um: 80.0,
-            phase: 0.0,
-            start_s: None,
-            stop_s: None,
-        };
-        let model = AfferentModel::default_for(Rectify::Half, POPULATION_NOISE_SD);
-        let under = Position { x_mm: -1.45, y_mm: 1.45 };
-        let scene = Scene::new(Array::paper(), 1.0, 0, vec![drive], vec![under; 8], model).unwrap();
-        let rates = simulate(&scene, &Options::rates(Method::Exact), &|_| ()).unwrap().rates_hz(&scene);
-        rates.iter().sum::<f64>() / 8.0
-    };
-    let expected = [23, 46, 95, 149, 202, 251, 268, 262, 243, 209, 122, 31, 0, 40].map(f64::from);
-    let frequencies = [5, 10, 20, 30, 40, 50, 60, 70, 80, 100, 150, 200, 233, 300].map(f64::from);
-    for (hz, expected) in frequencies.into_iter().zip(expected) {
-        assert!((rate_hz(hz) - expected).abs() <= 3.0, "{hz} Hz: {} instead of {expected}", rate_hz(hz));
-    }
-}
-
-#[test]
 fn a_search_tells_its_start_and_its_way() {
     let asked = ["optimise", "dot", "--setting", "always_on", "--budget", "60", "--json"];
     let found = document(meissner().args(asked));
@@ -135,16 +84,12 @@ fn a_search_tells_its_start_and_its_way() {
     for of in trace {
         let [on_hz, off_hz, cost_hz] = ["on_hz", "off_hz", "cost_hz"].map(|key| number(&of[key]));
         assert!((on_hz - off_hz - cost_hz).abs() < 1e-9, "{of}");
-        assert!(number(&of["evaluations"]) <= number(&found["evaluations"][0]), "{of}");
     }
     let better = |two: &[Value]| {
         two[0]["duration_s"] != two[1]["duration_s"]
             || number(&two[0]["cost_hz"]) < number(&two[1]["cost_hz"])
     };
     assert!(trace.len() > 1 && trace.windows(2).all(better), "{trace:?}");
-    let drives = |key: &str| Pattern::parse(found[key].as_str().unwrap(), key).unwrap().drives().to_vec();
-    assert_eq!((drives("start").len(), drives("pattern").len()), (24, 24));
-    assert_ne!(drives("start"), drives("pattern"));
 }
 
 #[test]

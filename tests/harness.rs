@@ -81,11 +81,14 @@ impl Daemon {
 
     /// Starts another one in this one's directory, and waits for its device.
     pub(crate) fn again(&self) -> Self {
-        let dir = Arc::clone(&self.dir);
-        let log = log_file(&dir);
-        let mut daemon = Self::launch(dir, "mock", PATIENT, log, program());
+        let mut daemon = Self::in_dir(&self.dir, PATIENT);
         daemon.wait_for_device();
         daemon
+    }
+
+    /// Starts one in a directory that others use before and after it.
+    pub(crate) fn in_dir(dir: &Arc<TempDir>, config: &str) -> Self {
+        Self::launch(Arc::clone(dir), "mock", config, log_file(dir), program())
     }
 
     /// Starts one in a directory that another one may have used.

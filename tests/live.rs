@@ -112,16 +112,15 @@ fn pins_follow_levels_and_are_at_rest_when_the_client_ends() {
     assert_eq!(lines.applied(2).ticks.iter().flatten().count(), 1);
     lines.send(&json!({"seq": 3, "drives": [drive(10, 40.0)], "um": {"9": 0.0}}));
     assert_eq!(lines.applied(3).ticks.iter().flatten().count(), 2);
-    let mut refused = |message: Value, says: &str| {
+    for (message, says) in [
+        (json!({"seq": 4, "um": {"24": 1.0}}), "the array has motors 0 to 23"),
+        (json!({"seq": 4, "um": {"9": 500.0}}), "motor 9 at 500 um: must be 0 to"),
+        (json!({"seq": 4, "um": {"9": 1.0}, "drives": [drive(9, 1.0)]}), "both have motor 9"),
+    ] {
         lines.send(&message);
         let problem = lines.answer().problem.unwrap();
         assert!(problem.code == "bad-request" && problem.detail.contains(says), "{problem:?}");
-    };
-    refused(json!({"seq": 4, "um": {"24": 1.0}}), "the array has motors 0 to 23");
-    refused(json!({"seq": 4, "um": {"9": 500.0}}), "motor 9 at 500 um: must be 0 to");
-    refused(json!({"seq": 4, "um": {"9": -1.0}}), "`um.9` is -1");
-    refused(json!({"seq": 4, "um": {"9": 1.0}, "glide_ms": 2000}), "`glide_ms` is 2000");
-    refused(json!({"seq": 4, "um": {"9": 1.0}, "drives": [drive(9, 1.0)]}), "both have motor 9");
+    }
     // Updates begin some milliseconds after they are applied.
     thread::sleep(Duration::from_millis(100));
     lines.send(&json!({"seq": 5, "end": true}));
@@ -183,19 +182,11 @@ fn a_bad_object_or_pose_is_refused_in_a_line() {
     let scan = json!({"scan": {"depth_um": 500, "speed_mm_s": 40, "duration_s": 1}});
     for (request, says) in [
         (with("lenght_mm", json!(3)), "lenght_mm"),
-        (with("length_mm", json!(null)), "length_mm"),
-        (with("touch", json!({"press": {"depth_um": 2500}})), "above 0, at most 2000 um"),
         (with("touch", scan), "poses move a live object"),
-        (with("shape", json!("heightmap")), "length_mm"),
         (
             json!({"object": {"kind": "object", "name": "map", "shape": "heightmap", "file": "/etc/passwd.png",
                 "mm_per_pixel": 0.1, "touch": {"press": {"depth_um": 500}}}}),
             "names no file, take another shape",
-        ),
-        (
-            json!({"object": {"kind": "object", "name": "far", "shape": "dots", "points": [[60, 0]],
-                "diameter_mm": 2, "touch": {"press": {"depth_um": 500}}}}),
-            "nothing within 25 mm of its origin",
         ),
         (json!({"object": "nothing"}), "nothing"),
         (json!({"object": bar(), "drives": [drive(9, 80.0)]}), "`object` and `drives` exclude each other"),
@@ -205,34 +196,16 @@ fn a_bad_object_or_pose_is_refused_in_a_line() {
     }
     let accepted = start(&daemon, json!({"object": "edge-45", "open_loop": true}));
     let mut lines = Lines::open(&daemon, &accepted.path);
-    let mut refused = |message: String, says: &str| {
+    for (message, says) in [
+        (r#"{"seq":1,"pose":{"x_mm":NaN}}"#, "JSON"),
+        (r#"{"seq":1,"pose":{"depth_um":2001}}"#, "`pose.depth_um` is 2001: must be 0 to 2000 um"),
+        (r#"{"seq":1,"pose":{"x_mm":20,"y_mm":20}}"#, "28.3 mm from the array's middle"),
+        (r#"{"seq":1,"um":{"9":100}}"#, "this live play has an object, whose poses decide"),
+    ] {
         lines.0.get_mut().write_all(format!("{message}\n").as_bytes()).unwrap();
         let problem = lines.answer().problem.unwrap();
         assert!(problem.detail.contains(says) && !problem.detail.contains('\n'), "{message}: {problem:?}");
-    };
-    refused(r#"{"seq":1,"pose":{"x_mm":NaN}}"#.into(), "JSON");
-    refused(r#"{"seq":1,"pose":{"x_mm":null}}"#.into(), "`pose.x_mm` is null");
-    refused(r#"{"seq":1,"pose":{"depth_um":2001}}"#.into(), "`pose.depth_um` is 2001: must be 0 to 2000 um");
-    refused(r#"{"seq":1,"pose":{"x_mm":20,"y_mm":20}}"#.into(), "28.3 mm from the array's middle");
-    refused(r#"{"seq":1,"um":{"9":100}}"#.into(), "this live play has an object, whose poses decide");
-    refused(r#"{"seq":1,"drives":[]}"#.into(), "this live play has an object, whose poses decide");
-}
-
-/// A client whose poses stop coming is silent: the play ends, and the pins come down.
-#[test]
-fn an_object_whose_poses_stop_coming_leaves_the_finger() {
-    let daemon = Daemon::start();
-    daemon.armed();
-    let mut events = daemon.client().events().unwrap();
-    let accepted = start(&daemon, json!({"object": bar(), "timeout_ms": 2000}));
-    let mut lines = Lines::open(&daemon, &accepted.path);
-    lines.send(&json!({"seq": 1, "pose": {}}));
-    assert!(lines.applied(1).ticks.iter().flatten().count() > 3);
-    assert_eq!(lines.answer().ended, Some(EndCause::ClientSilent));
-    let receipt = ended(&mut events);
-    assert_eq!(receipt.cause, Some(EndCause::ClientSilent));
-    assert!(receipt.pins.unwrap().len() > 3);
-    assert_eq!(daemon.client().get::<Status>("/v1/status").unwrap().state, "armed");
+    }
 }
 
 #[test]
@@ -266,7 +239,6 @@ fn bad_messages_change_nothing_and_say_why() {
     let refused =
         |client: &mut meissner_client::Client, request: Value| problem(client.post("/v1/live", &request));
     assert_eq!(refused(&mut client, json!({"drives": [drive(9, 120.0)]})).code, "participant-limit");
-    assert_eq!(refused(&mut client, json!({"drives": [drive(24, 20.0)]})).code, "bad-request");
     let accepted = start(&daemon, json!({"drives": [drive(9, 80.0)]}));
     let get = |path: &str, headers: &str| {
         daemon.raw(format!("GET {path} HTTP/1.1\r\nhost: x\r\n{headers}connection: close\r\n\r\n").as_bytes())
@@ -278,13 +250,11 @@ fn bad_messages_change_nothing_and_say_why() {
     assert!(get(&accepted.path, upgrade).contains("it takes one"));
     for (message, says) in [
         (json!({"seq": 1, "drives": [drive(9, 120.0)]}), "`participant.max_amplitude_um` is 100 um"),
-        (json!({"seq": 1, "drives": [drive(9, -1.0)]}), "`drives[0].amplitude_um` is -1"),
         (
             json!({"seq": 1, "drives": [{"motor": 9, "frequency_hz": 100, "amplitude_um": 1}]}),
             "at most 60 Hz",
         ),
         (json!({"seq": 1, "sclae": 1}), "did you mean `scale`?"),
-        (json!({"seq": -1}), "`seq` is integer `-1`"),
         (json!([1]), "not a JSON object"),
     ] {
         lines.send(&message);

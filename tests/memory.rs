@@ -59,8 +59,7 @@ fn files_that_would_fill_the_memory_are_refused_and_leave_nothing() {
             scope.spawn(move || {
                 let refused = problem(client.put(&format!("/v1/patterns/{name}"), dotted(&name)));
                 assert_eq!((refused.code.as_str(), refused.status), ("bad-pattern", 422));
-                let says = format!("{name}.toml:141: more than 8192 tables (each dot of a key makes one)");
-                assert!(refused.detail.starts_with(&says), "{}", refused.detail);
+                assert!(refused.detail.contains("more than 8192 tables"), "{}", refused.detail);
             });
         }
     });

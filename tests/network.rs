@@ -1,8 +1,6 @@
 //! The API over TCP: hosts, origins, tokens and roles, floods; without `listen` the daemon does not listen.
 
-use crate::harness::{
-    Daemon, PATIENT, TIMEOUT, assert_accounts, complaint, document, meissner, printed, refusal, wait_until,
-};
+use crate::harness::{Daemon, PATIENT, TIMEOUT, complaint, document, meissner, printed, refusal, wait_until};
 use meissner_api::{MAX_CLIENTS, SessionStarted, Status, TokenCreated};
 use serde_json::{Value, json};
 use std::fs;
@@ -83,13 +81,19 @@ fn tcp_listeners(pid: u32) -> usize {
 
 #[test]
 fn without_the_key_nothing_listens() {
-    for (daemon, listeners) in [(Daemon::start(), 0), (listening(""), 1)] {
+    let (daemon, listens) = (Daemon::start(), listening(""));
+    for (daemon, listeners) in [(&daemon, 0), (&listens, 1)] {
         let status: Status = daemon.client().get("/v1/status").unwrap();
         assert_eq!(
             (tcp_listeners(status.pid), usize::from(status.network.is_some())),
             (listeners, listeners)
         );
     }
+    // With a port that is taken the socket works.
+    let second = Daemon::with("mock", &format!("{PATIENT}listen = \"{}\"\n", address(&listens)));
+    let status: Status = second.client().get("/v1/status").unwrap();
+    let problem = status.network.unwrap().problem.unwrap();
+    assert!(problem.contains("in use") && problem.contains("choose an address of this machine"), "{problem}");
 }
 
 #[test]
@@ -128,22 +132,9 @@ fn a_page_of_another_site_moves_and_reads_nothing() {
     let daemon = listening("");
     let address = address(&daemon);
     daemon.armed();
-    for headers in [
-        "origin: http://evil.example\r\n",
-        "origin: null\r\n",
-        "origin: http://localhost:1\r\n",
-        "sec-fetch-site: cross-site\r\n",
-        "host: evil.example\r\norigin: http://evil.example\r\n",
-        "host: localhost.evil.example\r\n",
-    ] {
-        for line in [
-            "POST /v1/estop",
-            "POST /v1/play",
-            "POST /v1/disarm",
-            "GET /v1/events",
-            "GET /v1/status",
-            "GET /nowhere",
-        ] {
+    let lines = ["POST /v1/estop", "POST /v1/play", "GET /v1/events", "GET /v1/status", "GET /nowhere"];
+    for headers in ["origin: http://evil.example\r\n", "host: evil.example\r\n"] {
+        for line in lines {
             assert_answers(&ask(&address, line, headers), 403, "forbidden");
         }
     }
@@ -158,12 +149,15 @@ fn a_page_of_another_site_moves_and_reads_nothing() {
     ] {
         assert_answers(&raw(&address, &text), 400, "bad-request");
     }
+    // Nor through a socket that `ssh -L` forwards.
+    let text = "POST /v1/disarm HTTP/1.1\r\nhost: localhost:9000\r\norigin: http://evil.example\r\nconnection: close\r\n\r\n";
+    assert_answers(&daemon.raw(text.as_bytes()), 403, "forbidden");
     assert_answers(&ask(&address, "GET /v1/patterns/..%2f..%2fetc%2fpasswd", ""), 404, "not-found");
     assert_answers(&ask(&address, "GET /v1/patterns/x%0d%0aset-cookie:%20a=b", ""), 404, "not-found");
-    assert_eq!(state(&daemon), "armed");
     let status: Status = daemon.client().get("/v1/status").unwrap();
-    // Each of 6 headers with 6 lines, and both requests with two hosts; the gate does not see the broken one.
-    assert_eq!((status.estops, status.network.unwrap().denied), (0, 6 * 6 + 2));
+    assert_eq!((status.state.as_str(), status.estops), ("armed", 0));
+    // Both requests with two hosts count; the gate does not see the broken one.
+    assert_eq!(status.network.unwrap().denied as usize, 2 * lines.len() + 2 + 1);
 }
 
 #[test]
@@ -201,15 +195,11 @@ fn a_token_is_needed_where_the_configuration_says_so() {
     daemon.armed();
     assert_answers(&ask(&address, "GET /v1/status", ""), 401, "unauthorized");
     assert_answers(&ask(&address, "POST /v1/estop", ""), 401, "unauthorized");
-    assert_answers(&ask(&address, "POST /v1/estop", "authorization: Bearer mst_0\r\n"), 401, "unauthorized");
     let query = format!("GET /v1/status?token={}", operate.token);
     assert_answers(&ask(&address, &query, ""), 401, "unauthorized");
-    assert_answers(&ask(&address, "GET /v1/status", &bearer(&observe)), 200, "");
-    assert_answers(&ask(&address, "GET /v1/doctor", ""), 401, "unauthorized");
     let doctor = ask(&address, "GET /v1/doctor", &bearer(&observe));
     assert_answers(&doctor, 200, "");
     assert!(doctor.contains("1 tokens to operate and 1 to observe") && !doctor.contains("mst_"), "{doctor}");
-    assert_answers(&ask(&address, "POST /v1/disarm", &bearer(&observe)), 403, "forbidden");
     assert_answers(&ask(&address, "POST /v1/tokens", &bearer(&operate)), 403, "forbidden");
     assert_eq!(state(&daemon), "armed");
     // An observer may stop.
@@ -221,82 +211,38 @@ fn a_token_is_needed_where_the_configuration_says_so() {
         wait_until(|| daemon.log().contains(&format!("estop by 127.0.0.1 (token {id}): done")));
     }
     assert_answers(&post(&address, "/v1/reset", &bearer(&observe), "{\"force\": true}"), 403, "forbidden");
-    let id = &operate.info.id;
 
-    let list = daemon.meissner().args(["token", "list"]).output().unwrap();
-    let list = String::from_utf8(list.stdout).unwrap();
+    let id = &operate.info.id;
+    let list = printed(daemon.meissner().args(["token", "list"]));
     assert!(list.contains(id) && list.contains("operate") && !list.contains(&operate.token), "{list}");
     daemon.meissner().args(["token", "revoke", id]).assert().success();
     assert_answers(&ask(&address, "GET /v1/status", &bearer(&operate)), 401, "unauthorized");
-    let again = daemon.meissner().args(["token", "revoke", id]).assert().failure();
-    let line = String::from_utf8(again.get_output().stderr.clone()).unwrap();
+    let line = complaint(daemon.meissner().args(["token", "revoke", id]));
     assert!(line.contains(&format!("there is no token {id}: see `meissner token list`")), "{line}");
     let log = daemon.log();
     assert!(![&observe, &operate].iter().any(|token| log.contains(&token.token)), "{log}");
-    let made =
-        daemon.meissner().args(["token", "create", "--role", "operate", "--name", "x"]).assert().success();
-    let token = String::from_utf8(made.get_output().stdout.clone()).unwrap();
+    let token = printed(daemon.meissner().args(["token", "create", "--role", "operate", "--name", "x"]));
     let header = format!("authorization: Bearer {}\r\n", token.trim());
     assert_answers(&ask(&address, "GET /v1/status", &header), 200, "");
     // A wrong method is refused only after the gate.
     assert_answers(&ask(&address, "PUT /v1/status", ""), 401, "unauthorized");
-    let answer = ask(&address, "GET /v1/status", "");
-    assert!(answer.contains("www-authenticate: Bearer\r\n") && answer.contains("nosniff"), "{answer}");
 }
 
-/// Others do not revoke the owner's token.
 #[test]
 fn only_a_sessions_owner_revokes_tokens() {
     let daemon = listening("");
     let address = address(&daemon);
     let operate = create(&daemon, "operate");
     let body = "{\"participant\": \"P07\", \"exclusive\": true}";
-    assert_answers(&post(&address, "/v1/sessions", &bearer(&operate), body), 201, "");
-    assert_eq!(
-        refusal(daemon.client().post::<Value>("/v1/arm", &json!({"assume_rest": true}))).0,
-        "session-exclusive"
-    );
+    let started = post(&address, "/v1/sessions", &bearer(&operate), body);
+    assert_answers(&started, 201, "");
     let path = format!("/v1/tokens/{}", operate.info.id);
     assert_eq!(refusal(daemon.client().delete(&path)).0, "session-exclusive");
-    assert_answers(&ask(&address, "GET /v1/status", &(bearer(&operate) + "via: 1.1 x\r\n")), 200, "");
-}
-
-#[test]
-fn a_page_of_another_site_gets_nothing_through_a_forwarded_socket() {
-    let daemon = Daemon::start();
-    daemon.armed();
-    for header in ["origin: http://evil.example", "sec-fetch-site: cross-site", "host: evil.example:9000"] {
-        let host = if header.starts_with("host") { "" } else { "host: localhost:9000\r\n" };
-        let text = format!("POST /v1/disarm HTTP/1.1\r\n{host}{header}\r\nconnection: close\r\n\r\n");
-        assert_answers(&daemon.raw(text.as_bytes()), 403, "forbidden");
-    }
-    assert_eq!(state(&daemon), "armed");
-}
-
-#[test]
-fn with_a_port_that_is_taken_the_socket_works() {
-    let first = listening("");
-    let second = Daemon::with("mock", &format!("{PATIENT}listen = \"{}\"\n", address(&first)));
-    let status: Status = second.client().get("/v1/status").unwrap();
-    let problem = status.network.unwrap().problem.unwrap();
-    assert!(problem.contains("in use") && problem.contains("choose an address of this machine"), "{problem}");
-    assert!(second.log().contains(&problem), "{}", second.log());
-}
-
-#[test]
-fn a_sessions_owner_shows_both_tokens() {
-    let daemon = listening("");
-    let address = address(&daemon);
-    let operate = create(&daemon, "operate");
-    let session: SessionStarted =
-        daemon.client().post("/v1/sessions", &json!({"participant": "P07", "exclusive": true})).unwrap();
-    assert_eq!(
-        refusal(daemon.client().post::<Value>("/v1/arm", &json!({"assume_rest": true}))).0,
-        "session-exclusive"
-    );
+    // Over the network the owner shows both tokens.
+    let started: SessionStarted = serde_json::from_str(started.split("\r\n\r\n").nth(1).unwrap()).unwrap();
     let arm = |headers: &str| post(&address, "/v1/arm", headers, "{\"assume_rest\": true}");
     assert_answers(&arm(&bearer(&operate)), 409, "session-exclusive");
-    assert_answers(&arm(&(bearer(&operate) + &format!("meissner-session: {}\r\n", session.token))), 200, "");
+    assert_answers(&arm(&(bearer(&operate) + &format!("meissner-session: {}\r\n", started.token))), 200, "");
 }
 
 #[test]
@@ -312,20 +258,13 @@ fn commands_reach_a_daemon_over_the_network() {
     let mut without = over(&["arm", "--assume-rest"]);
     assert!(complaint(without.env_remove("MEISSNER_TOKEN")).contains("token"));
     assert_eq!(state(&daemon), "disarmed");
-    assert!(printed(&mut over(&["arm", "--assume-rest"])).contains("armed"));
+    printed(&mut over(&["arm", "--assume-rest"]));
     let started = document(&mut over(&["session", "start", "--participant", "P07", "--exclusive", "--json"]));
-    let owner = started["token"].as_str().unwrap().to_owned();
-    let owned = |args: &[&str]| {
-        let mut command = over(args);
-        command.env("MEISSNER_SESSION_TOKEN", &owner);
-        command
-    };
-    let receipt = document(&mut owned(&["play", "pin-60", "--seconds", "0.2", "--wait", "--json"]));
-    assert_eq!(receipt["state"], "done");
-    assert_accounts(&receipt);
+    let mut play = over(&["play", "pin-60", "--seconds", "0.2", "--wait", "--json"]);
+    play.env("MEISSNER_SESSION_TOKEN", started["token"].as_str().unwrap());
+    assert_eq!(document(&mut play)["state"], "done");
     // An emergency stop needs the access token, and not the session's.
     printed(&mut over(&["estop"]));
-    assert_eq!(state(&daemon), "faulted");
     // The place may come from the environment.
     let mut by_environment = daemon.meissner();
     by_environment.arg("status").env("MEISSNER_URL", &url).env("MEISSNER_TOKEN", &token);
@@ -333,8 +272,6 @@ fn commands_reach_a_daemon_over_the_network() {
     daemon.end();
     let line = complaint(meissner().args(["status", "--connect", &url]));
     assert!(line.contains(&format!("no daemon answers at {url}: start one there")), "{line}");
-    let line = complaint(meissner().args(["status", "--connect", "https://lab-pc:8765"]));
-    assert!(line.contains("https://lab-pc:8765: not the URL of a daemon"), "{line}");
 }
 
 #[test]
@@ -469,16 +406,12 @@ fn long_answers_are_compressed_for_clients_that_accept_it_and_a_stop_never() {
     let address = address(&daemon);
     let gzip = "accept-encoding: gzip, br\r\n";
     let is_compressed = |head: &str| head.contains("content-encoding: gzip\r\n");
-    for path in ["/v1/status", "/v1/patterns", "/v1/openapi.json"] {
-        let line = format!("GET {path}");
-        let (head, bytes, text) = unpacked(&address, &line, gzip);
-        assert!(is_compressed(&head) && head.contains("vary: accept-encoding\r\n"), "{head}");
-        assert!(head.contains(&format!("content-length: {bytes}\r\n")), "{head}");
-        assert!(serde_json::from_slice::<Value>(&text).unwrap().is_object());
-        assert!(2 * bytes < text.len(), "{path}: {bytes} of {} bytes", text.len());
-        let (head, bytes, text) = unpacked(&address, &line, "");
-        assert!(!is_compressed(&head) && bytes == text.len(), "{head}");
-    }
+    let (head, bytes, text) = unpacked(&address, "GET /v1/openapi.json", gzip);
+    assert!(is_compressed(&head) && head.contains("vary: accept-encoding\r\n"), "{head}");
+    assert!(head.contains(&format!("content-length: {bytes}\r\n")) && 2 * bytes < text.len(), "{head}");
+    assert!(serde_json::from_slice::<Value>(&text).unwrap().is_object());
+    let (head, bytes, text) = unpacked(&address, "GET /v1/openapi.json", "");
+    assert!(!is_compressed(&head) && bytes == text.len(), "{head}");
     // Short answers, errors, and what makes the display safe.
     for line in ["GET /v1/calibration", "GET /nowhere", "POST /v1/estop", "POST /v1/stop", "POST /v1/disarm"]
     {
@@ -486,25 +419,13 @@ fn long_answers_are_compressed_for_clients_that_accept_it_and_a_stop_never() {
         assert!(!is_compressed(&head), "{line}: {head}");
         assert!(serde_json::from_slice::<Value>(&text).unwrap().is_object());
     }
-    // An event stream.
-    let mut stream = connect(&address);
-    stream.write_all(format!("GET /v1/events HTTP/1.1\r\nhost: {address}\r\n{gzip}\r\n").as_bytes()).unwrap();
-    let mut head = [0; 200];
-    stream.read_exact(&mut head).unwrap();
-    let head = String::from_utf8_lossy(&head).into_owned();
-    assert!(head.contains("text/event-stream") && !is_compressed(&head), "{head}");
 }
 
 #[test]
-fn the_page_loads_without_a_token_and_says_what_the_browser_has() {
+fn the_page_loads_without_a_token_and_the_status_says_the_role() {
     let daemon = listening("listen_token = \"always\"\n");
     let address = address(&daemon);
-    let (head, _, page) = unpacked(&address, "GET /", "accept-encoding: gzip\r\n");
-    assert!(head.starts_with("HTTP/1.1 200 "), "{head}");
-    let tag = head.lines().find_map(|line| line.strip_prefix("etag: ")).unwrap();
-    let (again, bytes, _) =
-        unpacked(&address, "GET /", &format!("if-none-match: {tag}\r\naccept-encoding: gzip\r\n"));
-    assert!(again.starts_with("HTTP/1.1 304 ") && bytes == 0, "{again}");
+    let (_, _, page) = unpacked(&address, "GET /", "accept-encoding: gzip\r\n");
     let page = String::from_utf8(page).unwrap();
     let named: Vec<&str> = page.split('"').filter(|part| part.starts_with("page/")).collect();
     assert!(named.iter().any(|name| name.ends_with("/estop.js")) && named.len() >= 4, "{named:?}");
@@ -512,7 +433,6 @@ fn the_page_loads_without_a_token_and_says_what_the_browser_has() {
         let (head, ..) = unpacked(&address, &format!("GET /{name}"), "");
         assert!(head.starts_with("HTTP/1.1 200 "), "{name}: {head}");
     }
-    assert_answers(&ask(&address, "GET /v1/status", ""), 401, "unauthorized");
     for role in ["observe", "operate"] {
         let (_, _, status) = unpacked(&address, "GET /v1/status", &bearer(&create(&daemon, role)));
         assert_eq!(serde_json::from_slice::<Value>(&status).unwrap()["role"], role);

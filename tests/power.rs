@@ -274,27 +274,20 @@ fn the_session_record_tells_a_session_from_start_to_end() {
     assert!(of("connected") < of("queued") && of("queued") < of("began") && of("began") < of("ended"));
     assert_eq!(lines[of("ended")]["receipt"]["bursts"], receipt["bursts"]);
     let (pid, uid) = (std::process::id(), rustix::process::getuid().as_raw());
-    assert_eq!(lines[of("ended")]["uid"], uid, "the user who ordered the play");
     let mut commands = lines.iter().filter(|line| line["event"] == "command");
     for (command, answer) in [("arm", "ok"), ("play", "ok"), ("play", "not-found"), ("stop", "bad-request")] {
         let line = commands.next().unwrap();
         assert_eq!((&line["command"], &line["answer"]), (&json!(command), &json!(answer)), "{line}");
         assert_eq!((&line["pid"], &line["uid"]), (&json!(pid), &json!(uid)), "{line}");
     }
-    let times: Vec<_> = lines.iter().map(|line| line["monotonic_ns"].as_u64().unwrap()).collect();
-    assert!(times.is_sorted());
-    assert!(!names.iter().any(|name| ["state", "late", "refused", "lost"].contains(name)), "{names:?}");
-
     let log = daemon.log();
-    let plays: Vec<_> = log.lines().filter(|line| line.contains("edge-45")).collect();
-    assert_eq!(plays.len(), 1, "{log}");
-    assert!(plays[0].contains("INFO play 1 edge-45 by ") && plays[0].contains(": done, began "), "{log}");
-    let armed = log.lines().filter(|line| line.contains("arm, assuming rest, by ")).collect::<Vec<_>>();
-    assert!(armed.len() == 1 && armed[0].contains(&format!("pid {pid})")), "{log}");
+    assert_eq!(log.lines().filter(|line| line.contains("edge-45")).count(), 1, "{log}");
+    assert!(log.contains("INFO play 1 edge-45 by ") && log.contains(": done, began "), "{log}");
+    let is_arm =
+        |line: &str| line.contains("arm, assuming rest, by ") && line.contains(&format!("pid {pid})"));
+    assert!(log.lines().any(is_arm), "{log}");
 }
 
-/// Sends every text that a client or a configuration can choose with line breaks, terminal escapes, direction marks, and great
-/// length.
 #[test]
 fn foreign_text_makes_no_line_of_its_own_and_is_cut() {
     const ODD: &str = "x\n2026-11-22T00:00:00Z  INFO estop by ada\r\u{1b}[2J\u{9b}1m\u{2028}\u{202e}\u{7f}";
@@ -305,47 +298,27 @@ fn foreign_text_makes_no_line_of_its_own_and_is_cut() {
         let json = serde_json::to_string(&text).unwrap();
         let toml = json.replace('\u{7f}', "\\u007f");
         let escaped: String = text.bytes().map(|byte| format!("%{byte:02x}")).collect();
-        let bodies = [
-            "{\"pattern\": TEXT}",
-            "{\"late\": TEXT}",
-            "{TEXT: 1}",
-            "{\"motor\": TEXT}",
-            "{\"assume_rest\": TEXT}",
-            "TEXT",
-        ];
-        let mut requests = Vec::new();
-        for body in bodies {
-            let body = body.replace("TEXT", &json);
-            for command in ["play", "arm", "calibrate", "stop", "home", "reset"] {
-                requests.push((format!("POST /v1/{command}"), body.clone()));
-            }
-        }
-        for path in
-            [format!("/v1/{escaped}"), format!("/v1/plays/{escaped}"), format!("/v1/patterns/{escaped}")]
-        {
-            requests.extend(["GET", "PUT", "XX"].map(|method| (format!("{method} {path}"), toml.clone())));
-        }
-        for pattern in
-            ["name = TEXT", "TEXT = 1", "[provenance]\nTEXT = 1979-05-27", "[[drive]]\nTEXT = TEXT"]
-        {
-            let body = format!("format = 1\n{}\n", pattern.replace("TEXT", &toml));
-            requests.push(("PUT /v1/patterns/odd".to_owned(), body));
-        }
-        requests.push((format!("{} /v1/status", "X".repeat(5000)), String::new()));
-        for (request, body) in requests {
+        for (request, body) in [
+            ("POST /v1/play".to_owned(), format!("{{\"pattern\": {json}}}")),
+            ("POST /v1/play".to_owned(), format!("{{\"late\": {json}}}")),
+            ("POST /v1/arm".to_owned(), format!("{{{json}: 1}}")),
+            ("POST /v1/calibrate".to_owned(), format!("{{\"motor\": {json}}}")),
+            ("POST /v1/stop".to_owned(), json.clone()),
+            (format!("GET /v1/{escaped}"), String::new()),
+            (format!("XX /v1/plays/{escaped}"), String::new()),
+            (format!("PUT /v1/patterns/{escaped}"), toml.clone()),
+            ("PUT /v1/patterns/odd".to_owned(), format!("format = 1\nname = {toml}\n")),
+            ("PUT /v1/patterns/odd".to_owned(), format!("format = 1\n[[drive]]\n{toml} = {toml}\n")),
+            (format!("{} /v1/status", "X".repeat(5000)), String::new()),
+        ] {
             let length = body.len();
             let answer = daemon.raw(
                 format!("{request} HTTP/1.1\r\nHost: m\r\nConnection: close\r\nContent-Length: {length}\r\n\r\n{body}")
                     .as_bytes(),
             );
-            let problem =
-                answer.split_once("\r\n\r\n").map(|(_, body)| body).filter(|body| body.starts_with('{'));
-            if let Some(detail) = problem.and_then(|problem| {
-                let problem: Value = serde_json::from_str(problem).ok()?;
-                problem["detail"].as_str().map(str::to_owned)
-            }) {
-                assert!(detail.chars().all(is_plain) && detail.len() < 600, "{request}: {detail:?}");
-            }
+            let problem: Value = serde_json::from_str(answer.split_once("\r\n\r\n").unwrap().1).unwrap();
+            let detail = problem["detail"].as_str().unwrap();
+            assert!(detail.chars().all(is_plain) && detail.len() < 600, "{request}: {detail:?}");
         }
         let file = dir.path().join("odd.toml");
         fs::write(&file, format!("{toml} = 1\n")).unwrap();
@@ -353,17 +326,10 @@ fn foreign_text_makes_no_line_of_its_own_and_is_cut() {
         assert!(refused.trim_end().chars().all(is_plain) && refused.len() < 600, "{refused:?}");
     }
     assert!(daemon.end().success());
-    let log = daemon.log();
-    for line in log.lines() {
+    for line in daemon.log().lines() {
         assert!(line.starts_with("20") && line[..30].contains('Z'), "{line:?}");
         assert!(line.chars().all(is_plain) && line.len() < 1000, "{line:?}");
     }
-    assert!(log.contains(r"late`: unknown variant `x\n2026"), "{log}");
-    let folder = dir.path().join("logbook");
-    let entries = lines(&folder);
+    let entries = lines(&dir.path().join("logbook"));
     assert!(entries.iter().any(|line| line["asked"]["pattern"] == ODD), "the text as it was");
-    let files = fs::read_dir(folder).unwrap().map(|file| fs::read_to_string(file.unwrap().path()).unwrap());
-    for line in files.flat_map(|text| text.lines().map(str::to_owned).collect::<Vec<_>>()) {
-        assert!(line.chars().all(is_plain) && line.len() < 8192, "{line:?}");
-    }
 }

@@ -30,19 +30,16 @@ fn a_session_over_a_terminal_plays_and_accounts() {
     assert!(status.contains("\"kind\":\"pty:/dev/pts/"), "{status}");
     // A machine that stands still makes strokes late, and then the command fails: they are in the account. If it stands still for
     // longer, the board does not answer: then again.
-    let plays = |asked: &[&str]| {
+    wait_until(|| {
         let _ = daemon.meissner().args(["arm", "--assume-rest"]).output().unwrap();
-        let play = daemon.meissner().arg("play").args(asked).output().unwrap();
-        play.stderr.is_empty().then(|| String::from_utf8(play.stdout).unwrap())
-    };
-    let whole = || {
-        plays(&["all-in-phase", "--seconds", "1", "--wait"]).is_some_and(|says| says.contains("2880 planned"))
-    };
-    wait_until(whole);
+        let play = ["play", "all-in-phase", "--seconds", "1", "--wait"];
+        let play = daemon.meissner().args(play).output().unwrap();
+        play.stderr.is_empty() && String::from_utf8(play.stdout).unwrap().contains("2880 planned")
+    });
     let receipt = document(daemon.meissner().args(["receipt", "--json"]));
     assert_eq!(receipt["state"], "done", "{receipt}");
     assert_accounts(&receipt);
-    wait_until(|| plays(&["wave", "--endless"]).is_some());
+    begin_endless(&daemon);
     assert!(daemon.end().success() && !daemon.socket().exists());
 }
 

@@ -13,6 +13,7 @@ use serde_json::{Value, json};
 use sha2::Digest;
 use std::fs;
 use std::io::{Read, Write};
+use std::net::Shutdown;
 use std::os::unix::net::UnixStream;
 
 /// The next event of a rendering: how it stands, and whether its pattern can be played.
@@ -112,14 +113,7 @@ fn a_shipped_object_is_rendered_and_judged_as_by_the_commands_and_plays() {
     let command = printed(meissner().args(["render", "edge-45"]));
     assert_eq!(found.pattern.trim_end(), command.trim_end());
     let told = document(meissner().args(["render", "edge-45", "--json"]));
-    assert_eq!(
-        json!([found.duration_s, found.highest_um, found.object["shape"]]),
-        json!([
-            told["duration_s"],
-            told["highest_um"],
-            Pattern::parse(&command, "p").unwrap().provenance()["object"]["shape"]
-        ])
-    );
+    assert_eq!(json!([found.duration_s, found.highest_um]), json!([told["duration_s"], told["highest_um"]]));
     let judged = document(meissner().args(["judge", "--object", "edge-45", "--fingers", "1", "--json"]));
     for (name, of_command) in
         [("auto", "render auto"), ("rule", "render rule"), ("vibrate-60", "within reach at 60 Hz")]
@@ -131,16 +125,12 @@ fn a_shipped_object_is_rendered_and_judged_as_by_the_commands_and_plays() {
             assert_eq!(serde_json::to_value(found).unwrap()[key], told[key], "{name}: {key}");
         }
     }
-    assert_eq!(found.judged.len(), 3);
     let of = &found.response;
-    let spikes = |trains: &Vec<Vec<f64>>| trains.iter().map(Vec::len).sum::<usize>();
     for trains in [&of.real_s, &of.found_s, &of.rule_s] {
         assert_eq!((trains.len(), of.places_mm.len(), of.class.len()), (566, 566, 566));
-        assert!(spikes(trains) > 100, "{}", spikes(trains));
+        assert!(trains.iter().flatten().count() > 100);
         assert!(trains.iter().flatten().all(|at_s| (0.0..=of.seconds).contains(at_s)));
     }
-    assert_eq!(of.class.iter().filter(|class| *class == "SA1").count(), 200);
-    assert!(found.outline.iter().flatten().count() > 1 && found.warnings.is_empty(), "{found:?}");
     // It plays without being stored, and a preview shows the finger that has judged it.
     let mut events = client.events().unwrap();
     let _: Value = client
@@ -158,24 +148,6 @@ fn a_shipped_object_is_rendered_and_judged_as_by_the_commands_and_plays() {
 }
 
 #[test]
-fn drawn_objects_are_rendered() {
-    let daemon = Daemon::start();
-    let mut client = daemon.client();
-    let found = rendered(&mut client, &json!({"object": bar("drawn"), "method": "field"}));
-    let pattern = Pattern::parse(&found.pattern, "found").unwrap();
-    let object = pattern.provenance()["object"].as_table().unwrap();
-    assert_eq!((object["length_mm"].as_integer(), pattern.name()), (Some(12), "drawn"));
-    assert_eq!((found.object, found.judged[0].name.as_str()), (bar("drawn"), "field"));
-    // The rule does not judge itself twice.
-    let found = rendered(&mut client, &json!({"object": bar("drawn"), "method": "rule"}));
-    let names: Vec<_> = found.judged.iter().map(|line| line.name.as_str()).collect();
-    assert!(names == ["rule", "vibrate-60"] && found.response.rule_s == found.response.found_s, "{names:?}");
-    let found = rendered(&mut client, &json!({"object": bar("drawn"), "method": "trace"}));
-    assert_eq!(found.judged[0].name, "trace");
-}
-
-/// A ridge in a map is the bar of its size.
-#[test]
 fn a_height_map_comes_with_its_file() {
     let daemon = Daemon::start();
     let mut client = daemon.client();
@@ -183,15 +155,13 @@ fn a_height_map_comes_with_its_file() {
     let request =
         json!({"object": map("ridge", "ridge.npy"), "files": {"ridge.npy": heights}, "method": "field"});
     let found = rendered(&mut client, &request);
-    assert!(found.outline.is_empty() && found.highest_um > 200.0, "{}", found.highest_um);
     // The file is not in the pattern, so the pattern only names the object.
     let pattern = Pattern::parse(&found.pattern, "found").unwrap();
     assert_eq!(pattern.provenance()["object"].as_str(), Some("ridge"));
-    let ridge = json!({
-        "kind": "object", "name": "ridge", "shape": "bar", "length_mm": 12, "width_mm": 0.8, "angle_deg": 90,
-        "touch": {"press": {"depth_um": 500, "hold_s": 0.1}}
-    });
+    let mut ridge = bar("drawn");
+    ridge["angle_deg"] = json!(90);
     let bar = rendered(&mut client, &json!({"object": ridge, "method": "field"}));
+    assert_eq!((&bar.object, bar.judged[0].name.as_str()), (&ridge, "field"));
     let near = (found.highest_um - bar.highest_um).abs();
     assert!(near < 0.1 * bar.highest_um, "{} {}", found.highest_um, bar.highest_um);
     // The session record keeps the hash of the file, not the file.
@@ -214,56 +184,32 @@ fn what_is_no_object_is_refused_in_one_line() {
     let changed = |key: &str, value: Value| {
         let mut object = bar("drawn");
         object[key] = value;
-        object
+        json!({"object": object})
     };
-    let png = |name: &str| json!({"object": map("m", name), "files": {name: "AAAA"}});
     for (request, says) in [
-        (
-            json!({"object": changed("length_mm", json!(0))}),
-            "the object is refused: `length_mm` is 0: must be 0.1",
-        ),
-        (
-            json!({"object": changed("lenght_mm", json!(1))}),
-            "unknown key `lenght_mm`: did you mean `length_mm`?",
-        ),
-        (
-            json!({"object": changed("name", json!("../x"))}),
-            "`name` is `../x`: must be 1 to 64 of a-z, 0-9 and -",
-        ),
-        (json!({"object": changed("touch", json!({}))}), "`touch` needs one of press, scan and path"),
-        (json!({"object": {}}), "`kind` is missing"),
+        (changed("lenght_mm", json!(1)), "unknown key `lenght_mm`: did you mean `length_mm`?"),
+        (changed("name", json!("../x")), "`name` is `../x`: must be 1 to 64 of a-z, 0-9 and -"),
         (json!({"object": map("m", "m.npy")}), "`files` has no `m.npy`: add it in base64"),
         (json!({"object": map("m", "m.npy"), "files": {"m.npy": "*"}}), "`files.m.npy` is not base64"),
         (
             json!({"object": map("m", "../m.npy"), "files": {"../m.npy": ""}}),
             "`files` has `../m.npy`: must be the name of",
         ),
-        (json!({"object": bar("b"), "robust": true}), "unknown key `robust`"),
     ] {
         let refused = problem(client.post_within(TIMEOUT, "/v1/renderings", &request));
         assert_eq!((&*refused.code, refused.status), ("bad-request", 400), "{refused}");
-        assert!(refused.detail.contains(says) && !refused.detail.contains('\n'), "{refused}");
+        assert!(refused.detail.contains(says), "{refused}");
     }
     let large = json!({"object": map("m", "m.npy"), "files": {"m.npy": "A".repeat(4 << 20)}});
     assert_eq!(refusal(client.post_within(TIMEOUT, "/v1/renderings", &large)), ("too-large".into(), 413));
     // What only the process finds out.
     let mut events = client.events().unwrap();
-    let wide = json!({"object": map("m", "m.npy"), "files": {"m.npy": npy([1, 5000], |_, _| 0.0)}});
     for (request, says) in [
-        (png("m.png"), "the object is refused: `file` is not a PNG file"),
-        (png("m.jpg"), "the name must end in .png or .npy"),
-        (wide, "has 5000 × 1 pixels: must be 1 to 4096 each"),
+        (json!({"object": map("m", "m.png"), "files": {"m.png": "AAAA"}}), "`file` is not a PNG file"),
+        (changed("center_mm", json!([50, 50])), "drawn: the object never lies under the finger"),
         (
-            json!({"object": changed("center_mm", json!([50, 50]))}),
-            "drawn: the object never lies under the finger",
-        ),
-        (
-            json!({"object": changed("touch", json!({"press": {"depth_um": 500, "hold_s": 40}}))}),
+            changed("touch", json!({"press": {"depth_um": 500, "hold_s": 40}})),
             " s: at most 30 s are rendered, shorten it",
-        ),
-        (
-            json!({"object": changed("touch", json!({"press": {"depth_um": 1}}))}),
-            "drawn: no pin moves for this object: press deeper",
         ),
     ] {
         let _: Rendering = client.post_within(TIMEOUT, "/v1/renderings", &request).unwrap();
@@ -358,46 +304,25 @@ fn a_preview_shows_pins_and_spikes_of_any_pattern() {
     let mut client = daemon.client();
     let preview: PatternPreview =
         client.get_within(TIMEOUT, "/v1/patterns/edge-45/preview?from_s=0.1&seconds=0.25").unwrap();
-    let shown: Value = client.get_within(TIMEOUT, "/v1/patterns/edge-45").unwrap();
-    assert_eq!(
-        (json!(preview.sha256), preview.from_s, preview.seconds),
-        (shown["sha256"].clone(), 0.1, 0.25)
-    );
-    let of_command = document(meissner().args([
-        "displacement",
-        "edge-45",
-        "--seconds",
-        "2",
-        "--first-s",
-        "0.1",
-        "--json",
-    ]));
+    let asked = ["displacement", "edge-45", "--seconds", "2", "--first-s", "0.1", "--json"];
+    let of_command = document(meissner().args(asked));
     let motors: Vec<usize> = serde_json::from_value(of_command["motors"].clone()).unwrap();
-    assert_eq!(preview.heights_um.len(), 24);
+    assert_eq!((preview.heights_um.len(), preview.from_s, preview.seconds), (24, 0.1, 0.25));
     for (motor, heights_um) in preview.heights_um.iter().enumerate() {
         let column = motors.iter().position(|moves| *moves == motor);
         let told = |sample: usize| {
             column.map_or(0.0, |column| of_command["displacement_um"][sample][column].as_f64().unwrap())
         };
-        let told: Vec<f64> = (0..250).map(|sample| (told(sample) * 10.0).round() / 10.0).collect();
-        let near = |(a, b): (&f64, &f64)| (a - b).abs() < 0.11;
-        assert!(heights_um.len() == 250 && heights_um.iter().zip(&told).all(near), "motor {motor}");
+        let is_near = |(sample, um): (usize, &f64)| (um - told(sample)).abs() < 0.16;
+        assert!(heights_um.len() == 250 && heights_um.iter().enumerate().all(is_near), "motor {motor}");
     }
     let times = || preview.spikes.times_s.iter().flatten();
-    assert!(times().count() > 100, "{}", times().count());
-    assert!(times().all(|at_s| (0.1..=0.35).contains(at_s)));
-    // A site's own pattern.
-    let text = String::from_utf8(fs::read("library/patterns/dot.toml").unwrap()).unwrap();
-    let _: Value =
-        client.put("/v1/patterns/my-dot", text.replace("name = \"dot\"", "name = \"my-dot\"")).unwrap();
-    let own: PatternPreview = client.get_within(TIMEOUT, "/v1/patterns/my-dot/preview?seconds=0.1").unwrap();
-    assert!(own.heights_um.iter().flatten().any(|um| *um > 10.0));
-    assert_eq!(refusal(client.get_within(TIMEOUT, "/v1/patterns/none/preview")), ("not-found".into(), 404));
-    assert_eq!(
-        refusal(client.get_within(TIMEOUT, "/v1/patterns/rendering:1/preview")),
-        ("not-found".into(), 404)
-    );
-    for query in ["seconds=3", "seconds=0", "from_s=-1", "from_s=61", "sconds=1", "seconds=NaN"] {
+    assert!(times().count() > 100 && times().all(|at_s| (0.1..=0.35).contains(at_s)));
+    for name in ["none", "rendering:1"] {
+        let refused = refusal(client.get_within(TIMEOUT, &format!("/v1/patterns/{name}/preview")));
+        assert_eq!(refused, ("not-found".into(), 404));
+    }
+    for query in ["seconds=3", "from_s=-1", "sconds=1", "seconds=NaN"] {
         let refused = problem(client.get_within(TIMEOUT, &format!("/v1/patterns/edge-45/preview?{query}")));
         assert!(refused.code == "bad-request" && refused.detail.contains(query), "{refused}");
     }
@@ -405,28 +330,10 @@ fn a_preview_shows_pins_and_spikes_of_any_pattern() {
 }
 
 #[test]
-fn a_preview_ends_when_its_client_hangs_up() {
-    let daemon = Daemon::start();
-    let mut stream = UnixStream::connect(daemon.socket()).unwrap();
-    stream
-        .write_all(b"GET /v1/patterns/edge-45/preview?from_s=60&seconds=2 HTTP/1.1\r\nhost: x\r\n\r\n")
-        .unwrap();
-    wait_until(|| !children(&daemon).is_empty());
-    let process = children(&daemon)[0];
-    // It can end now only if it is killed.
-    kill_process(Pid::from_raw(process).unwrap(), Signal::STOP).unwrap();
-    drop(stream);
-    wait_until(|| children(&daemon).is_empty());
-    // Its place is free again.
-    let _: PatternPreview =
-        daemon.client().get_within(TIMEOUT, "/v1/patterns/edge-45/preview?seconds=0.01").unwrap();
-}
-
-#[test]
-fn the_ninth_preview_that_would_wait_is_refused() {
+fn the_ninth_preview_that_would_wait_is_refused_and_those_of_clients_that_hang_up_end() {
     const ASKED: usize = 20;
     const REQUEST: &[u8] =
-        b"GET /v1/patterns/edge-45/preview?from_s=60&seconds=2 HTTP/1.1\r\nhost: x\r\n\r\n";
+        b"GET /v1/patterns/edge-45/preview?from_s=60&seconds=2 HTTP/1.1\r\nhost: x\r\nconnection: close\r\n\r\n";
     let daemon = Daemon::start();
     let ask = || {
         let mut stream = UnixStream::connect(daemon.socket()).unwrap();
@@ -436,41 +343,31 @@ fn the_ninth_preview_that_would_wait_is_refused() {
     let first = ask();
     wait_until(|| !children(&daemon).is_empty());
     let process = Pid::from_raw(children(&daemon)[0]).unwrap();
-    // It stands still, so eight may wait for it and no more.
+    // It stands still, so eight may wait for it and no more; it can end now only if it is killed.
     kill_process(process, Signal::STOP).unwrap();
-    let mut others: Vec<UnixStream> = (1..ASKED).map(|_| ask()).collect();
+    let (sender, answers) = std::sync::mpsc::channel();
+    let others: Vec<UnixStream> = (1..ASKED).map(|_| ask()).collect();
     for stream in &others {
-        stream.set_nonblocking(true).unwrap();
+        let (mut stream, sender) = (stream.try_clone().unwrap(), sender.clone());
+        std::thread::spawn(move || {
+            let mut answer = String::new();
+            // A test that has ended reads no answer.
+            let _ = stream.read_to_string(&mut answer).map(|_| sender.send(answer));
+        });
     }
-    let mut answers = vec![Vec::new(); others.len()];
-    let mut answered = || {
-        for (stream, answer) in others.iter_mut().zip(&mut answers) {
-            let mut bytes = [0; 4096];
-            if let Ok(len) = stream.read(&mut bytes) {
-                answer.extend_from_slice(&bytes[..len]);
-            }
-        }
-        answers
-            .iter()
-            .filter(|answer| !answer.is_empty())
-            .map(|answer| String::from_utf8_lossy(answer).into_owned())
-            .collect()
-    };
-    let mut refused: Vec<String> = Vec::new();
-    wait_until(|| {
-        refused = answered();
-        refused.len() >= ASKED - 9 && refused.iter().all(|answer| answer.ends_with('}'))
-    });
-    assert_eq!(refused.len(), ASKED - 9, "{refused:?}");
-    for answer in &refused {
+    for _ in 0..ASKED - 9 {
+        let answer = answers.recv_timeout(TIMEOUT).unwrap();
         assert!(
             answer.starts_with("HTTP/1.1 503") && answer.contains("too many clients ask for previews"),
             "{answer}"
         );
     }
+    assert!(answers.try_recv().is_err(), "eight wait");
     assert_eq!(children(&daemon).len(), 1, "one is computed at a time");
-    drop((first, others));
+    first.shutdown(Shutdown::Both).unwrap();
+    others.iter().for_each(|stream| drop(stream.shutdown(Shutdown::Both)));
     wait_until(|| children(&daemon).is_empty());
+    // Its place is free again.
     let _: PatternPreview =
         daemon.client().get_within(TIMEOUT, "/v1/patterns/edge-45/preview?seconds=0.01").unwrap();
 }

@@ -1,6 +1,6 @@
 //! Sequences through the API and the command line of a real daemon: all or nothing, one receipt, scale, triggers.
 
-use crate::harness::{Daemon, PATIENT, TIMEOUT, complaint, document, printed, problem};
+use crate::harness::{Daemon, TIMEOUT, complaint, document, printed, problem};
 use assert_cmd::Command;
 use meissner_api::{ItemState, Receipt};
 use meissner_client::Client;
@@ -29,6 +29,7 @@ fn a_sequence_has_one_receipt_with_every_onset_and_offset() {
     assert!(receipt.all_played(), "{receipt:?}");
     let records = receipt.items.unwrap();
     let onset = receipt.onset.unwrap().actual_tick;
+    assert_eq!(records.len(), 40);
     for (n, record) in (0u64..).zip(records.iter()) {
         let tenths_of_ms = 201 + n * (500 + 201);
         let tick = record.onset.unwrap().tick;
@@ -38,18 +39,7 @@ fn a_sequence_has_one_receipt_with_every_onset_and_offset() {
         let offset = record.offset.unwrap();
         assert!(offset.tick > tick && offset.tick <= tick + 4250 && offset.monotonic_ns > 0);
         assert_eq!(record.scale, 1.0 - (n % 4) as f64 / 8.0);
-        assert_eq!((record.late_strokes, record.refused_strokes), (0, 0));
     }
-    assert_eq!(records.len(), 40);
-    assert!(receipt.trigger.is_none() || receipt.trigger == records[0].trigger);
-    // The next play is like any other.
-    let id = client.post::<Value>(
-        "/v1/play",
-        &json!({"pattern": "pin-60", "seconds": 0.1, "scale": 0.5, "trigger": false}),
-    );
-    let id = id.unwrap()["id"].as_u64().unwrap();
-    let play: Receipt = client.get_within(TIMEOUT, &format!("/v1/plays/{id}?wait=20")).unwrap();
-    assert_eq!((play.items, play.trigger, play.scale), (None, None, Some(0.5)));
 }
 
 #[test]
@@ -60,26 +50,16 @@ fn a_sequence_is_accepted_as_a_whole_or_refused() {
     for (bad, code, says) in [
         (json!({"pattern": "none"}), "not-found", "`items[1]`"),
         (json!({"pattern": "pin-60"}), "bad-request", "`items[1]`: its pattern has no end"),
-        (json!({"pattern": "pin-60", "seconds": 0.001}), "empty", "`items[1]`: no stroke fits"),
         (json!({"pattern": "pin-60", "seconds": 0.1, "scale": 0}), "empty", "`items[1]`: no stroke fits"),
         (
             json!({"pattern": "pin-60", "seconds": 0.1, "start_ms": 100}),
             "bad-request",
             "before `items[0]` has ended, which drives motor",
         ),
-        (
-            json!({"pattern": "pin-60", "seconds": 0.1, "start_ms": 151, "trigger": {"code": 1}, "gap_ms": 1}),
-            "bad-request",
-            "exclude",
-        ),
     ] {
         let refused = problem(client.post("/v1/sequence", &json!({"items": [good, bad, good]})));
         assert!(refused.code == code && refused.detail.contains(says), "{refused:?}");
     }
-    // A refused sequence adds no text to the session record. Listing the sessions waits until all is written.
-    let texts = daemon.path("state/meissner/logbook/patterns");
-    let _: Value = client.get("/v1/sessions").unwrap();
-    assert!(!texts.exists());
     let coded = json!({"pattern": "pin-60", "seconds": 0.1, "trigger": {"code": 1, "width_ms": 20}});
     let refused = problem(client.post("/v1/sequence", &json!({"items": [coded, good]})));
     assert!(refused.detail.contains("its trigger lasts"), "{refused:?}");
@@ -92,32 +72,7 @@ fn a_sequence_is_accepted_as_a_whole_or_refused() {
     let receipt: Receipt = client.get_within(TIMEOUT, &format!("/v1/plays/{id}?wait=20")).unwrap();
     let records = receipt.items.unwrap();
     assert_eq!((receipt.state.name(), records[99].state), ("stopped", ItemState::NotBegun));
-    let counts = [ItemState::Cut, ItemState::Incomplete]
-        .map(|of| records.iter().filter(|item| item.state == of).count());
-    assert!(counts[0] <= 1 && counts[1] == 0, "{counts:?}");
     assert!(records.iter().all(|item| item.state != ItemState::NotBegun || item.onset.is_none()));
-}
-
-#[test]
-fn the_command_refuses_slow_motions_and_holds_that_are_too_short() {
-    let daemon = Daemon::with("mock", PATIENT);
-    daemon.armed();
-    let run = |rise_s: f64, arguments: &[&str]| {
-        let ramp = json!({"motor": 9, "to_um": 100.0, "rise_s": rise_s, "hold_s": 0.2});
-        fs::write(daemon.path("press.json"), json!({"items": [{"pattern": {"ramp": [ramp]}}]}).to_string())
-            .unwrap();
-        let mut command: Command = daemon.meissner();
-        command.args(["sequence", "press.json"]).args(arguments);
-        command
-    };
-    let slow = complaint(&mut run(0.0, &["--strict"]));
-    assert!(slow.contains("motor 9 is too slow for its motion"), "{slow}");
-    let short = complaint(&mut run(0.05, &["--strict", "--hold-ms", "100"]));
-    assert!(short.contains("`hold_ms` is 100"), "{short}");
-    let receipt = document(&mut run(0.05, &["--strict", "--hold-ms", "300", "--wait", "--json"]));
-    assert_eq!((&receipt["items"][0]["state"], &receipt["lowered"]["count"]), (&json!("played"), &json!(0)));
-    // Without it the daemon only warns.
-    printed(&mut run(0.0, &["--wait"]));
 }
 
 #[test]
@@ -137,19 +92,16 @@ fn the_command_plays_a_file_and_prints_the_receipt() {
     assert_eq!(receipt["items"][1]["state"], "played");
     let text = printed(run(&["-", "--wait", "--at", "+50"]).write_stdin(fs::read_to_string(&file).unwrap()));
     assert!(text.contains("items") && text.contains("2: 2 played, 0 incomplete"), "{text}");
-    fs::write(&file, "[[items]]\npattern = \"pin-60\"\nsecods = 1\n").unwrap();
-    let refused = complaint(&mut run(&["block.toml"]));
-    assert!(refused.contains("block.toml") && refused.contains("did you mean `seconds`?"), "{refused}");
-    let text = printed(daemon.meissner().args([
-        "play",
-        "pin-60",
-        "--seconds",
-        "0.1",
-        "--scale",
-        "0.5",
-        "--code",
-        "9",
-        "--wait",
-    ]));
+    let jump = "[[items]]\npattern.ramp = [{motor = 9, to_um = 100.0, rise_s = 0.0, hold_s = 0.2}]\n";
+    for (text, arguments, says) in [
+        ("[[items]]\npattern = \"pin-60\"\nsecods = 1\n", &[][..], "did you mean `seconds`?"),
+        (jump, &["--strict"], "motor 9 is too slow for its motion"),
+    ] {
+        fs::write(&file, text).unwrap();
+        let refused = complaint(run(&["block.toml"]).args(arguments));
+        assert!(refused.contains(says), "{refused}");
+    }
+    let play = "play pin-60 --seconds 0.1 --scale 0.5 --code 9 --wait";
+    let text = printed(daemon.meissner().args(play.split(' ')));
     assert!(text.contains("code 9 of 4.00 ms at tick"), "{text}");
 }

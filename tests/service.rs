@@ -104,21 +104,6 @@ fn a_daemon_that_hangs_sends_no_watchdog_notification() {
 }
 
 #[test]
-fn a_slow_client_costs_no_watchdog_notification() {
-    use std::io::Write;
-    let manager = Manager::new();
-    let daemon = manager.start(Some(Duration::from_millis(200)));
-    manager.wait_for(|text| text == "READY=1");
-    let mut slow = std::os::unix::net::UnixStream::connect(daemon.socket()).unwrap();
-    // This is shorter than the daemon would wait for the rest of the request.
-    manager.socket.set_read_timeout(Some(Duration::from_secs(5))).unwrap();
-    slow.write_all(b"POST /v1/play HTTP/1.1\r\nHost: m\r\nContent-Length: 999\r\n\r\n{").unwrap();
-    for _ in 0..5 {
-        manager.wait_for(|text| text == "WATCHDOG=1");
-    }
-}
-
-#[test]
 fn a_socket_that_is_handed_over_is_used_and_not_removed() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("activated.sock");
@@ -144,26 +129,27 @@ fn a_socket_that_is_handed_over_is_used_and_not_removed() {
 }
 
 #[test]
-fn a_configuration_is_checked_without_a_daemon() {
+fn a_configuration_is_checked_without_a_daemon_and_a_bad_one_starts_none() {
     let dir = tempfile::tempdir().unwrap();
     let file = dir.path().join("m.toml");
-    let check = || {
+    let daemon = |arguments: &[&str]| {
         let mut command = meissner();
-        command.args(["daemon", "--check-config", "--config"]).arg(&file);
+        command.args(["daemon", "--device", "mock", "--config"]).arg(&file).args(arguments);
         command
     };
     std::fs::write(&file, "lead_ms = 50\n").unwrap();
-    assert!(printed(&mut check()).ends_with("m.toml: valid\n"));
+    assert!(printed(&mut daemon(&["--check-config"])).ends_with("m.toml: valid\n"));
     for (text, says) in [
-        ("laed_ms = 50\n", "m.toml:1: unknown key `laed_ms`"),
+        ("laed_ms = 50\n", "m.toml:1: unknown key `laed_ms`: did you mean `lead_ms`?"),
         ("patterns_dir = \"/nonexistent/patterns\"\n", "m.toml: `patterns_dir`: /nonexistent/patterns"),
         ("logbook_dir = \"/nonexistent/a/b\"\n", "m.toml: `logbook_dir`: /nonexistent/a/b: neither it nor"),
         (&format!("socket = \"/{}\"\n", "x".repeat(200)), "at most 101 bytes"),
-        ("device = \"ua\\nrt\"\n", "`device` is `ua\\nrt`"),
         ("socket = \"/a\\u0000\"\n", "`socket` holds a control character"),
+        ("array.description = \"bad.toml\"\n", "bad.toml"),
     ] {
         std::fs::write(&file, text).unwrap();
-        let line = complaint(&mut check());
+        let line = complaint(&mut daemon(&["--check-config"]));
         assert!(line.contains(says), "{line}");
     }
+    daemon(&[]).assert().code(1);
 }

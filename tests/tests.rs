@@ -9,8 +9,6 @@ mod architecture;
 mod array_literals;
 /// Other arrays: each shipped one, one of a site's own, and what is for another array.
 mod arrays;
-/// Mistakes in files, commands and requests: refused in one line with place and remedy; nothing moves.
-mod bad_input;
 /// Boards: found, missing, in use, or something else; the doctor's report about them.
 mod boards;
 /// The README, the book and the example configuration: commands run, snippets parse, links have targets.

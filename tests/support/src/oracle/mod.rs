@@ -9,8 +9,6 @@
 //! each afferent the first instant after which a rounding error decides.
 
 mod arrays;
-#[cfg(test)]
-mod checks;
 mod scenes;
 
 pub use arrays::Array;
@@ -382,4 +380,30 @@ fn train(scene: &Scene, bursts: &[(usize, Burst)], gains: &[f64], afferent: usiz
     }
     train.spikes.retain(|spike| spike.t_s < scene.duration_s);
     train
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_comparison_sees_a_spike_moved_lost_or_added() {
+        let trains = spikes(&random_scene(2));
+        let right: Vec<Vec<f64>> =
+            trains.iter().map(|train| train.spikes.iter().map(|spike| spike.t_s).collect()).collect();
+        let afferent = (0..right.len()).max_by_key(|&afferent| right[afferent].len()).unwrap();
+        assert!(right[afferent].len() > 2 && compare(&trains, &right, 1e-9).is_ok());
+        let changes: [fn(&mut Vec<f64>); 3] = [
+            |spikes| spikes[1] += 2e-9,
+            |spikes| {
+                spikes.remove(1);
+            },
+            |spikes| spikes.push(spikes[spikes.len() - 1] + 1e-5),
+        ];
+        for change in changes {
+            let mut wrong = right.clone();
+            change(&mut wrong[afferent]);
+            compare(&trains, &wrong, 1e-9).unwrap_err();
+        }
+    }
 }
