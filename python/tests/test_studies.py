@@ -20,9 +20,6 @@ import pytest
 import meissner
 from meissner.experiment import SimulatedObserver, Staircase, constant_stimuli, two_afc
 
-# The noise is faster than a motor at its beginning.
-pytestmark = pytest.mark.filterwarnings("ignore:.*is too slow for its motion")
-
 
 @pytest.fixture
 def lab() -> Iterator[meissner.Client]:
@@ -148,93 +145,6 @@ def test_temporal_order_at_5_ms_gives_pse_and_jnd(lab: meissner.Client, tmp_path
     pse, width = likeliest(pairs, answers, lambda soa, pse, width: logistic((soa - pse) / width))
     assert pse == pytest.approx(pse_ms, abs=4)
     assert width == pytest.approx(width_ms, rel=0.5)
-
-
-def test_apparent_motion_with_overlap_gives_the_asynchrony_at_which_two_taps_become_one_motion(
-    lab: meissner.Client, tmp_path: Path
-) -> None:
-    """Two pins in one after the other, the second while the first still vibrates; longer than some 35 ms apart they are two."""
-    chance = random.Random(8)
-    with lab.session("P07", experiment="motion") as session:
-        for trial in constant_stimuli([10, 20, 30, 40, 55, 70], repeats=16, seed=2):
-            pins: list[dict[str, Any]] = [
-                {"pattern": "pin-60"},
-                {"drives": [{"motor": 14, "frequency_hz": 60.0, "amplitude_um": 40.0}], "start": trial["level"] / 1000},
-            ]
-            lab.sequence(pins, seconds=0.1, trial=trial.number).wait()
-            moves = chance.random() < logistic((35 - trial["level"]) / 6)
-            session.answer(trial, "one" if moves else "two")
-    lab.export_bids(session.id, tmp_path, displacement_hz=None)
-    answers = []
-    rows = events(tmp_path)
-    for first, second in zip(rows[::2], rows[1::2], strict=True):
-        soa_s = float(second["onset"]) - float(first["onset"])
-        assert first["trial"] == second["trial"]
-        assert soa_s < float(first["duration"]), "they overlap"
-        answers.append((round(1000 * soa_s), first["response"] == "one"))
-    assert len(answers) == 96
-    pairs = list(itertools.product(grid(15, 60, 46), grid(2, 20, 37)))
-    limit, width = likeliest(pairs, answers, lambda soa, limit, width: logistic((limit - soa) / width))
-    assert limit == pytest.approx(35, abs=6)
-    assert width == pytest.approx(6, rel=0.6)
-
-
-def test_noise_that_masks_raises_the_threshold(lab: meissner.Client, tmp_path: Path) -> None:
-    """A tone of one pin beside noise of its neighbour: the amplitude that is felt in half of the trials, with and without noise."""
-    chance = random.Random(6)
-    thresholds = {"0": 20.0, "60": 40.0}
-    with lab.session("P07", experiment="masking") as session:
-        number = itertools.count(1)
-        for mask, trial in itertools.product(thresholds, constant_stimuli([10, 20, 30, 40, 60], repeats=12, seed=1)):
-            drives = [{"motor": 9, "frequency_hz": 60.0, "amplitude_um": trial["level"]}]
-            noise = [
-                {"motor": 10, "duration_s": 0.2, "low_hz": 5.0, "high_hz": 40.0, "peak_um": float(mask), "seed": 1}
-            ]
-            masked = {"noise": noise} if mask != "0" else {}
-            play = lab.play({"name": "target", "duration_s": 0.2, "drive": drives, **masked}, trial=next(number))
-            play.wait()
-            felt = chance.random() < logistic((trial["level"] - thresholds[mask]) / 6)
-            play.answer("yes" if felt else "no", level=trial["level"], factors={"mask_um": mask})
-    lab.export_bids(session.id, tmp_path, displacement_hz=None)
-    rows = events(tmp_path)
-    assert len(rows) == 120
-    for mask, threshold in thresholds.items():
-        of = [(float(row["level"]), row["response"] == "yes") for row in rows if row["factor_mask_um"] == mask]
-        pairs = list(itertools.product(grid(5, 60, 111), [6.0]))
-        found, _ = likeliest(pairs, of, lambda level, at, width: logistic((level - at) / width))
-        assert found == pytest.approx(threshold, abs=8)
-
-
-def test_noise_is_discriminated_by_its_strength(lab: meissner.Client, tmp_path: Path) -> None:
-    """Two bursts of noise on one pin, a standard of 20 µm peak and a comparison, in either order: PSE and Weber fraction.
-
-    The participant takes the second of two equal bursts for 2 µm stronger, and judges with a standard deviation of 3 µm.
-    """
-    chance = random.Random(12)
-    band = {"motor": 9, "duration_s": 0.08, "low_hz": 10.0, "high_hz": 40.0}
-    with lab.session("P07", experiment="noise") as session:
-        for trial in two_afc([12, 16, 18, 22, 24, 28], repeats=24, seed=4):
-            peaks_um = enumerate(trial.intervals(float(trial["level"]), 20.0), 2 * trial.number)
-            bursts = [{"name": "noise", "noise": [{**band, "seed": seed, "peak_um": um}]} for seed, um in peaks_um]
-            lab.sequence([{"pattern": burst} for burst in bursts], isi=0.1, trial=trial.number).wait()
-            stronger_by = chance.gauss(2, 3 * 2**0.5) + (trial["level"] - 20) * (1 if trial["interval"] == 2 else -1)
-            session.answer(trial, 2 if stronger_by > 0 else 1)
-    lab.export_bids(session.id, tmp_path, displacement_hz=None)
-    answers = []
-    rows = events(tmp_path)
-    assert len(rows) == 288
-    assert len({row["stim_file"] for row in rows}) == 288, "each noise is a new one"
-    for one, two in zip(rows[::2], rows[1::2], strict=True):
-        assert one["trial"] == two["trial"]
-        # The comparison's place and level: how much stronger the second burst is.
-        sign = 1 if one["factor_interval"] == "2" else -1
-        answers.append((sign * (float(one["level"]) - 20), one["response"] == "2"))
-    pairs = list(itertools.product(grid(-6, 10, 65), grid(1, 12, 45)))
-    normal = statistics.NormalDist()
-    shift, width = likeliest(pairs, answers, lambda um, shift, width: normal.cdf((um + shift) / width))
-    # Three standard errors: 0.8 um, and 14 % of the width.
-    assert shift == pytest.approx(2, abs=2.4)
-    assert width / 2**0.5 / 20 == pytest.approx(3 / 20, rel=0.42)
 
 
 def test_reaction_times_stand_beside_the_codes_of_the_trigger(lab: meissner.Client, tmp_path: Path) -> None:

@@ -228,7 +228,12 @@ async function setUp(page, settings = {}, [asked, other] = ["pin-60", "edge-45"]
 const KEYS = { true: "ArrowLeft", false: "ArrowRight" };
 // Answers a trial, right or wrong, and waits until the daemon has the answer.
 async function answer(page, isRight, isFirst, count) {
-  await shows(page, "choice-prompt", "Which interval had pin-60?");
+  // On a busy machine the state grows old at times, which pauses the experiment.
+  await page.waitForFunction(() => {
+    const [prompt, go] = ["choice-prompt", "choice-go"].map((id) => document.getElementById(id));
+    if (prompt.textContent.startsWith("Paused. The state is not known.") && !go.disabled) go.click();
+    return prompt.textContent.includes("Which interval had pin-60?");
+  }, WAIT);
   await page.keyboard.press(KEYS[isFirst === isRight]);
   await shows(page, "choice-count", `${count} of`);
 }

@@ -3,8 +3,7 @@
 `live.py` sends, and reads with a thread. `start` is an operation as in `_operations.py`, and `Updates` numbers the messages of one
 play and gives each its answer.
 
-Bounds: `WINDOW` messages without an answer; of what is sent meanwhile, one message is kept, into which newer ones merge. An
-answered update is the caller's alone. Invariant: every method of `Updates` is called by one thread at a time.
+Bounds: `WINDOW` messages without an answer. An answered update is the caller's alone. Invariant: every method of `Updates` is called by one thread at a time.
 """
 
 from __future__ import annotations
@@ -172,8 +171,6 @@ class Updates:
         self.is_ending = False
         """Whether `end` was sent."""
         self._seq = 0
-        self._held: tuple[Update, dict[str, Any]] | None = None
-        """The message that waits for an answer to those under way."""
         self._problem: tuple[Update, MeissnerError] | None = None
         """The newest refusal that nobody has waited for."""
 
@@ -182,8 +179,13 @@ class Updates:
         """Whether the play is over because its client has ended it."""
         return self.is_over and self.failure is None
 
-    def message(self, drives: Drives | None, pose: Pose | None, scale: float | None) -> tuple[Update, list[str]]:
-        """A message, and what to send now. Raises why the play is over, or an earlier refusal, once."""
+    @property
+    def is_full(self) -> bool:
+        """Whether the next message has to wait for an answer."""
+        return len(self.under_way) >= WINDOW and not self.is_over
+
+    def message(self, drives: Drives | None, pose: Pose | None, scale: float | None) -> tuple[Update, str]:
+        """A message, and its text. Raises why the play is over, or an earlier refusal, once."""
         self.check_open()
         self.raise_problem()
         body: dict[str, Any] = {}
@@ -196,26 +198,9 @@ class Updates:
         # What is no JSON, or more than the daemon takes, is refused here.
         if len(json.dumps(body, allow_nan=False)) > _LONGEST:
             raise ValueError(f"a message of a live play has more than {_LONGEST} bytes: send less")
-        if self._held is not None:
-            body = _merged(self._held[1], body)
         self._seq += 1
-        update = Update(self._seq, self._wait_for)
-        if self._held is not None:
-            older, _ = self._held
-            older._settle({"seq": older.seq, "merged_into": self._seq}, None)
-        self._held = update, body
-        return update, self._next()
-
-    def _next(self) -> list[str]:
-        """The message that waits, if it is its turn."""
-        return [] if len(self.under_way) >= WINDOW or self.is_ending else self._release()
-
-    def _release(self) -> list[str]:
-        if self._held is None:
-            return []
-        (update, body), self._held = self._held, None
-        self.under_way[update.seq] = update
-        return [_http.encode({"seq": update.seq, **body}).decode()]
+        update = self.under_way[self._seq] = Update(self._seq, self._wait_for)
+        return update, _http.encode({"seq": self._seq, **body}).decode()
 
     def check_open(self) -> None:
         """Raises why the play takes no message."""
@@ -223,12 +208,11 @@ class Updates:
         if self.is_ending:
             raise ValueError(f"live play {self.play_id} has ended: start another one with `live(...)`")
 
-    def end(self) -> list[str]:
-        """What ends the play: first the message that waits."""
+    def end(self) -> str:
+        """What ends the play."""
         self.is_ending = True
-        last = self._release()
         self._seq += 1
-        return [*last, json.dumps({"seq": self._seq, "end": True})]
+        return json.dumps({"seq": self._seq, "end": True})
 
     def raise_failure(self) -> None:
         """Raises why the play is over, unless its client has ended it."""
@@ -241,13 +225,12 @@ class Updates:
         if problem is not None:
             raise problem[1]
 
-    def take(self, text: str | bytes) -> list[str]:
-        """Takes an answer of the daemon. Returns what to send now."""
+    def take(self, text: str | bytes) -> None:
+        """Takes an answer of the daemon."""
         try:
             self._answered(json.loads(text))
         except (ValueError, KeyError, TypeError, AttributeError) as error:
             raise UnexpectedAnswer(f"an answer of the live play cannot be read: {text[:60]!r}") from error
-        return self._next()
 
     def _answered(self, answer: dict[str, Any]) -> None:
         seq: int | None = answer["seq"]
@@ -280,12 +263,10 @@ class Updates:
     def over(self, failure: MeissnerError | None) -> None:
         """The play is over: why, unless its client has ended it. No update gets an answer any more."""
         self.failure, self.is_over = failure, True
-        held = [] if self._held is None else [self._held[0]]
-        for update in [*self.under_way.values(), *held]:
+        for update in self.under_way.values():
             lost = ConnectionLost(f"live play {self.play_id} ended before update {update.seq} was answered")
             update._settle(None, failure or update._over or lost)
         self.under_way.clear()
-        self._held = None
 
     def wait_begins(self, update: Update) -> None:
         """Somebody waits for this update from now on, so its refusal is not raised elsewhere."""
@@ -310,15 +291,6 @@ class Updates:
         return ConnectionLost(
             f"the connection of live play {self.play_id} ended ({reason}): the daemon ends the play, and its pins return"
         )
-
-
-def _merged(older: dict[str, Any], newer: dict[str, Any]) -> dict[str, Any]:
-    """Both changes as one message. What both change, the newer one decides."""
-    merged = {**older, **newer}
-    if "drives" in older and "drives" in newer:
-        changed = {drive.get("motor") for drive in newer["drives"]}
-        merged["drives"] = [drive for drive in older["drives"] if drive.get("motor") not in changed] + newer["drives"]
-    return merged
 
 
 def result(core: Core, raw: dict[str, Any]) -> Op[LiveResult]:

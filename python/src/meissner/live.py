@@ -1,7 +1,7 @@
 """Live plays of the client: `with m.live(...) as live`, over a WebSocket of the package websockets.
 
-A thread reads the daemon's answers. The caller's thread writes; it does not wait for the daemon, because the connection's buffer
-holds the messages that may have no answer. `_live.py` has the messages and their answers.
+A thread reads the daemon's answers. The caller's thread writes; it waits for the daemon only while two dozen messages have no answer.
+`_live.py` has the messages and their answers.
 
 Invariant: `Updates` is used, and messages are sent, under one lock. So numbers go out in order.
 """
@@ -12,7 +12,6 @@ import contextlib
 import socket
 import threading
 import time
-from collections.abc import Iterable
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
@@ -45,7 +44,7 @@ class Live(KnownPlay):
     def __init__(self, client: Client, started: Started) -> None:
         """`Client.live()` makes them."""
         super().__init__(client, started.accepted)
-        self._lock = threading.Lock()
+        self._lock = threading.Condition(threading.Lock())
         self._updates = Updates(self.id, started.array, self._wait_for)
         self._is_over = threading.Event()
         self._connection = _open(client.core, started.path)
@@ -57,11 +56,13 @@ class Live(KnownPlay):
         An update that was refused, and that nobody waits for, raises its error at the next call, whose own message is not
         sent then. Raises `PlayStopped` once the daemon has ended the play, and `ConnectionLost` if the connection has ended.
 
-        While two dozen messages have no answer, newer ones wait and merge into the newest.
+        While two dozen messages have no answer, this waits for one.
         """
         with self._lock:
-            update, messages = self._updates.message(drives, pose, scale)
-            self._write(messages)
+            if not self._lock.wait_for(lambda: not self._updates.is_full, END_TIMEOUT):
+                raise ConnectionLost(f"the daemon has not answered live play {self.id} within {END_TIMEOUT:.0f} s")
+            update, message = self._updates.message(drives, pose, scale)
+            self._write(message)
         return update
 
     def pose(
@@ -92,13 +93,12 @@ class Live(KnownPlay):
         """Show that the program is alive, and change nothing. As `send`."""
         return self.send()
 
-    def _write(self, messages: Iterable[str]) -> None:
-        """Sends these. If the connection has ended, the thread finds out why."""
+    def _write(self, message: str) -> None:
+        """Sends this. If the connection has ended, the thread finds out why."""
         from websockets.exceptions import ConnectionClosed
 
         with contextlib.suppress(ConnectionClosed):
-            for message in messages:
-                self._connection.send(message)
+            self._connection.send(message)
 
     def _hang_up(self) -> None:
         """Ends the connection at once: the daemon must not hear calls that nobody has answers for."""
@@ -115,7 +115,8 @@ class Live(KnownPlay):
                 while self._updates.cause is None:
                     answer = self._connection.recv()
                     with self._lock:
-                        self._write(self._updates.take(answer))
+                        self._updates.take(answer)
+                        self._lock.notify_all()
             except (ConnectionClosed, MeissnerError) as error:
                 lost = self._updates.lost(error)
                 self._hang_up()
@@ -125,6 +126,7 @@ class Live(KnownPlay):
         with self._lock:
             self._receipt = receipt or self._receipt
             self._updates.over(failure)
+            self._lock.notify_all()
         self._connection.close()
         self._is_over.set()
 

@@ -155,8 +155,10 @@ def _number(value: Any) -> float:
 
 def _table(pynwb: Any, rows: list[dict[str, Any]], labels: Labels, zero_ns: int) -> Any:
     """A row per stimulus."""
-    numbers = {*"trial scale reached_um first_pulse late_strokes trigger_code onset_uncertainty item".split()}
-    numbers |= {*"start_edge start_edge_tick stop_edge stop_edge_tick response_time level".split()}
+    numbers = {
+        *["trial", "scale", "reached_um", "first_pulse", "late_strokes", "trigger_code", "onset_uncertainty", "item"]
+    }
+    numbers |= {*["start_edge", "start_edge_tick", "stop_edge", "stop_edge_tick", "response_time", "level"]}
     meanings = {**_COLUMNS, **{column.name: f"{column.description}; empty: none" for column in labels.columns}}
     columns: dict[str, list[Any]] = {name: [] for name in ("timestamp", "duration", *meanings)}
     for row in rows:
