@@ -1,6 +1,6 @@
 //! Amendments: which of them change a burst, and until when.
 
-use crate::bench::{Bench, FIRMWARE, SHELLS, burst, stroke, to};
+use crate::bench::{Bench, FIRMWARE, burst, stroke, to};
 use Direction::{Down, Up};
 use firmware_protocol::batch::Stroke;
 use firmware_protocol::message::{HostMessage, Op};
@@ -220,17 +220,4 @@ fn a_move_from_another_height_than_planned_is_not_corrected() {
     assert_eq!(bench.bursts(1), [burst(at, Up, 100), burst(at + 100, Down, 50), burst(at + 400, Down, 60)]);
     let counters = bench.device.counters();
     assert_eq!((counters.shortened, counters.amended), (1, 1));
-}
-
-#[test]
-fn rendering_nothing_changes_nothing() {
-    for shell in SHELLS {
-        let mut bench = Bench::armed(shell);
-        let first = stroke(1, bench.device.ready().0, 20, 10, 20);
-        bench.strokes(&[first]);
-        assert_eq!(bench.device.render(0).ticks, 0);
-        bench.amend(1, 1, first.up, 14);
-        bench.run(200);
-        assert_eq!(bench.bursts(1)[0], burst(first.up.0, Up, 14));
-    }
 }

@@ -34,19 +34,6 @@ fn three(bench: &Bench) -> ([Stroke; 3], [Vec<u8>; 3]) {
 }
 
 #[test]
-fn repeated_frames_are_taken_once() {
-    let mut bench = Bench::armed(FIRMWARE);
-    let (sent, frames) = three(&bench);
-    for bytes in frames.iter().flat_map(|frame| [frame; 3]).chain(&frames) {
-        bench.bytes(bytes);
-    }
-    assert_eq!((bench.status().next_seq, bench.status().credits), (3, POOL as u16 - 6));
-    bench.run(500);
-    assert_eq!(bench.bursts(1), sent.iter().flat_map(planned).collect::<Vec<_>>());
-    assert_eq!((bench.reports(), bench.device.counters().refused), (vec![], 0));
-}
-
-#[test]
 fn frames_out_of_order_are_buffered_until_the_missing_one_arrives() {
     let mut bench = Bench::armed(FIRMWARE);
     let (sent, frames) = three(&bench);

@@ -145,69 +145,6 @@ fn only_an_emergency_stop_cuts_a_seek_and_then_the_position_is_unknown() {
     }
 }
 
-/// A stop flushes the way down that was to push: the pin comes down to rest. A way down that has begun pushes as planned. An e-stop leaves
-/// nothing to push.
-#[test]
-fn a_cut_stroke_returns_to_rest_and_pushes_no_more() {
-    for shell in SHELLS {
-        for cut in 0..70 {
-            for op in [Op::Stop, Op::EStop] {
-                let mut bench = bench(shell, stop(100, 0));
-                let one = stroke(2, bench.soon(), 20, 10, 26);
-                bench.strokes(&[one]);
-                bench.run_to(one.up.0 + cut);
-                let at = bench.device.rendered();
-                bench.control(op);
-                let ups = at.since(one.up).clamp(0, 20);
-                if op == Op::Stop {
-                    bench.settle();
-                    let wanted = if at > one.down { -6 } else { 0 };
-                    assert_eq!(bench.pulses(2).filter(|pulse| pulse.1 == Up).count() as i64, ups);
-                    assert_eq!(bench.net(2), wanted, "{cut} {shell:?}: {:?}", bench.bursts(2));
-                } else {
-                    bench.run(100);
-                    let played = bench.net(2);
-                    assert_eq!(i64::from(bench.device.outstanding(2)), played.max(0), "{cut} {shell:?}");
-                    bench.control(Op::Reset);
-                    bench.control(arm(false, stop(100, 0)));
-                    bench.settle();
-                    assert_eq!(bench.net(2), played.min(0), "{cut} {shell:?}");
-                }
-                bench.run(100);
-                assert!(bench.bursts(2).len() <= 3);
-            }
-        }
-    }
-}
-
-#[test]
-fn a_correction_counts_from_the_planned_way_down_without_its_surplus() {
-    let mut bench = bench(FIRMWARE, stop(100, 0));
-    let one = stroke(2, bench.now + 300, 20, 100, 26);
-    bench.strokes(&[one]);
-    bench.amend(1, 2, one.down, 21);
-    bench.amend(2, 2, one.down, 13);
-    assert_eq!(bench.device.counters().amendments_ignored, 2);
-    bench.amend(3, 2, one.down, 14);
-    bench.run(700);
-    assert_eq!(bench.bursts(2)[1].pulses, 20);
-}
-
-#[test]
-fn an_amendment_lengthens_no_down_burst_against_the_stop() {
-    for shell in SHELLS {
-        for (lower_stop, taken) in [(stop(100, 0), false), (None, true)] {
-            let mut bench = bench(shell, lower_stop);
-            let one = stroke(2, bench.now + 300, 20, 100, 20);
-            bench.strokes(&[one]);
-            bench.amend(1, 2, one.down, 21);
-            bench.run(700);
-            let ignored = bench.device.counters().amendments_ignored;
-            assert_eq!((bench.bursts(2)[1].pulses, ignored), if taken { (21, 0) } else { (20, 1) });
-        }
-    }
-}
-
 /// A way up that an amendment makes shorter leaves pulses down that push. They count, and the correction leaves no more than may be.
 #[test]
 fn pushes_that_a_correction_leaves_are_limited() {

@@ -71,14 +71,6 @@ fn check(bench: &mut Bench, taken: u64, what: &str) {
 }
 
 #[test]
-fn without_an_event_all_strokes_are_taken() {
-    let (mut bench, _) = half_taken(500, BLOCKS);
-    bench.in_pieces = false;
-    check(&mut bench, 32, "all");
-    assert_eq!((bench.device.counters().played, bench.reports().len()), (66, 0));
-}
-
-#[test]
 fn the_onset_of_a_busy_device_decides_on_the_whole_frame() {
     let mut outcomes = std::collections::HashSet::new();
     for ahead in u64::from(HORIZON)..u64::from(HORIZON) + 8 * u64::from(BLOCK) {

@@ -103,33 +103,6 @@ fn in_every_phase_a_replacement_is_whole_or_not_at_all() {
     }
 }
 
-/// A base so long ago that moves from it on were played is as late as one in a running burst: the host counts those moves as withdrawn
-/// unless the device says that it kept them.
-#[test]
-fn what_was_played_since_the_base_keeps_the_rest() {
-    for shell in SHELLS {
-        for (base, new) in [(0, false), (0, true), (1, false), (1, true), (2, false), (5, true)] {
-            let mut bench = Bench::armed(shell);
-            let old = train(1, bench.soon(), 6, PULSES);
-            bench.strokes(&old);
-            // In a pause: so many moves have begun since the base. The second move of a stroke stays with the first.
-            bench.run_to(end(&old[3]) + 1);
-            let played = base;
-            let base = moves(&old)[7 - played].tick.0 + 1;
-            let new = if new { train(1, old[5].up.0, 1, 9) } else { Vec::new() };
-            bench.replace(0b10, 0, base, &new);
-            let rendered = bench.device.rendered();
-            let is_kept = old.iter().any(|old| old.up.0 >= base && old.up < rendered);
-            assert!(is_kept || played < 2);
-            assert_eq!(kept(&bench), vec![0b10; usize::from(is_kept)], "{played} played, {shell:?}");
-            bench.run(1_000);
-            let expected = if is_kept { old.clone() } else { [&old[..4], &new].concat() };
-            assert_eq!(bench.bursts(1), bursts(&expected), "{played} played, {shell:?}");
-            assert_eq!(counted(bench.device.counters()), 2 * (6 + new.len() as u64));
-        }
-    }
-}
-
 /// After a replacement that came too late, frames behind it on the line do not mix with the old strokes.
 #[test]
 fn a_kept_motor_plays_its_old_strokes_until_it_is_replaced_again() {
@@ -174,30 +147,6 @@ fn a_play_or_a_command_ends_what_was_kept() {
         bench.run(1_000);
         assert_eq!(bench.bursts(1), bursts(old.iter().chain(&new)));
     }
-}
-
-#[test]
-fn a_motor_without_new_strokes_falls_silent_and_the_drivers_go_off() {
-    let mut bench = Bench::armed(FIRMWARE);
-    let old: Vec<Vec<Stroke>> =
-        (0..MOTORS as u8).map(|motor| train(motor, bench.soon(), 10, PULSES)).collect();
-    for strokes in &old {
-        bench.strokes(strokes);
-    }
-    bench.run_to(old[0][3].up.0 + 1);
-    let base = Tick(old[0][4].up.0 - 20);
-    bench.replace(u64::MAX, 0, base.0, &[]);
-    let rendered = bench.device.rendered();
-    let stay = old.iter().flat_map(|old| moves(&strokes_before(base.0, old)));
-    let waiting = stay.filter(|to| to.tick >= rendered);
-    assert_eq!(usize::from(bench.status().credits), POOL - waiting.count(), "at most a way down per motor");
-    let (enabled, now) = (bench.enabled_ticks, bench.now);
-    bench.run(2_000);
-    assert!(bench.enabled_ticks - enabled < old[0][4].up.0 - now, "the drivers stay on");
-    for motor in 0..MOTORS as u8 {
-        assert_eq!(bench.bursts(motor), bursts(&old[usize::from(motor)][..4]));
-    }
-    assert_eq!(bench.device.counters().replaced, 2 * 6 * 24);
 }
 
 /// The first move or stroke of each motor decides: if it is late, breaks a limit or comes too soon, the old moves stay in place. So the pin
@@ -410,29 +359,6 @@ fn long_queues_are_searched_in_pieces() {
         let Counters { amended, amendments_ignored, .. } = bench.device.counters();
         assert_eq!((amended, amendments_ignored), (51, 1), "{in_order}");
     }
-}
-
-#[test]
-fn a_full_device_takes_a_replacement_frame_by_frame() {
-    let mut bench = Bench::armed(FIRMWARE);
-    let first = bench.soon();
-    // 42 periods of 24 motors, and room for 16 strokes.
-    for period in 0..42 {
-        let strokes: Vec<Stroke> = (0..MOTORS as u8)
-            .map(|motor| stroke(motor, first + period * PERIOD + 4_000, PULSES, HOLD, PULSES))
-            .collect();
-        bench.strokes(&strokes);
-    }
-    assert_eq!(usize::from(bench.status().credits), POOL - 2 * 42 * 24);
-    for motor in 0..24 {
-        // No denser than the device allows.
-        let new: Vec<Stroke> =
-            (0..16).map(|k| stroke(motor, first + 4_000 + 3 * k * PERIOD, 9, HOLD, 9)).collect();
-        bench.replace(1 << motor, 0, first, &new);
-    }
-    bench.run(9_000);
-    let counters = bench.device.counters();
-    assert_eq!((counters.replaced, counters.played, counters.refused), (2 * 42 * 24, 2 * 16 * 24, 0));
 }
 
 #[test]

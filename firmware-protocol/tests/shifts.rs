@@ -88,61 +88,38 @@ fn a_shift_moves_a_pin_within_its_travel() {
     }
 }
 
-/// The travel of a shift that is cut counts as far as it went: the device drives a shift upwards back, and one downwards to its end.
+/// The travel of a shift that is cut counts as far as it went: the device drives a shift upwards back, and one downwards to its end. An
+/// e-stop comes with a stop before it, or without.
 #[test]
 fn the_travel_of_a_cut_shift_counts_as_far_as_it_went() {
     for shell in SHELLS {
         for (direction, limit) in [(Up, 3_000_i64), (Down, -3_000)] {
-            for stop in (0..160).step_by(7) {
-                for estop in (0..90).step_by(9).map(Some).chain([None]) {
-                    let mut bench = without_stop(shell);
-                    bench.control(shift(2, direction, 40));
-                    bench.run(stop);
-                    bench.control(Op::Stop);
-                    if let Some(estop) = estop {
-                        bench.run(estop);
-                        bench.control(Op::EStop);
-                        bench.control(Op::Reset);
-                        arm_without_stop(&mut bench, false);
-                    }
-                    bench.settle();
-                    bench.is(State::Armed, if estop.is_some() { Cause::Request } else { Cause::Stop });
-                    let net = bench.net(2);
-                    // No pin is left somewhere between.
-                    assert!(net == 0 || net == limit.signum() * 40, "{net} {stop} {estop:?} {shell:?}");
-                    let room = u16::try_from((limit - net).abs()).unwrap();
-                    bench.control(shift(2, direction, room + 1));
-                    assert_eq!(bench.status().refusal, Some(Refusal::Travel), "{stop} {estop:?} {shell:?}");
-                    bench.control(shift(2, direction, room));
-                    assert_eq!(bench.status().refusal, None, "{stop} {estop:?} {shell:?}");
-                }
-            }
-        }
-    }
-}
-
-/// An e-stop in each phase of a shift, without a stop before it.
-#[test]
-fn the_travel_of_a_shift_that_an_e_stop_cuts_counts_as_far_as_it_went() {
-    for shell in SHELLS {
-        for (direction, limit) in [(Up, 3_000_i64), (Down, -3_000)] {
-            for estop in 0..220 {
+            let both = (0..160).step_by(7).flat_map(|stop| {
+                (0..90).step_by(9).map(Some).chain([None]).map(move |estop| (Some(stop), estop))
+            });
+            for (stop, estop) in both.chain((0..220).map(|estop| (None, Some(estop)))) {
                 let mut bench = without_stop(shell);
                 bench.control(shift(2, direction, 40));
-                bench.run(estop);
-                bench.control(Op::EStop);
-                bench.run(100);
-                bench.control(Op::Reset);
-                arm_without_stop(&mut bench, false);
+                if let Some(stop) = stop {
+                    bench.run(stop);
+                    bench.control(Op::Stop);
+                }
+                if let Some(estop) = estop {
+                    bench.run(estop);
+                    bench.control(Op::EStop);
+                    bench.control(Op::Reset);
+                    arm_without_stop(&mut bench, false);
+                }
                 bench.settle();
-                bench.is(State::Armed, Cause::Request);
+                bench.is(State::Armed, if estop.is_some() { Cause::Request } else { Cause::Stop });
                 let net = bench.net(2);
-                assert!(net == 0 || net == limit.signum() * 40, "{net} {direction:?} {estop} {shell:?}");
+                // No pin is left somewhere between.
+                assert!(net == 0 || net == limit.signum() * 40, "{net} {stop:?} {estop:?} {shell:?}");
                 let room = u16::try_from((limit - net).abs()).unwrap();
                 bench.control(shift(2, direction, room + 1));
-                assert_eq!(bench.status().refusal, Some(Refusal::Travel), "{direction:?} {estop} {shell:?}");
+                assert_eq!(bench.status().refusal, Some(Refusal::Travel), "{stop:?} {estop:?} {shell:?}");
                 bench.control(shift(2, direction, room));
-                assert_eq!(bench.status().refusal, None, "{direction:?} {estop} {shell:?}");
+                assert_eq!(bench.status().refusal, None, "{stop:?} {estop:?} {shell:?}");
             }
         }
     }

@@ -66,34 +66,24 @@ fn verdict_of(seq: u16, late: u64, rendered: Tick) -> Report {
 }
 
 #[test]
-fn a_stroke_is_late_one_tick_before_the_drivers_are_ready_and_then_dropped_whole() {
+fn a_move_up_is_late_one_tick_before_the_drivers_are_ready_and_a_stroke_is_dropped_whole() {
     for shell in SHELLS {
         for offset in 0..40 {
             let mut bench = Bench::armed(shell);
             bench.run(offset);
             let ready = bench.device.ready();
             let (missed, just) = (stroke(1, ready.0 - 1, 9, 500, 9), stroke(2, ready.0, 9, 500, 9));
-            bench.strokes(&[missed, just]);
+            let mut packer = Packer::<BATCH_BYTES>::new(Tick(ready.0 - 1));
+            packer.moves(&to(3, ready.0 - 1, 9)).unwrap();
+            packer.stroke(&missed).unwrap();
+            packer.stroke(&just).unwrap();
+            packer.moves(&to(4, ready.0, 9)).unwrap();
+            bench.frame(None, ready.0 - 1, packer.bytes());
             bench.run(800);
             assert_eq!((bench.bursts(1), bench.bursts(2)), (vec![], bursts(&[just])));
-            assert_eq!(bench.reports(), [verdict_of(0, 0b11, ready)]);
-            assert_eq!((bench.device.counters().late, bench.device.counters().played), (2, 2));
-        }
-    }
-}
-
-#[test]
-fn a_move_up_is_late_one_tick_before_the_drivers_are_ready_and_then_dropped() {
-    for shell in SHELLS {
-        for offset in 0..40 {
-            let mut bench = Bench::armed(shell);
-            bench.run(offset);
-            let ready = bench.device.ready();
-            bench.moves(&[to(1, ready.0 - 1, 9), to(2, ready.0, 9)]);
-            bench.run(800);
-            assert_eq!((bench.bursts(1), bench.bursts(2)), (vec![], vec![burst(ready.0, Up, 9)]));
-            assert_eq!(bench.reports(), [verdict_of(0, 0b01, ready)]);
-            assert_eq!((bench.device.counters().late, bench.device.counters().played), (1, 1));
+            assert_eq!((bench.bursts(3), bench.bursts(4)), (vec![], vec![burst(ready.0, Up, 9)]));
+            assert_eq!(bench.reports(), [verdict_of(0, 0b00_0111, ready)]);
+            assert_eq!((bench.device.counters().late, bench.device.counters().played), (3, 3));
         }
     }
 }
@@ -322,63 +312,4 @@ fn a_stroke_less_than_a_millisecond_after_the_one_before_is_refused() {
     bench.replace(0b10, 0, first.up.0, &[second]);
     bench.run(300);
     assert_eq!((bench.bursts(1), bench.device.counters().refused), (bursts(&[second]), 0));
-}
-
-#[test]
-fn strokes_without_a_pause_between_them_are_played_as_sent() {
-    for shell in SHELLS {
-        let mut bench = Bench::armed(shell);
-        let mut sent = Vec::new();
-        let mut next = 0;
-        // Each as soon as possible, sent just before, during or after the one before.
-        for k in 0..60 {
-            let stroke = stroke(1, next.max(bench.device.ready().0), 3, LEAST_APART - 6 + k % 2, 3);
-            bench.strokes(&[stroke]);
-            next = end(&stroke);
-            sent.push(stroke);
-            bench.run(80 + k % 11);
-        }
-        bench.run(400);
-        assert_eq!(bench.bursts(1), bursts(&sent));
-        assert_eq!((bench.device.counters().late, bench.device.counters().shortened), (0, 0));
-    }
-}
-
-/// A stroke that begins before the pin is down goes up from where the pin is. The levels are reached, and nothing adds up.
-#[test]
-fn a_stroke_that_begins_before_the_pin_is_down_shortens_the_way_down() {
-    for shell in SHELLS {
-        for after in 1..60 {
-            let mut bench = Bench::armed(shell);
-            let first = stroke(1, bench.soon(), 40, 50, 40);
-            let second = stroke(1, first.down.0 + after, 40, 50, 40);
-            bench.strokes(&[first, second]);
-            bench.run(600);
-            let way = after.min(40);
-            let expected = [
-                burst(first.up.0, Up, 40),
-                burst(first.down.0, Down, way),
-                burst(second.up.0, Up, way),
-                burst(second.down.0, Down, 40),
-            ];
-            assert_eq!(bench.bursts(1), expected, "{after} {shell:?}");
-            assert_eq!(bench.device.counters().shortened, u64::from(after < 40));
-        }
-    }
-}
-
-#[test]
-fn a_line_is_low_between_two_strokes_wherever_the_second_arrives() {
-    for shell in SHELLS {
-        for delay in 0..70 {
-            let mut bench = Bench::armed(shell);
-            let first = stroke(1, bench.soon(), 3, 3, 3);
-            bench.strokes(&[first]);
-            bench.run_to(end(&first) - 66 + delay);
-            let second = stroke(1, bench.now + 1_000, 3, 3, 3);
-            bench.strokes(&[second]);
-            bench.run(1_200);
-            assert_eq!(bench.bursts(1), bursts(&[first, second]), "{delay} {shell:?}");
-        }
-    }
 }

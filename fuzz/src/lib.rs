@@ -4,11 +4,8 @@
 //!
 //! | module | what it tries |
 //! |---|---|
-//! | [`frames`] | bytes to frames, and back |
-//! | [`batches`] | packed moves, strokes, rows and amendments |
 //! | [`controller`] | the controller, under the [`shell`] |
 //! | [`session`] | the host's session, with a device that lies |
-//! | [`link`] | session and controller over a line that loses, repeats and damages frames |
 //! | [`array`] | descriptions of arrays |
 //! | [`documents`] | files that people write, records, bodies of requests |
 //! | [`http`] | requests to the daemon |
@@ -20,14 +17,11 @@
 //! Invariant: a target is a function of its bytes, except [`http`], whose daemon keeps its state between two inputs.
 
 pub mod array;
-pub mod batches;
 pub mod controller;
 #[cfg(feature = "program")]
 pub mod documents;
-pub mod frames;
 #[cfg(feature = "program")]
 pub mod http;
 pub mod input;
-pub mod link;
 pub mod session;
 pub mod shell;

@@ -12,8 +12,6 @@ pub const MOTORS_PER_CHIP: usize = 2;
 pub const DRIVER_LEAD: u32 = 43;
 /// Farthest that moves and a stroke take a pin from the lower stop, pulses.
 pub const WHOLE_TRAVEL: u16 = 6_900;
-/// Distance of neighbouring pins, mm.
-pub const PITCH_MM: f64 = 2.9;
 /// Travel of a shaft per pulse, µm.
 pub const UM_PER_PULSE: f64 = 0.95 / 7.0;
 /// Pulses per second.
@@ -22,8 +20,6 @@ pub const TICK_HZ: u32 = 85_000;
 pub const RATE: TickRate = TickRate::new(TICK_HZ);
 /// Ticks of a second.
 pub const TICKS_PER_S: u64 = 85_000;
-/// Ticks of a millisecond.
-pub const TICKS_PER_MS: u64 = 85;
 /// Half ticks of a second.
 pub const HALF_TICKS_PER_S: f64 = 170_000.0;
 /// The window of the moving average, half ticks: 4.3 ms.
