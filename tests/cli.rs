@@ -389,11 +389,6 @@ simulate x --method quick
 simulate x --model skin
 simulate x --csv --json
 simulate x --method exact --step-us 5
-simulate x --method exact --precision f32
-simulate x --max-rate-error 1 --method exact
-simulate x --max-rate-error 1 --step-us 5
-simulate x --max-rate-error 1 --integrator euler
-simulate x --max-rate-error 1 --precision f64
 simulate x --step-us 0.5
 tradeoff x --method exact
 ";
