@@ -101,7 +101,7 @@ pub use method::{
     Integrator, Keep, MAX_SPIKES, Method, MethodError, Options, SEARCH_MIN_WEIGHT, STEP_US, Stepping,
 };
 pub use ramps::{MAX_RAMPS, Ramps, RampsError, simulate_ramps};
-pub use scene::{TwoNames, as_written, check_model, one_name};
+pub use scene::check_model;
 pub use scene::{MAX_ALPHA_PER_UM, ModelName, Problem};
 pub use scene::{RawAfferent, Scene, SceneError};
 pub use simulation::{Answer, simulate};
