@@ -9,8 +9,8 @@ use tempfile::TempDir;
 const SMALL: &str = r#"
 duration_s = 0.1
 seed = 3
-receptors = [{ x_mm = 0, y_mm = 1.45 }, { x_mm = -1.5, y_mm = 1.2 }, { x_mm = 8.5, y_mm = -7 }]
-receptor = { noise_sd = 0.05 }
+afferents = [{ x_mm = 0, y_mm = 1.45 }, { x_mm = -1.5, y_mm = 1.2 }, { x_mm = 8.5, y_mm = -7 }]
+afferent = { noise_sd = 0.05 }
 [[drives]]
 motor = 9
 frequency_hz = 80
@@ -43,24 +43,10 @@ fn the_exact_method_is_the_default_and_its_document_complete() {
     let found = simulated(&[]);
     let mut keys: Vec<_> = found.as_object().unwrap().keys().collect();
     keys.sort_unstable();
-    let mut wanted = [
-        "model",
-        "method",
-        "step_us",
-        "integrator",
-        "precision",
-        "chosen",
-        "spikes_s",
-        "rates_hz",
-        "skipped",
-        "wall_s",
-    ];
-    wanted.sort_unstable();
-    assert_eq!(keys, wanted);
+    let wanted = "integrator method model rates_hz skipped spikes_s step_us wall_s";
+    assert_eq!(keys, wanted.split(' ').collect::<Vec<_>>());
     assert_eq!(found["method"], "exact");
-    for key in ["step_us", "integrator", "precision", "chosen"] {
-        assert!(found[key].is_null(), "{key}");
-    }
+    assert!(found["step_us"].is_null() && found["integrator"].is_null());
     let spikes: Vec<Vec<f64>> = serde_json::from_value(found["spikes_s"].clone()).unwrap();
     let rates: Vec<f64> = spikes.iter().map(|train| train.len() as f64 / 0.1).collect();
     assert_eq!(numbers(&found["rates_hz"]), rates);
@@ -78,18 +64,18 @@ fn the_exact_method_is_the_default_and_its_document_complete() {
 }
 
 #[test]
-fn a_step_an_integrator_or_a_precision_means_stepped() {
-    let how = |arguments: &[&str]| {
+fn a_step_or_an_integrator_means_stepped() {
+    for (arguments, step_us, integrator) in [
+        (&["--method", "stepped"][..], 200, "propagator"),
+        (&["--step-us", "50"], 50, "propagator"),
+        (&["--integrator", "euler"], 200, "euler"),
+    ] {
         let found = simulated(arguments);
-        assert_eq!(found["method"], "stepped");
-        (found["step_us"].clone(), found["integrator"].clone(), found["precision"].clone())
-    };
-    let how_it_is =
-        |step: u32, integrator: &str, precision: &str| (json!(step), json!(integrator), json!(precision));
-    assert_eq!(how(&["--method", "stepped"]), how_it_is(200, "propagator", "f32"));
-    assert_eq!(how(&["--step-us", "50"]), how_it_is(50, "propagator", "f32"));
-    assert_eq!(how(&["--integrator", "euler"]), how_it_is(200, "euler", "f32"));
-    assert_eq!(how(&["--precision", "f64", "--step-us", "7"]), how_it_is(7, "propagator", "f64"));
+        assert_eq!(
+            (&found["method"], &found["step_us"], &found["integrator"]),
+            (&json!("stepped"), &json!(step_us), &json!(integrator))
+        );
+    }
 }
 
 /// The second model: two classes beside one pin, moved by a formula.
@@ -155,19 +141,6 @@ fn rates_without_spikes_are_the_same_rates() {
 }
 
 #[test]
-fn an_allowed_error_chooses_a_method_and_names_it() {
-    let found = simulated(&["--max-rate-error", "20"]);
-    assert!(found["chosen"]["estimated_rate_error_hz"].as_f64().unwrap() <= 20.0);
-    assert_eq!(found["chosen"]["sampled"], 3);
-    let (_dir, file) = scene(SMALL);
-    let output = meissner().arg("simulate").arg(&file).args(["--max-rate-error", "20"]).output().unwrap();
-    let said = String::from_utf8(output.stderr).unwrap();
-    assert!(said.starts_with("chosen: ") && said.lines().count() == 1, "{said}");
-    let method = said.strip_prefix("chosen: ").unwrap().split(',').next().unwrap();
-    assert!(String::from_utf8(output.stdout).unwrap().contains(method));
-}
-
-#[test]
 fn without_json_the_command_prints_a_summary() {
     let (_dir, file) = scene(SMALL);
     let text = printed(meissner().arg("simulate").arg(&file));
@@ -181,7 +154,7 @@ fn without_json_the_command_prints_a_summary() {
     ] {
         assert!(text.contains(part), "{part}: {text}");
     }
-    let empty = "duration_s = 0\nreceptors = []\n";
+    let empty = "duration_s = 0\nafferents = []\n";
     let text = printed(meissner().args(["simulate", "-"]).write_stdin(empty));
     assert!(text.contains("afferents  0, for 0 s") && text.contains("rate       -"), "{text}");
 }
@@ -193,7 +166,7 @@ fn a_scene_on_stdin_may_be_toml_or_json() {
         let found = document(meissner().args(["simulate", "-", "--json"]).write_stdin(text));
         assert_eq!(found["spikes_s"], simulated(&[])["spikes_s"]);
     }
-    let line = complaint(meissner().args(["simulate", "-"]).write_stdin("duration_s = -1\nreceptors = []"));
+    let line = complaint(meissner().args(["simulate", "-"]).write_stdin("duration_s = -1\nafferents = []"));
     assert!(line.contains("stdin: `duration_s` is -1"), "{line}");
 }
 
@@ -207,8 +180,6 @@ fn a_scene_that_cannot_be_simulated_is_refused_in_one_line() {
         (&["a\nb"], "a\\nb: cannot be read"),
         (&[file, "--step-us", "0"], "a step of 0 us: must be 1 to 1000000 us"),
         (&[file, "--step-us", "44001", "--integrator", "euler"], "unstable with a step of 44001 us"),
-        (&[file, "--max-rate-error", "-1"], "a rate error of -1"),
-        (&[file, "--max-rate-error", "nan"], "a rate error of NaN"),
     ] {
         let line = complaint(meissner().arg("simulate").args(arguments));
         assert!(line.contains(says), "{line}");
@@ -230,7 +201,7 @@ fn the_tradeoff_has_a_row_for_every_method_and_step() {
     let (_dir, file) = scene(&fast_membrane());
     let found = document(meissner().arg("tradeoff").arg(&file).arg("--json"));
     let rows = found["rows"].as_array().unwrap();
-    assert_eq!(rows.len(), 1 + 4 * STEPS_US.len());
+    assert_eq!(rows.len(), 1 + 2 * STEPS_US.len());
     assert!(found["left_out"].is_null());
     let exact = &rows[0];
     assert_eq!((&exact["method"], &exact["spikes_matched_share"]), (&json!("exact"), &json!(1.0)));
@@ -241,24 +212,25 @@ fn the_tradeoff_has_a_row_for_every_method_and_step() {
         exact["us_per_receptor_s"].as_f64().unwrap() > 0.0 && found["exact_wall_s"].as_f64().unwrap() > 0.0
     );
     for integrator in ["euler", "propagator"] {
-        for precision in ["f32", "f64"] {
-            for step_us in STEPS_US {
-                let of = |row: &&Value| {
-                    (&row["integrator"], &row["precision"]) == (&json!(integrator), &json!(precision))
-                        && row["step_us"] == step_us
-                };
-                let row = rows.iter().find(of).unwrap();
-                let unstable = integrator == "euler" && step_us > 1500;
-                assert_eq!(row["unstable"], unstable, "{row}");
-                assert_eq!(row["rate_rms_hz"].is_number(), !unstable, "{row}");
-                assert_eq!(row["us_per_receptor_s"].is_number(), !unstable, "{row}");
-                assert_eq!(row["reason"].is_string(), unstable, "{row}");
-            }
+        let of_step = |step_us: u32| {
+            let of = |row: &&Value| row["integrator"] == integrator && row["step_us"] == step_us;
+            rows.iter().find(of).unwrap()
+        };
+        for step_us in STEPS_US {
+            let row = of_step(step_us);
+            let unstable = integrator == "euler" && step_us > 1500;
+            assert_eq!(row["unstable"], unstable, "{row}");
+            assert_eq!(row["rate_rms_hz"].is_number(), !unstable, "{row}");
+            assert_eq!(row["us_per_receptor_s"].is_number(), !unstable, "{row}");
+            assert_eq!(row["reason"].is_string(), unstable, "{row}");
         }
+        let [fine_us, coarse_us] =
+            [1, 1000].map(|step_us| of_step(step_us)["mean_error_us"].as_f64().unwrap());
+        assert!(fine_us < 1.0 && fine_us < coarse_us, "{integrator}: {fine_us} {coarse_us}");
     }
     assert!((found["euler_unstable_above_us"].as_f64().unwrap() - 3000.0).abs() < 1e-6);
     let text = printed(meissner().arg("tradeoff").arg(&file));
-    for part in ["propagator in f64 at 5000 us", "no: refused", "between tau (0.0015 s) and 2 tau"] {
+    for part in ["propagator at 5000 us", "no: refused", "between tau (0.0015 s) and 2 tau"] {
         assert!(text.contains(part), "{part}: {text}");
     }
     assert_eq!(
@@ -266,6 +238,18 @@ fn the_tradeoff_has_a_row_for_every_method_and_step() {
         1,
         "{text}"
     );
+}
+
+#[test]
+fn steps_that_take_too_long_are_left_out_and_named() {
+    let (_dir, file) =
+        scene(&SMALL.replace("0.1\nseed", "250\nseed").replace("amplitude_um = 80", "amplitude_um = 0"));
+    let found = document(meissner().arg("tradeoff").arg(&file).arg("--json"));
+    assert_eq!(found["left_out"]["steps_us"], json!([1]));
+    let rows = found["rows"].as_array().unwrap();
+    assert_eq!(rows.len(), 1 + 2 * 11);
+    // Nothing fires, so no share of spikes has a meaning.
+    assert!(rows.iter().all(|row| row["spikes_matched_share"].is_null() && row["rate_bias"].is_null()));
 }
 
 #[test]

@@ -13,9 +13,7 @@ use meissner_array::strokes::{StrokeOptions, Strokes};
 use meissner_paper::{Play, predict_response};
 use meissner_skin::afferents;
 use meissner_skin::membrane::Position;
-use meissner_skin::{
-    Evaluator, Integrator, Keep, Method, Options, Precision, SEARCH_MIN_WEIGHT, Scene, Stepping, simulate,
-};
+use meissner_skin::{Evaluator, Integrator, Keep, Method, Options, SEARCH_MIN_WEIGHT, Scene, simulate};
 use rayon::{ThreadPool, ThreadPoolBuilder};
 use std::hint::black_box;
 use std::time::Duration;
@@ -29,18 +27,12 @@ fn threads(count: usize) -> ThreadPool {
     ThreadPoolBuilder::new().num_threads(count).build().expect("threads can be started")
 }
 
-fn stepped(precision: Precision) -> Method {
-    Method::Stepped(Stepping { step_us: 200, integrator: Integrator::Propagator, precision })
-}
-
 fn whole(criterion: &mut Criterion) {
     let scene = scene();
-    let euler = Stepping { step_us: 200, integrator: Integrator::Euler, precision: Precision::F32 };
     let methods = [
         ("exact", Method::Exact),
-        ("stepped_f32_200us", stepped(Precision::F32)),
-        ("stepped_f64_200us", stepped(Precision::F64)),
-        ("euler_f32_200us", Method::Stepped(euler)),
+        ("propagator_200us", Method::stepped(200, Integrator::Propagator)),
+        ("euler_200us", Method::stepped(200, Integrator::Euler)),
     ];
     let mut group = criterion.benchmark_group("second");
     group.measurement_time(Duration::from_secs(5));
@@ -151,11 +143,6 @@ fn faster(scene: &Scene, motor: u8) -> Vec<Drive> {
 /// Changes the frequency of one motor after the other: the mean time over all.
 fn changed(criterion: &mut Criterion) {
     let scene = scene();
-    let coarsely = Method::Stepped(Stepping {
-        step_us: 500,
-        integrator: Integrator::Propagator,
-        precision: Precision::F32,
-    });
     let search = Options { min_weight: SEARCH_MIN_WEIGHT, ..Options::rates(Method::Exact) };
     let rates =
         |options| simulate(&scene, &options, &|_| ()).expect("the scene can be simulated").rates_hz(&scene);
@@ -169,10 +156,12 @@ fn changed(criterion: &mut Criterion) {
         ("exact", Options::rates(Method::Exact)),
         ("exact_searching", search),
         (
-            "stepped_searching",
-            Options { min_weight: SEARCH_MIN_WEIGHT, ..Options::rates(stepped(Precision::F32)) },
+            "stepped_500us_searching",
+            Options {
+                min_weight: SEARCH_MIN_WEIGHT,
+                ..Options::rates(Method::stepped(500, Integrator::Propagator))
+            },
         ),
-        ("stepped_500us_searching", Options { min_weight: SEARCH_MIN_WEIGHT, ..Options::rates(coarsely) }),
     ] {
         group.bench_function(format!("{name}/whole"), |bencher| {
             pool.install(|| bencher.iter(|| simulate(black_box(&scene), &options, &|_| ())));

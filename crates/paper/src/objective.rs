@@ -11,9 +11,7 @@ use crate::point::Point;
 use crate::target::{Frame, Target};
 use meissner_array::pattern::Drive;
 use meissner_skin::membrane::{self, MIN_WEIGHT, Position};
-use meissner_skin::{
-    Candidate, Evaluator, Integrator, Method, MethodError, Options, Precision, Scene, Stepping,
-};
+use meissner_skin::{Candidate, Evaluator, Integrator, Method, MethodError, Options, Scene};
 use rayon::prelude::*;
 
 const EVERY_DRIVE: &str = "a scene can have every drive of a space";
@@ -34,9 +32,8 @@ impl Fidelity {
     pub const FULL: Self = Self { duration_s: 1.0, step_us: None, min_weight: MIN_WEIGHT };
 
     fn options(self) -> Options {
-        let stepping =
-            |step_us| Stepping { step_us, integrator: Integrator::Propagator, precision: Precision::F32 };
-        let method = self.step_us.map_or(Method::Exact, |step_us| Method::Stepped(stepping(step_us)));
+        let propagator = |step_us| Method::stepped(step_us, Integrator::Propagator);
+        let method = self.step_us.map_or(Method::Exact, propagator);
         Options { min_weight: self.min_weight, ..Options::rates(method) }
     }
 }

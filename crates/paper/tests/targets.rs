@@ -19,7 +19,7 @@ amplitude_um = 80
 [population]
 seed = 3
 
-[receptor]
+[afferent]
 noise_sd = 0.01
 
 [motion]
@@ -57,23 +57,6 @@ fn named(rest: &str) -> Result<Target, String> {
 fn reads_back(target: &Target) {
     let text = toml::to_string(&target.definition()).unwrap();
     assert_eq!(Target::read(&text, "again.toml").as_ref(), Ok(target), "{text}");
-}
-
-#[test]
-fn the_table_of_the_afferent_model_may_have_its_old_name() {
-    let new = TOML.replace("[receptor]", "[afferent]");
-    assert_eq!(read(&new), read(TOML));
-    for (good, bad, says) in [
-        ("noise_sd = 0.01", "noise_sd = -1", "bad.toml:12: `afferent.noise_sd` is -1"),
-        (
-            "[afferent]",
-            "[receptor]\n[afferent]",
-            "`afferent` and `receptor` are both there and mean the same",
-        ),
-    ] {
-        let line = read(&new.replacen(good, bad, 1)).unwrap_err();
-        assert!(line.contains(says), "{line}");
-    }
 }
 
 #[test]
@@ -145,11 +128,11 @@ seed = 3 => seeds = 3
 seed = 3 => seed = -3
     9: `population.seed` is integer `-3`: must be a whole number, 0 or more
 noise_sd = 0.01 => noise_sd = -1
-    12: `receptor.noise_sd` is -1: must be 0 to 1000000
+    12: `afferent.noise_sd` is -1: must be 0 to 1000000
 noise_sd = 0.01 => noise = 1
-    12: `receptor`: unknown key `noise`: did you mean `noise_sd`?
+    12: `afferent`: unknown key `noise`: did you mean `noise_sd`?
 noise_sd = 0.01 => rectify = "hlaf"
-    12: `receptor.rectify` is `hlaf`: must be half, full or signed
+    12: `afferent.rectify` is `hlaf`: must be half, full or signed
 duration_s = 1 =>
     14: `motion.duration_s` is missing: add the duration of the motion, in s
 duration_s = 1 => duration_s = 0

@@ -6,7 +6,7 @@
 //! D is counted in half pulses and time in half ticks. So for strokes every D is a whole number, and at rest it is exactly 0. If
 //! bursts differ in their travel, D is counted in [`Parts`] of a half pulse of the motor's fastest burst.
 //!
-//! That a shaft follows its pulses as their mean over a window is known here alone; `cycle`, `blocks` and `choose` know how long a
+//! That a shaft follows its pulses as their mean over a window is known here alone; `blocks` knows how long a
 //! pulse has an effect.
 //!
 //! Invariant: a motor's breakpoints are in order of time.

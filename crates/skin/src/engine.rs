@@ -7,24 +7,24 @@
 //! Invariant: the answer for an afferent depends on the scene and its number, not on tiles, blocks or threads.
 
 use crate::blocks::Blocks;
-use crate::cycle;
 use crate::exact;
 use crate::member::{Member, by_place, grouped, motors_of};
 use crate::membrane::equation::Membrane;
 use crate::membrane::silence::Bound;
-use crate::method::{Integrator, Keep, MAX_SPIKES, Method, MethodError, Options, Precision, Stepping};
+use crate::method::{Integrator, Keep, MAX_SPIKES, Method, MethodError, Options, Stepping};
 use crate::sampler::TILE;
 use crate::scene::Scene;
+use crate::simd::LANES;
 use crate::stepped::{self, Block, StepModel};
 use crate::time::end;
-use crate::track::{self, Column, Sample, Track, Tracks};
+use crate::track::{Column, Track, Tracks};
 use meissner_array::per_motor::PerMotor;
 use pulp::Arch;
 use rayon::prelude::*;
 use std::sync::Arc;
 
 /// What a simulation skipped. The answer is the same as without skipping.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Skipped {
     /// Motors without a stroke: their input is 0.
     pub motors_at_rest: u32,
@@ -34,10 +34,6 @@ pub struct Skipped {
     pub afferents_out_of_reach: u64,
     /// Afferents whose input stays below their first threshold, even if no parts of it cancel.
     pub afferents_below_threshold: u64,
-    /// Afferent-seconds after a state that had occurred before, bit by bit.
-    pub repeated_afferent_s: f64,
-    /// Afferents that no change since the last evaluation reaches.
-    pub afferents_reused: u64,
 }
 
 /// Afferents in a tile.
@@ -76,16 +72,6 @@ pub(crate) fn run_on(
 ) -> Result<Skipped, MethodError> {
     let work = Work { arch, ..Work::new(scene, options, tracks, &[]) };
     work.run(&by_place(scene, numbers), progress, give)
-}
-
-/// The afferents that are not proven silent: a method may find spikes there.
-pub(crate) fn may_fire(scene: &Scene, numbers: &[u32], options: &Options) -> Vec<u32> {
-    let tracks = track::of_scene(scene, options.method);
-    let work = Work::new(scene, options, &tracks, &[]);
-    let members = numbers.iter().map(|&number| work.member(number));
-    let mut members: Vec<_> = members.filter(|member| member.motors != 0).collect();
-    work.silent(&mut members);
-    members.into_iter().map(|member| member.number).collect()
 }
 
 pub(crate) struct Work<'w> {
@@ -173,11 +159,8 @@ impl<'w> Work<'w> {
             silent.into_iter().for_each(|number| give((number, 0, Vec::new())));
         }
         match self.options.method {
-            Method::Exact => skipped.repeated_afferent_s += self.exact(members, progress, give)?,
-            Method::Stepped(stepping) => match stepping.precision {
-                Precision::F32 => self.stepped::<f32>(stepping, members, progress, give)?,
-                Precision::F64 => self.stepped::<f64>(stepping, members, progress, give)?,
-            },
+            Method::Exact => self.exact(members, progress, give)?,
+            Method::Stepped(stepping) => self.stepped(stepping, members, progress, give)?,
         }
         Ok(reaching)
     }
@@ -231,51 +214,36 @@ impl<'w> Work<'w> {
         PerMotor::from_fn(array, |motor| self.tracks[usize::from(motor)].filter(|_| motors >> motor & 1 == 1))
     }
 
-    /// Simulates members exactly; returns the afferent-seconds that were repetitions.
+    /// Simulates members exactly.
     fn exact(
         &self,
         members: Vec<Member>,
         progress: &(dyn Fn(f64) + Sync),
         give: &mut Give<'_>,
-    ) -> Result<f64, MethodError> {
+    ) -> Result<(), MethodError> {
         if members.is_empty() {
-            return Ok(0.0);
+            return Ok(());
         }
         let tracks = self.tracks_of(motors_of(&members));
         let array = self.scene.array();
         let mut blocks = Blocks::new(&array, tracks.iter().copied().flatten(), self.end);
         let keep = self.options.keep == Keep::Spikes;
-        let noiseless = self.options.skip && self.scene.model().noise_sd == 0.0;
-        let periods = noiseless.then(|| cycle::periods(array, self.scene.drives(), self.end));
-        let (numbers, mut groups): (Vec<_>, Vec<_>) = grouped(members, exact::LANES)
-            .map(|(numbers, members)| {
-                (numbers, exact::Group::new(&array, members, &self.membrane, periods.as_ref(), self.end))
-            })
+        let (numbers, mut groups): (Vec<_>, Vec<_>) = grouped(members, LANES)
+            .map(|(numbers, members)| (numbers, exact::Group::new(&array, members, &self.membrane, self.end)))
             .unzip();
         let mut block = Vec::new();
-        while groups.iter().any(exact::Group::goes_on) && blocks.next_into(&mut block) {
+        while blocks.next_into(&mut block) {
             groups.par_iter_mut().for_each(|group| group.run(self.arch, &self.membrane, &block, keep));
             progress(blocks.reached() / self.end);
             within_bounds(groups.iter().map(exact::Group::kept).sum())?;
         }
-        // Repeated spikes are stored only if there are few enough.
-        if keep {
-            within_bounds(groups.iter().map(exact::Group::to_keep).sum())?;
-        }
         let trains: Vec<_> =
             groups.into_par_iter().map(|group| group.finish(self.arch, &self.membrane, keep)).collect();
-        let mut repeated = 0.0;
-        for (numbers, (trains, half_ticks)) in numbers.into_iter().zip(trains) {
-            repeated += half_ticks;
-            numbers
-                .into_iter()
-                .zip(trains)
-                .for_each(|(number, (count, spikes))| give((number, count, spikes)));
-        }
-        Ok(repeated / array.rate().half_ticks_per_s())
+        give_all(numbers, trains, give);
+        Ok(())
     }
 
-    fn stepped<T: Sample>(
+    fn stepped(
         &self,
         stepping: Stepping,
         members: Vec<Member>,
@@ -285,11 +253,11 @@ impl<'w> Work<'w> {
         let length = stepping.half_ticks(self.scene.array().rate());
         let model = StepModel::new(&self.membrane, stepping.integrator, length);
         let tracks = self.tracks_of(motors_of(&members));
-        let (numbers, mut groups): (Vec<_>, Vec<_>) = grouped(members, stepped::LANES)
-            .map(|(numbers, members)| (numbers, stepped::Group::<T>::new(tracks.len(), members)))
+        let (numbers, mut groups): (Vec<_>, Vec<_>) = grouped(members, LANES)
+            .map(|(numbers, members)| (numbers, stepped::Group::new(tracks.len(), members)))
             .unzip();
         // The samples are a tenth of the work: make them in parallel, too.
-        let column = |track: &Option<&'w Track>| track.and_then(Column::<T>::of);
+        let column = |track: &Option<&'w Track>| track.and_then(Column::of);
         let mut columns: Vec<_> = tracks.par_iter().with_min_len(4).map(column).collect();
         let steps = (self.end / length).ceil() as u64;
         let mut first = 0;
@@ -297,7 +265,7 @@ impl<'w> Work<'w> {
             let count = (steps - first).min(STEPS);
             columns.par_iter_mut().flatten().for_each(|column| column.go_to(first, count as usize));
             let inputs = columns.iter().map(|column| column.as_ref().map_or(&[][..], Column::now));
-            let inputs: Vec<&[T]> = inputs.collect();
+            let inputs: Vec<&[f64]> = inputs.collect();
             let block = Block {
                 model: &model,
                 membrane: &self.membrane,
@@ -312,13 +280,19 @@ impl<'w> Work<'w> {
             progress(first as f64 / steps as f64);
             within_bounds(groups.iter().map(stepped::Group::kept).sum())?;
         }
-        for (numbers, group) in numbers.into_iter().zip(groups) {
-            numbers
-                .into_iter()
-                .zip(group.into_trains())
-                .for_each(|(number, (count, spikes))| give((number, count, spikes)));
-        }
+        give_all(numbers, groups.into_iter().map(stepped::Group::into_trains), give);
         Ok(())
+    }
+}
+
+/// Gives the trains of groups, with the numbers of their afferents.
+fn give_all<T: IntoIterator<Item = (u64, Vec<f64>)>>(
+    numbers: Vec<Vec<u32>>,
+    groups: impl IntoIterator<Item = T>,
+    give: &mut Give<'_>,
+) {
+    for (numbers, trains) in numbers.into_iter().zip(groups) {
+        numbers.into_iter().zip(trains).for_each(|(number, (count, spikes))| give((number, count, spikes)));
     }
 }
 

@@ -7,7 +7,7 @@
 //!
 //! Invariant: [`Evaluator::counts`] is always the answer to [`Evaluator::scene`].
 
-use crate::engine::{Skipped, Work};
+use crate::engine::Work;
 use crate::member::{Member, by_place};
 use crate::membrane::equation::Membrane;
 use crate::method::{Keep, MethodError, Options};
@@ -47,7 +47,6 @@ pub struct Candidate {
     /// Those of the changed motors.
     tracks: Vec<(u8, Option<Arc<Track>>)>,
     changed: Vec<(u32, u64)>,
-    skipped: Skipped,
 }
 
 impl Evaluator {
@@ -93,17 +92,6 @@ impl Evaluator {
         changed.into_iter().for_each(|(number, count)| counts[number as usize] = count);
     }
 
-    /// Replaces all drives of one motor and simulates the change. `drives` become this motor's, even if they name another motor.
-    ///
-    /// # Errors
-    /// If the drives are not those of a scene; then nothing changes.
-    pub fn set_motor(&mut self, motor: u8, drives: &[Drive]) -> Result<Skipped, SceneError> {
-        let candidate = self.candidate(self.scene.with_motor(motor, drives)?);
-        let skipped = candidate.skipped;
-        self.accept(candidate);
-        Ok(skipped)
-    }
-
     /// Evaluates a scene that differs in its drives alone.
     fn candidate(&self, scene: Scene) -> Candidate {
         let differs = |motor: &u8| {
@@ -116,16 +104,12 @@ impl Evaluator {
         let reached = self.afferents.order.iter().filter(|(_, motors)| motors & differing != 0);
         let numbers: Vec<u32> = reached.map(|&(number, _)| number).collect();
         let mut changed = Vec::with_capacity(numbers.len());
-        let mut skipped = Skipped::default();
         if !numbers.is_empty() {
             let work = Work::new(&scene, &self.options, &self.tracks, &self.afferents.members).with(&tracks);
             let ran = work.run(&numbers, &|_| (), &mut |(number, count, _)| changed.push((number, count)));
-            skipped = ran.expect("no spikes are kept, so there are never too many");
+            ran.expect("no spikes are kept, so there are never too many");
         }
-        // These motors may reach the afferents that were not simulated.
-        skipped.motors_out_of_reach = 0;
-        skipped.afferents_reused = (self.counts.len() - numbers.len()) as u64;
-        Candidate { scene, from: Arc::clone(&self.counts), tracks, changed, skipped }
+        Candidate { scene, from: Arc::clone(&self.counts), tracks, changed }
     }
 
     /// The current scene.
@@ -138,12 +122,6 @@ impl Evaluator {
     #[must_use]
     pub fn counts(&self) -> &[u64] {
         &self.counts
-    }
-
-    /// Each afferent's impulses per second.
-    #[must_use]
-    pub fn rates_hz(&self) -> Vec<f64> {
-        self.counts.iter().map(|&count| self.scene.rate_hz(count)).collect()
     }
 }
 

@@ -14,15 +14,15 @@
 //!    fixed step, with forward Euler as in the paper or with the exact propagator of the leak.
 //! 6. `engine` shares the afferents out over groups and threads. [`simulate`] gives the [`Answer`].
 //!
-//! On top of that, an [`Evaluator`] simulates a scene again when some of its motors change, [`choose`] finds the cheapest method
-//! for an allowed error, and [`simulate_ramps`] takes measured bursts of motors ([`Ramps`]) instead of drives.
+//! On top of that, an [`Evaluator`] simulates a scene again when some of its motors change, and [`simulate_ramps`] takes measured
+//! bursts of motors ([`Ramps`]) instead of drives.
 //!
 //! The above is the model `membrane`. [`afferents`] is a second model with modules of its own: skin mechanics, and SA1, RA and PC afferents. An [`AnyScene`] is a
 //! scene of either model, and reads the files. A [`Finger`] of either model responds to drives and to ramps: begin with it if you need both models.
 //! [`validate`] compares both models with published figures.
 //!
 //! Both methods use the same noise, so they can be compared spike by spike. Work is skipped only if the answer is known without it
-//! ([`Skipped`]): motors at rest, afferents out of reach or provably silent, a state that repeats itself (`cycle`).
+//! ([`Skipped`]): motors at rest, afferents out of reach or provably silent.
 //!
 //! Invariant: the answer for an afferent depends on its scene, the method, and its number, which keys its noise. It does not depend
 //! on threads, the width of vectors, the other afferents, or skipped work.
@@ -75,8 +75,6 @@ pub mod validate;
 mod any_scene;
 mod blocks;
 mod breakpoints;
-mod choose;
-mod cycle;
 mod engine;
 mod evaluator;
 mod exact;
@@ -95,17 +93,15 @@ mod time;
 mod track;
 
 pub use any_scene::{AnyScene, MAX_JSON_BYTES, MAX_TOML_BYTES};
-pub use choose::{Choice, choose};
 pub use engine::Skipped;
 pub use evaluator::{Candidate, Evaluator};
 pub use finger::{Finger, FingerError, Moved, SkinModel, Stimulus};
 pub use meissner_input::document::{CommonProblem, Place};
 pub use method::{
-    Integrator, Keep, MAX_SPIKES, Method, MethodError, Options, Precision, SEARCH_MIN_WEIGHT, STEP_US,
-    Stepping,
+    Integrator, Keep, MAX_SPIKES, Method, MethodError, Options, SEARCH_MIN_WEIGHT, STEP_US, Stepping,
 };
 pub use ramps::{MAX_RAMPS, Ramps, RampsError, simulate_ramps};
+pub use scene::check_model;
 pub use scene::{MAX_ALPHA_PER_UM, ModelName, Problem};
 pub use scene::{RawAfferent, Scene, SceneError};
-pub use scene::{TwoNames, as_written, check_model, one_name};
 pub use simulation::{Answer, simulate};

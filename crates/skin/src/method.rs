@@ -31,8 +31,6 @@ pub struct Stepping {
     pub step_us: u32,
     /// What a step does.
     pub integrator: Integrator,
-    /// The numbers it computes with.
-    pub precision: Precision,
 }
 
 /// What a step does.
@@ -46,17 +44,6 @@ pub enum Integrator {
     Propagator,
 }
 
-/// The numbers a stepped method computes with.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Precision {
-    /// Single precision.
-    #[default]
-    F32,
-    /// Double precision.
-    F64,
-}
-
 impl Integrator {
     /// All integrators, as the trade-off table lists them.
     pub const ALL: [Self; 2] = [Self::Euler, Self::Propagator];
@@ -67,20 +54,6 @@ impl Integrator {
         match self {
             Self::Euler => "euler",
             Self::Propagator => "propagator",
-        }
-    }
-}
-
-impl Precision {
-    /// All precisions, as the trade-off table lists them.
-    pub const ALL: [Self; 2] = [Self::F32, Self::F64];
-
-    /// The name on the command line and in documents.
-    #[must_use]
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::F32 => "f32",
-            Self::F64 => "f64",
         }
     }
 }
@@ -146,32 +119,10 @@ pub enum MethodError {
         /// The membrane's time constant.
         tau_s: f64,
     },
-    /// Single precision cannot count the steps.
-    #[error(
-        "f32 counts {COUNTABLE} steps since a spike, and {key} is {steps:.0} steps of {step_us} us: take a \
-         larger step, or f64"
-    )]
-    Precision {
-        /// The key of the time that is too long.
-        key: &'static str,
-        /// Its length in steps.
-        steps: f64,
-        /// The step.
-        step_us: u32,
-    },
     /// There are more spikes than can be kept.
     #[error("more than {MAX_SPIKES} spikes: keep only their rates (--rates-only), or shorten the scene")]
     TooManySpikes,
-    /// The allowed error is not a positive number.
-    #[error("a rate error of {error_hz}: must be a number of impulses/s, above 0")]
-    RateError {
-        /// The allowed error.
-        error_hz: f64,
-    },
 }
-
-/// Steps that `f32` counts one by one.
-const COUNTABLE: f64 = 8_388_608.0;
 
 impl Stepping {
     /// The step in half ticks, rounded once.
@@ -181,29 +132,24 @@ impl Stepping {
 }
 
 impl Method {
+    /// A fixed step, and what it does.
+    #[must_use]
+    pub const fn stepped(step_us: u32, integrator: Integrator) -> Self {
+        Self::Stepped(Stepping { step_us, integrator })
+    }
+
     /// Checks whether the method can simulate the scene.
     ///
     /// # Errors
-    /// If its step is out of range, unstable, or too short for what `f32` can count.
+    /// If its step is out of range or unstable.
     pub fn check(&self, scene: &Scene) -> Result<(), MethodError> {
-        let Self::Stepped(Stepping { step_us, integrator, precision }) = *self else { return Ok(()) };
+        let Self::Stepped(Stepping { step_us, integrator }) = *self else { return Ok(()) };
         if !STEP_US.contains(&step_us) {
             return Err(MethodError::Step { step_us });
         }
         let tau_s = scene.model().tau_s;
         if integrator == Integrator::Euler && f64::from(step_us) * 1e-6 > tau_s {
             return Err(MethodError::Unstable { step_us, tau_s });
-        }
-        let steps = |time_s: f64| time_s * 1e6 / f64::from(step_us);
-        if precision == Precision::F32 && steps(scene.duration_s()) > COUNTABLE {
-            let model = scene.model();
-            for (key, time_s) in
-                [("refractory_s", model.refractory_s), ("hyperexcitability_s", model.hyperexcitability_s)]
-            {
-                if steps(time_s) > COUNTABLE {
-                    return Err(MethodError::Precision { key, steps: steps(time_s), step_us });
-                }
-            }
         }
         Ok(())
     }

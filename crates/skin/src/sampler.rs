@@ -7,7 +7,6 @@
 
 use crate::breakpoints::{Breakpoint, Breakpoints};
 use crate::method::{Integrator, Stepping};
-use crate::simd::Number;
 use meissner_array::units::TickRate;
 
 /// Steps whose input is summed at once: as many vectors as stay in registers. Samples come in whole tiles.
@@ -48,7 +47,7 @@ impl<'s> Sampler<'s> {
 
     /// Fills in the samples of `steps` steps from number `first` on, half pulses: for Euler the velocity at the step's start, for
     /// the propagator its mean. Zeros fill up the last tile. Steps must be requested in order.
-    pub(crate) fn fill<T: Number>(&mut self, first: u64, steps: usize, samples: &mut Vec<T>) {
+    pub(crate) fn fill(&mut self, first: u64, steps: usize, samples: &mut Vec<f64>) {
         samples.clear();
         for number in first..first + steps as u64 {
             let sample = match self.integrator {
@@ -58,9 +57,9 @@ impl<'s> Sampler<'s> {
                     (sum - std::mem::replace(&mut self.before, sum)) * (1.0 / self.step)
                 }
             };
-            samples.push(T::of(sample));
+            samples.push(sample);
         }
-        samples.resize(steps.next_multiple_of(TILE), T::default());
+        samples.resize(steps.next_multiple_of(TILE), 0.0);
     }
 }
 

@@ -14,18 +14,13 @@ use crate::membrane::equation::{Membrane, phi2};
 use crate::membrane::{MIN_THRESHOLD, Rectify};
 use crate::method::Integrator;
 use crate::sampler::TILE;
-use crate::simd::{Aligned, Number};
+use crate::simd::{Aligned, LANES, Row, bits, load, spill, store};
 use meissner_array::random::Normals;
 use pulp::{Arch, Simd, WithSimd};
 use std::array;
 
-/// Afferents in a group: the widest vector of `f32`.
-pub(crate) const LANES: usize = 16;
 /// The value of "steps since the last spike" if there was none.
 const NEVER: f64 = 1e30;
-
-/// One number per lane.
-type Row<T> = Aligned<[T; LANES]>;
 
 /// The effect of a step on every afferent.
 #[derive(Clone, Copy, Debug)]
@@ -64,17 +59,17 @@ impl StepModel {
     }
 }
 
-/// The state of up to sixteen afferents.
+/// The state of up to eight afferents.
 #[derive(Debug)]
-pub(crate) struct Group<T> {
+pub(crate) struct Group {
     /// By motor.
-    weights: Vec<Row<T>>,
+    weights: Vec<Row>,
     /// The motors that reach any of them, one bit each.
     motors: u64,
-    p: Row<T>,
+    p: Row,
     /// Steps since the last spike: whole numbers plus the part of a step after the spike.
-    since: Row<T>,
-    resting: Row<T>,
+    since: Row,
+    resting: Row,
     lanes: Vec<Lane>,
 }
 
@@ -86,29 +81,29 @@ struct Lane {
     count: u64,
 }
 
-impl<T: Number> Group<T> {
+impl Group {
     pub(crate) fn new(motors: usize, members: Vec<Member>) -> Self {
         assert!(members.len() <= LANES);
         let mut group = Self {
-            weights: vec![Aligned([T::default(); LANES]); motors],
+            weights: vec![Aligned([0.0; LANES]); motors],
             motors: 0,
-            p: Aligned([T::default(); LANES]),
-            since: Aligned([T::of(NEVER); LANES]),
+            p: Aligned([0.0; LANES]),
+            since: Aligned([NEVER; LANES]),
             // A lane without an afferent never reaches its threshold.
-            resting: Aligned([T::of(f64::INFINITY); LANES]),
+            resting: Aligned([f64::INFINITY; LANES]),
             lanes: Vec::with_capacity(members.len()),
         };
         for (lane, member) in members.into_iter().enumerate() {
             group.motors |= member.motors;
-            member.reached_by().for_each(|(motor, weight)| group.weights[motor][lane] = T::of(weight));
-            group.resting[lane] = T::of(member.resting);
+            member.reached_by().for_each(|(motor, weight)| group.weights[motor][lane] = weight);
+            group.resting[lane] = member.resting;
             group.lanes.push(Lane { noise: member.noise, spikes: Vec::new(), count: 0 });
         }
         group
     }
 
     /// Goes through a block of steps.
-    pub(crate) fn run(&mut self, arch: Arch, run: &Block<'_, T>) {
+    pub(crate) fn run(&mut self, arch: Arch, run: &Block<'_>) {
         arch.dispatch(Run { group: self, block: run });
     }
 
@@ -124,23 +119,23 @@ impl<T: Number> Group<T> {
 }
 
 /// A block of steps.
-pub(crate) struct Block<'b, T> {
+pub(crate) struct Block<'b> {
     pub(crate) model: &'b StepModel,
     pub(crate) membrane: &'b Membrane,
     /// The velocity of each motor that reaches any afferent, per step, in whole tiles.
-    pub(crate) inputs: &'b [&'b [T]],
+    pub(crate) inputs: &'b [&'b [f64]],
     pub(crate) first: u64,
     pub(crate) steps: usize,
     pub(crate) until: f64,
     pub(crate) keep: bool,
 }
 
-struct Run<'r, T> {
-    group: &'r mut Group<T>,
-    block: &'r Block<'r, T>,
+struct Run<'r> {
+    group: &'r mut Group,
+    block: &'r Block<'r>,
 }
 
-impl<T: Number> WithSimd for Run<'_, T> {
+impl WithSimd for Run<'_> {
     type Output = ();
 
     #[inline(always)]
@@ -152,83 +147,70 @@ impl<T: Number> WithSimd for Run<'_, T> {
     }
 }
 
-impl<T: Number> Run<'_, T> {
+impl Run<'_> {
     #[inline(always)]
     fn steps<S: Simd, const WITHIN: bool>(self, simd: S) {
         let Self { group, block } = self;
-        let step = Step::<T, S, WITHIN>::new(simd, block.model);
-        for first in (0..group.lanes.len()).step_by(T::width::<S>()) {
+        let step = Step::<S, WITHIN>::new(simd, block.model);
+        for first in (0..group.lanes.len()).step_by(S::F64_LANES) {
             let mut registers = Registers {
-                p: T::load::<S>(&group.p[first..]),
-                since: T::load::<S>(&group.since[first..]),
-                resting: T::load::<S>(&group.resting[first..]),
+                p: load::<S>(&group.p, first),
+                since: load::<S>(&group.since, first),
+                resting: load::<S>(&group.resting, first),
             };
             for tile in (0..block.steps).step_by(TILE) {
                 let inputs = inputs(simd, block, group, first, tile);
                 for (index, input) in inputs.into_iter().take(block.steps - tile).enumerate() {
                     let (after, candidates) = step.take(&registers, input);
                     let before = std::mem::replace(&mut registers, after);
-                    if T::bits::<S>(candidates) != 0 {
+                    if bits(candidates, S::F64_LANES) != 0 {
                         let number = block.first + (tile + index) as u64;
                         let (part, spiked) = step.crossing(&before, registers.p, candidates);
                         step.reset(&mut registers, part, spiked, input);
-                        let parts = spill::<T, S>(part);
-                        let mut resting = spill::<T, S>(registers.resting);
-                        let mut left = T::bits::<S>(spiked);
+                        let parts = spill::<S>(part);
+                        let mut resting = spill::<S>(registers.resting);
+                        let mut left = bits(spiked, S::F64_LANES);
                         while left != 0 {
                             let lane = left.trailing_zeros() as usize;
                             left &= left - 1;
-                            let at = (number as f64 + parts[lane].wide()) * block.model.length;
-                            resting[lane] = T::of(group.lanes[first + lane].spike(block, at));
+                            let at = (number as f64 + parts[lane]) * block.model.length;
+                            resting[lane] = group.lanes[first + lane].spike(block, at);
                         }
-                        registers.resting = T::load::<S>(&*resting);
+                        registers.resting = load::<S>(&resting, 0);
                     }
                 }
             }
-            T::store::<S>(&mut group.p[first..], registers.p);
-            T::store::<S>(&mut group.since[first..], registers.since);
-            T::store::<S>(&mut group.resting[first..], registers.resting);
+            store::<S>(&mut group.p, first, registers.p);
+            store::<S>(&mut group.since, first, registers.since);
+            store::<S>(&mut group.resting, first, registers.resting);
         }
     }
 }
 
 /// The rectified inputs of a tile of steps: the motors' velocities, weighted and summed in order of motor.
 #[inline(always)]
-fn inputs<T: Number, S: Simd>(
-    simd: S,
-    block: &Block<'_, T>,
-    group: &Group<T>,
-    first: usize,
-    tile: usize,
-) -> [T::Vector<S>; TILE] {
-    let zero = T::splat(simd, T::default());
+fn inputs<S: Simd>(simd: S, block: &Block<'_>, group: &Group, first: usize, tile: usize) -> [S::f64s; TILE] {
+    let zero = simd.splat_f64s(0.0);
     let mut sums = [zero; TILE];
     let mut left = group.motors;
     while left != 0 {
         let motor = left.trailing_zeros() as usize;
         left &= left - 1;
-        let weights = T::load::<S>(&group.weights[motor][first..]);
+        let weights = load::<S>(&group.weights[motor], first);
         let input = block.inputs[motor][tile..].first_chunk::<TILE>().expect("inputs are whole tiles");
-        sums = array::from_fn(|step| T::mul_add(simd, weights, T::splat(simd, input[step]), sums[step]));
+        sums = array::from_fn(|step| simd.mul_add_f64s(weights, simd.splat_f64s(input[step]), sums[step]));
     }
     match block.model.rectify {
-        Rectify::Half => array::from_fn(|step| T::max(simd, sums[step], zero)),
-        Rectify::Full => array::from_fn(|step| T::abs(simd, sums[step])),
+        Rectify::Half => array::from_fn(|step| simd.max_f64s(sums[step], zero)),
+        Rectify::Full => array::from_fn(|step| simd.abs_f64s(sums[step])),
         Rectify::Signed => sums,
     }
-}
-
-#[inline(always)]
-fn spill<T: Number, S: Simd>(vector: T::Vector<S>) -> Row<T> {
-    let mut lanes = Aligned([T::default(); LANES]);
-    T::store::<S>(&mut *lanes, vector);
-    lanes
 }
 
 impl Lane {
     /// Counts a spike and draws the next resting threshold.
     #[inline(always)]
-    fn spike<T>(&mut self, block: &Block<'_, T>, at: f64) -> f64 {
+    fn spike(&mut self, block: &Block<'_>, at: f64) -> f64 {
         if at < block.until {
             self.count += 1;
             if block.keep {
@@ -240,31 +222,31 @@ impl Lane {
 }
 
 /// Lanes in the processor's registers.
-struct Registers<T: Number, S: Simd> {
-    p: T::Vector<S>,
-    since: T::Vector<S>,
-    resting: T::Vector<S>,
+struct Registers<S: Simd> {
+    p: S::f64s,
+    since: S::f64s,
+    resting: S::f64s,
 }
 
 /// A [`StepModel`] with each number in every lane. `WITHIN`: it finds crossings within the step.
-struct Step<T: Number, S: Simd, const WITHIN: bool> {
+struct Step<S: Simd, const WITHIN: bool> {
     simd: S,
-    zero: T::Vector<S>,
-    charge: T::Vector<S>,
-    leak: T::Vector<S>,
-    one: T::Vector<S>,
-    recovery: T::Vector<S>,
-    depth: T::Vector<S>,
-    least: T::Vector<S>,
-    refractory: T::Vector<S>,
+    zero: S::f64s,
+    charge: S::f64s,
+    leak: S::f64s,
+    one: S::f64s,
+    recovery: S::f64s,
+    depth: S::f64s,
+    least: S::f64s,
+    refractory: S::f64s,
     /// The refractory time for the test at a step's end, minus a margin for rounding, because it may be a whole number of steps.
-    nearly_refractory: T::Vector<S>,
+    nearly_refractory: S::f64s,
 }
 
-impl<T: Number, S: Simd, const WITHIN: bool> Step<T, S, WITHIN> {
+impl<S: Simd, const WITHIN: bool> Step<S, WITHIN> {
     #[inline(always)]
     fn new(simd: S, model: &StepModel) -> Self {
-        let splat = |value| T::splat(simd, T::of(value));
+        let splat = |value| simd.splat_f64s(value);
         Self {
             simd,
             zero: splat(0.0),
@@ -281,71 +263,59 @@ impl<T: Number, S: Simd, const WITHIN: bool> Step<T, S, WITHIN> {
 
     /// The lanes after a step without a spike, and those that may have had one.
     #[inline(always)]
-    fn take(&self, lanes: &Registers<T, S>, input: T::Vector<S>) -> (Registers<T, S>, T::Mask<S>) {
+    fn take(&self, lanes: &Registers<S>, input: S::f64s) -> (Registers<S>, S::m64s) {
         let simd = self.simd;
-        let charged = T::mul_add(simd, input, self.charge, lanes.p);
-        let p = T::mul_add(simd, lanes.p, self.leak, charged);
-        let since = T::add(simd, lanes.since, self.one);
+        let charged = simd.mul_add_f64s(input, self.charge, lanes.p);
+        let p = simd.mul_add_f64s(lanes.p, self.leak, charged);
+        let since = simd.add_f64s(lanes.since, self.one);
         // The threshold rises with the time since the spike. Euler tests it at the step's end. A crossing within the step
         // is tested against its lowest value, at the step's start.
         let tested = if WITHIN { lanes.since } else { since };
         let threshold = self.threshold(lanes.resting, tested);
-        let top = if WITHIN { T::max(simd, lanes.p, p) } else { p };
-        let candidates = T::both(
-            simd,
-            T::at_least(simd, top, threshold),
-            T::at_least(simd, since, self.nearly_refractory),
+        let top = if WITHIN { simd.max_f64s(lanes.p, p) } else { p };
+        let candidates = simd.and_m64s(
+            simd.greater_than_or_equal_f64s(top, threshold),
+            simd.greater_than_or_equal_f64s(since, self.nearly_refractory),
         );
         (Registers { p, since, resting: lanes.resting }, candidates)
     }
 
     /// Restarts the lanes that spiked with the rest of the step.
     #[inline(always)]
-    fn reset(
-        &self,
-        lanes: &mut Registers<T, S>,
-        part: T::Vector<S>,
-        spiked: T::Mask<S>,
-        input: T::Vector<S>,
-    ) {
+    fn reset(&self, lanes: &mut Registers<S>, part: S::f64s, spiked: S::m64s, input: S::f64s) {
         let simd = self.simd;
-        let rest = T::sub(simd, self.one, part);
-        let charge = T::mul_add(simd, rest, self.charge, self.zero);
-        lanes.p = T::select(simd, spiked, T::mul_add(simd, charge, input, self.zero), lanes.p);
-        lanes.since = T::select(simd, spiked, rest, lanes.since);
+        let rest = simd.sub_f64s(self.one, part);
+        let charge = simd.mul_add_f64s(rest, self.charge, self.zero);
+        lanes.p = simd.select_f64s(spiked, simd.mul_add_f64s(charge, input, self.zero), lanes.p);
+        lanes.since = simd.select_f64s(spiked, rest, lanes.since);
     }
 
     /// The part of the step after which the membrane, on a straight line to `end`, first reaches the threshold; and the
     /// `candidates` lanes in which it does.
     #[inline(always)]
-    fn crossing(
-        &self,
-        before: &Registers<T, S>,
-        end: T::Vector<S>,
-        candidates: T::Mask<S>,
-    ) -> (T::Vector<S>, T::Mask<S>) {
+    fn crossing(&self, before: &Registers<S>, end: S::f64s, candidates: S::m64s) -> (S::f64s, S::m64s) {
         let simd = self.simd;
         if !WITHIN {
             return (self.one, candidates);
         }
-        let free = T::sub(simd, self.refractory, before.since);
-        let free = T::min(simd, T::max(simd, free, self.zero), self.one);
+        let free = simd.sub_f64s(self.refractory, before.since);
+        let free = simd.min_f64s(simd.max_f64s(free, self.zero), self.one);
         let low = self.threshold(before.resting, before.since);
-        let climb = T::sub(simd, self.threshold(before.resting, T::add(simd, before.since, self.one)), low);
-        let rise = T::sub(simd, end, before.p);
+        let climb = simd.sub_f64s(self.threshold(before.resting, simd.add_f64s(before.since, self.one)), low);
+        let rise = simd.sub_f64s(end, before.p);
         // The crossing is at the end of refractoriness if the membrane is above the threshold by then; else where the lines meet.
-        let gap = T::sub(simd, low, before.p);
-        let closing = T::sub(simd, rise, climb);
-        let early = T::at_least(simd, T::mul_add(simd, closing, free, self.zero), gap);
-        let late = T::at_least(simd, closing, gap);
-        let meets = T::min(simd, T::max(simd, T::div(simd, gap, closing), free), self.one);
-        (T::select(simd, early, free, meets), T::both(simd, candidates, T::either(simd, early, late)))
+        let gap = simd.sub_f64s(low, before.p);
+        let closing = simd.sub_f64s(rise, climb);
+        let early = simd.greater_than_or_equal_f64s(simd.mul_add_f64s(closing, free, self.zero), gap);
+        let late = simd.greater_than_or_equal_f64s(closing, gap);
+        let meets = simd.min_f64s(simd.max_f64s(simd.div_f64s(gap, closing), free), self.one);
+        (simd.select_f64s(early, free, meets), simd.and_m64s(candidates, simd.or_m64s(early, late)))
     }
 
     #[inline(always)]
-    fn threshold(&self, resting: T::Vector<S>, since: T::Vector<S>) -> T::Vector<S> {
+    fn threshold(&self, resting: S::f64s, since: S::f64s) -> S::f64s {
         let simd = self.simd;
-        let lowered = T::max(simd, T::mul_add(simd, since, self.recovery, self.depth), self.zero);
-        T::max(simd, T::sub(simd, resting, lowered), self.least)
+        let lowered = simd.max_f64s(simd.mul_add_f64s(since, self.recovery, self.depth), self.zero);
+        simd.max_f64s(simd.sub_f64s(resting, lowered), self.least)
     }
 }

@@ -12,7 +12,6 @@ use crate::membrane::silence::Bound;
 use crate::method::{Method, Stepping};
 use crate::sampler::{Sampler, TILE};
 use crate::scene::Scene;
-use crate::simd::Number;
 use crate::time::end;
 use meissner_array::motor::Ramp;
 use meissner_array::pattern::Drive;
@@ -37,7 +36,8 @@ pub(crate) struct Track {
     breakpoints_per_s: f64,
     method: Method,
     list: OnceLock<Vec<Breakpoint>>,
-    samples: Samples,
+    /// The samples of all steps, if they are few enough to keep.
+    samples: OnceLock<Vec<f64>>,
     charge: OnceLock<f64>,
 }
 
@@ -47,30 +47,6 @@ enum MovedBy {
     Drives(Vec<Drive>),
     /// Ramps, and the speed that counts as full, µm per tick.
     Ramps(Arc<Vec<Ramp>>, f64),
-}
-
-/// A motor's samples of all steps, in either precision.
-#[derive(Debug, Default)]
-pub(crate) struct Samples {
-    single: OnceLock<Vec<f32>>,
-    double: OnceLock<Vec<f64>>,
-}
-
-/// A number whose samples a track keeps.
-pub(crate) trait Sample: Number {
-    fn kept(samples: &Samples) -> &OnceLock<Vec<Self>>;
-}
-
-impl Sample for f32 {
-    fn kept(samples: &Samples) -> &OnceLock<Vec<Self>> {
-        &samples.single
-    }
-}
-
-impl Sample for f64 {
-    fn kept(samples: &Samples) -> &OnceLock<Vec<Self>> {
-        &samples.double
-    }
 }
 
 /// The tracks of a scene.
@@ -116,7 +92,7 @@ impl Track {
         duration_s: f64,
         method: Method,
     ) -> Self {
-        let (list, samples, charge) = (OnceLock::new(), Samples::default(), OnceLock::new());
+        let (list, samples, charge) = (OnceLock::new(), OnceLock::new(), OnceLock::new());
         Self { array, motor, moved_by, duration_s, breakpoints_per_s, method, list, samples, charge }
     }
 
@@ -168,12 +144,12 @@ impl Track {
     }
 
     /// The samples of all steps, in whole tiles, if they are few enough to keep.
-    pub(crate) fn samples<T: Sample>(&self) -> Option<&[T]> {
+    pub(crate) fn samples(&self) -> Option<&[f64]> {
         let mut sampler = self.sampler()?;
         let steps = sampler.steps(end(self.duration_s, self.array.rate()));
-        let few = steps * size_of::<T>() as u64 <= self.most_kept_bytes() as u64;
+        let few = steps * size_of::<f64>() as u64 <= self.most_kept_bytes() as u64;
         few.then(|| {
-            &**T::kept(&self.samples).get_or_init(|| {
+            &**self.samples.get_or_init(|| {
                 let mut samples = Vec::with_capacity((steps as usize).next_multiple_of(TILE));
                 sampler.fill(0, steps as usize, &mut samples);
                 samples
@@ -195,14 +171,14 @@ impl Track {
 }
 
 /// A motor's samples, a block of steps at a time.
-pub(crate) enum Column<'c, T> {
+pub(crate) enum Column<'c> {
     /// The kept samples of all steps, and those of the block.
-    Kept(&'c [T], &'c [T]),
+    Kept(&'c [f64], &'c [f64]),
     /// Too many to keep: their source, and those of the block.
-    Made(Sampler<'c>, Vec<T>),
+    Made(Sampler<'c>, Vec<f64>),
 }
 
-impl<'c, T: Sample> Column<'c, T> {
+impl<'c> Column<'c> {
     /// None for a method without steps.
     pub(crate) fn of(track: &'c Track) -> Option<Self> {
         match track.samples() {
@@ -220,7 +196,7 @@ impl<'c, T: Sample> Column<'c, T> {
     }
 
     /// The samples of the block, in whole tiles.
-    pub(crate) fn now(&self) -> &[T] {
+    pub(crate) fn now(&self) -> &[f64] {
         match self {
             Self::Kept(_, now) => now,
             Self::Made(_, now) => now,

@@ -131,7 +131,7 @@ duration_s = 0.1 => duration_s = nan => 2: `duration_s` is NaN: must be 0 to 100
 duration_s = 0.1 => duration_s = 0.1⏎ramp_s = -1 => 3: `ramp_s` is -1: must be 0 to 100000 s
 preindent_mm = 0.5 => preindent_mm = 11 => 3: `preindent_mm` is 11: must be -10 to 10 mm
 "afferents" => "touch" => 1: `model` is `touch`: must be membrane or afferents
-noise = false => receptor = 1 => …`receptor` holds parameters of the model membrane: leave it out, or take that model (--model membrane)
+noise = false => afferent = 1 => …`afferent` holds parameters of the model membrane: leave it out, or take that model (--model membrane)
 noise = false => drives = [] => …`pins` and `drives` are both there…
 noise = false => population = {} => …`afferents` and `population` are both there: leave one out
 noise = false => depth_mm = 1 => …

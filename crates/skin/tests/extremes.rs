@@ -15,7 +15,7 @@ mod sizes;
 use meissner_array::pattern::Drive;
 use meissner_array::spec::Array;
 use meissner_skin::membrane::{AfferentModel, Position, Rectify};
-use meissner_skin::{Integrator, Method, Options, Precision, Scene, Stepping, simulate};
+use meissner_skin::{Integrator, Method, Options, Scene, Stepping, simulate};
 use meissner_test_support::both::for_oracle;
 use meissner_test_support::oracle;
 use meissner_test_support::patterns::drive;
@@ -47,32 +47,20 @@ fn stroke_up(sensitive: AfferentModel, duration_s: f64) -> Scene {
     scene(duration_s, &[drive(9, 0.001, 80.0)], &[under(9)], sensitive)
 }
 
-const fn stepping(step_us: u32, integrator: Integrator, precision: Precision) -> Method {
-    Method::Stepped(Stepping { step_us, integrator, precision })
+const fn euler(step_us: u32) -> Method {
+    Method::stepped(step_us, Integrator::Euler)
 }
 
-const fn euler(step_us: u32) -> [Method; 2] {
-    [
-        stepping(step_us, Integrator::Euler, Precision::F32),
-        stepping(step_us, Integrator::Euler, Precision::F64),
-    ]
+const fn propagator(step_us: u32) -> Method {
+    Method::stepped(step_us, Integrator::Propagator)
 }
 
-const fn propagator(step_us: u32) -> [Method; 2] {
-    [
-        stepping(step_us, Integrator::Propagator, Precision::F32),
-        stepping(step_us, Integrator::Propagator, Precision::F64),
-    ]
+const fn stepped(step_us: u32) -> [Method; 2] {
+    [euler(step_us), propagator(step_us)]
 }
 
-fn stepped(step_us: u32) -> [Method; 4] {
-    let ([a, b], [c, d]) = (euler(step_us), propagator(step_us));
-    [a, b, c, d]
-}
-
-fn methods(step_us: u32) -> [Method; 5] {
-    let [a, b, c, d] = stepped(step_us);
-    [Method::Exact, a, b, c, d]
+const fn methods(step_us: u32) -> [Method; 3] {
+    [Method::Exact, euler(step_us), propagator(step_us)]
 }
 
 /// Spikes, checked for properties that every scene and method has.

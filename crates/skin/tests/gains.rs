@@ -3,18 +3,12 @@
 use meissner_array::per_motor::PerMotor;
 use meissner_array::spec::Array;
 use meissner_skin::membrane::AfferentModel;
-use meissner_skin::{
-    Answer, Evaluator, Integrator, Method, Options, Precision, Scene, Stepping, simulate as solve,
-};
-use meissner_test_support::paper::MOTORS;
+use meissner_skin::{Answer, Evaluator, Integrator, Method, Options, Scene, simulate as solve};
 use meissner_test_support::random::Random;
 use meissner_test_support::{both, oracle};
 
-const METHODS: [Method; 3] = [
-    Method::Exact,
-    Method::Stepped(Stepping { step_us: 300, integrator: Integrator::Propagator, precision: Precision::F32 }),
-    Method::Stepped(Stepping { step_us: 300, integrator: Integrator::Euler, precision: Precision::F64 }),
-];
+const METHODS: [Method; 3] =
+    [Method::Exact, Method::stepped(300, Integrator::Propagator), Method::stepped(300, Integrator::Euler)];
 
 fn answer(scene: &Scene, method: Method) -> Answer {
     solve(scene, &Options::spikes(method), &|_| ()).unwrap()
@@ -70,7 +64,8 @@ fn a_gain_of_0_is_a_motor_left_out_and_of_1_none() {
             assert_eq!(answer(&scene.with_gains(&gains).unwrap(), method), plain);
         }
         gains[usize::from(motor)] = 0.0;
-        let (without, silenced) = (scene.with_motor(motor, &[]).unwrap(), scene.with_gains(&gains).unwrap());
+        let others = scene.drives().iter().filter(|drive| drive.motor != motor).copied().collect();
+        let (without, silenced) = (scene.with_drives(others).unwrap(), scene.with_gains(&gains).unwrap());
         for method in METHODS {
             let (without, silenced) = (answer(&without, method), answer(&silenced, method));
             assert_eq!(without.counts, silenced.counts, "seed {seed}, {method:?}");
@@ -88,12 +83,11 @@ fn skipping_takes_gains_into_account() {
         let scene = random.scene(0.5).with_gains(&gains).unwrap();
         let options = Options::rates(METHODS[seed as usize % 3]);
         let all = solve(&scene, &Options { skip: false, ..options }, &|_| ()).unwrap();
-        let mut evaluator = Evaluator::new(scene.clone(), options).unwrap();
+        let evaluator = Evaluator::new(scene.clone(), options).unwrap();
         assert_eq!(evaluator.counts(), all.counts, "seed {seed}");
-        let motor = random.below(MOTORS) as u8;
-        let drive = random.drive(motor);
-        evaluator.set_motor(motor, &[drive]).unwrap();
-        let changed = scene.with_motor(motor, &[drive]).unwrap();
-        assert_eq!(evaluator.counts(), solve(&changed, &options, &|_| ()).unwrap().counts, "seed {seed}");
+        let mut drives = scene.drives().to_vec();
+        drives[0] = random.drive(drives[0].motor);
+        let changed = solve(&scene.with_drives(drives.clone()).unwrap(), &options, &|_| ()).unwrap();
+        assert_eq!(evaluator.evaluate(&drives).unwrap().counts(), changed.counts, "seed {seed}");
     }
 }

@@ -1,4 +1,4 @@
-//! Scene files: the same scene in both languages and by both names, and one line for every mistake.
+//! Scene files: the same scene in both languages, and one line for every mistake.
 
 use meissner_input::document;
 use meissner_skin::membrane::{AfferentModel, Rectify, population};
@@ -27,11 +27,11 @@ frequency_hz = 42500.0
 amplitude_um = 0.5
 start_s = 1
 
-[[receptors]]
+[[afferents]]
 x_mm = 5.354
 y_mm = -1.901
 
-[receptor]
+[afferent]
 rectify = "full"
 alpha_per_um = 0.02
 tau_s = 0.05
@@ -73,26 +73,11 @@ fn the_same_scene_is_the_same_in_both_languages() {
 }
 
 #[test]
-fn afferents_may_have_their_old_name() {
-    let new = TOML.replace("[[receptors]]", "[[afferents]]").replace("[receptor]", "[afferent]");
-    assert_eq!(read(&new, "a.toml").unwrap(), read(TOML, "a.toml").unwrap());
-    let mistakes = r#"
-5.354 => nan => `afferents[0].x_mm` is NaN…
-tau_s = 0.05 => tau_s = 0 => `afferent.tau_s` is 0…
-"full" => "hlaf" => 25: `afferent.rectify` is `hlaf`…
-seed = 5 => population.seed = 5 => `afferents` and `population` are both there…
-[afferent] => [receptor]⏎[afferent] => `afferent` and `receptor` are both there and mean the same…
-seed = 5 => receptors = [] => `afferents` and `receptors` are both there and mean the same…
-"#;
-    assert_changes_refused(&new, mistakes, Scene::read);
-}
-
-#[test]
 fn a_missing_key_has_its_default() {
-    let scene = read("duration_s = 1\nreceptors = []", "a.toml").unwrap();
+    let scene = read("duration_s = 1\nafferents = []", "a.toml").unwrap();
     assert_eq!((scene.seed(), scene.drives().len(), scene.afferents().len()), (0, 0, 0));
     assert_eq!(*scene.model(), AfferentModel::default_for(Rectify::Half, 0.0));
-    let signed = read("duration_s = 1\nreceptors = []\nreceptor.rectify = \"signed\"", "a.toml").unwrap();
+    let signed = read("duration_s = 1\nafferents = []\nafferent.rectify = \"signed\"", "a.toml").unwrap();
     assert_eq!(*signed.model(), AfferentModel::default_for(Rectify::Signed, 0.0));
     for (text, seed) in [("{}", 0), ("{ seed = 9 }", 9)] {
         let scene = read(&format!("duration_s = 1\npopulation = {text}"), "a.toml").unwrap();
@@ -129,10 +114,10 @@ duration_s = 2 => duration_s =  => 1: not TOML…
 seed = 5 => array = "6x4" => 2: `array` is unknown: no array is called `6x4`…tula35-6x4
 seed = 5 => seed = -5 => 2: `seed` is integer `-5`…a whole number, 0 or more
 seed = 5 => seed = 5.0 => 2: `seed` is floating point `5.0`…a whole number
-seed = 5 => population.seed = 5 => `receptors` and `population` are both…leave one out
+seed = 5 => population.seed = 5 => `afferents` and `population` are both…leave one out
 seed = 5 => population = 5 => 2: `population` is integer `5`…a table
 seed = 5 => population.seeds = 5 => 2: `population`: unknown key `seeds`…`seed`?
-[[receptors]]⏎x_mm = 5.354⏎y_mm = -1.901 =>  => neither `afferents` (or `receptors`…add one
+[[afferents]]⏎x_mm = 5.354⏎y_mm = -1.901 =>  => neither `afferents` nor `population` is there: add one
 motor = 3 => motor = 24 => 7: `drives[0].motor` is 24…must be 0 to 23
 seed = 5⏎spikes_s = [[1, 2], "whatever"]⏎promised_spikes = 3⏎⏎[[drives]]⏎motor = 3 => array = "tula35-2x3"⏎[[drives]]⏎motor = 6 => 4: `drives[0].motor` is 6…must be 0 to 5
 motor = 3 => motor = -1 => 7: `drives[0].motor` is -1…must be 0 to 23
@@ -150,22 +135,22 @@ start_s = 0.1 => start_s = 1 => `drives[0].stop_s` is 1…above start_s, which i
 stop_s = 1 => stop_s = 2e9 => `drives[0].stop_s` is 2000000000…0 to 1000000000 s
 stop_s = 1 => stop_s = 1.5 => `drives[1].motor`: motor 3 is still driven by drives[0]…by 1 s
 stop_s = 1 => stop = 1 => 12: `drives[0]`: unknown key `stop`…did you mean `stop_s`?
-5.354 => nan => `receptors[0].x_mm` is NaN…-1000000 to 1000000 mm
--1.901 => -1000001 => `receptors[0].y_mm` is -1000001…-1000000 to 1000000 mm
-y_mm = -1.901 =>  => 20: `receptors[0].y_mm` is missing…in mm
-y_mm = -1.901 => y = -1.901 => 22: `receptors[0]`: unknown key `y`…did you mean `y_mm`?
-"full" => "hlaf" => 25: `receptor.rectify` is `hlaf`…half, full or signed
-"full" => "a\nb" => 25: `receptor.rectify` is `a\nb`…half, full or signed
-"full" => { half = 1 } => 25: `receptor.rectify` is map…"half", "full" or
-alpha_per_um = 0.02 => alpha_per_um = -1 => `receptor.alpha_per_um` is -1…0 to 1e15
-tau_s = 0.05 => tau_s = 0 => `receptor.tau_s` is 0…1e-9 to 1e9 s
-refractory_s = 0.002 => refractory_s = 9e-6 => `receptor.refractory_s` is 0.000009…1e-5 to
-ity_s = 0.0 => ity_s = nan => `receptor.hyperexcitability_s` is NaN…0 to 1000000000 s
-depth = 0.25 => depth = 1.1 => `receptor.hyperexcitability_depth` is 1.1…0 to 1
-sigma_mm = 1.3 => sigma_mm = 0 => `receptor.sigma_mm` is 0…0.001 to 1000000 mm
-noise_sd = 0.01 => noise_sd = -0.1 => `receptor.noise_sd` is -0.1…0 to 1000000
-noise_sd => noise => 32: `receptor`: unknown key `noise`…did you mean `noise_sd`?
-[receptor] => [receptr] => 24: unknown key `receptr`…did you mean `receptor`?
+5.354 => nan => `afferents[0].x_mm` is NaN…-1000000 to 1000000 mm
+-1.901 => -1000001 => `afferents[0].y_mm` is -1000001…-1000000 to 1000000 mm
+y_mm = -1.901 =>  => 20: `afferents[0].y_mm` is missing…in mm
+y_mm = -1.901 => y = -1.901 => 22: `afferents[0]`: unknown key `y`…did you mean `y_mm`?
+"full" => "hlaf" => 25: `afferent.rectify` is `hlaf`…half, full or signed
+"full" => "a\nb" => 25: `afferent.rectify` is `a\nb`…half, full or signed
+"full" => { half = 1 } => 25: `afferent.rectify` is map…"half", "full" or
+alpha_per_um = 0.02 => alpha_per_um = -1 => `afferent.alpha_per_um` is -1…0 to 1e15
+tau_s = 0.05 => tau_s = 0 => `afferent.tau_s` is 0…1e-9 to 1e9 s
+refractory_s = 0.002 => refractory_s = 9e-6 => `afferent.refractory_s` is 0.000009…1e-5 to
+ity_s = 0.0 => ity_s = nan => `afferent.hyperexcitability_s` is NaN…0 to 1000000000 s
+depth = 0.25 => depth = 1.1 => `afferent.hyperexcitability_depth` is 1.1…0 to 1
+sigma_mm = 1.3 => sigma_mm = 0 => `afferent.sigma_mm` is 0…0.001 to 1000000 mm
+noise_sd = 0.01 => noise_sd = -0.1 => `afferent.noise_sd` is -0.1…0 to 1000000
+noise_sd => noise => 32: `afferent`: unknown key `noise`…did you mean `noise_sd`?
+[afferent] => [aferent] => 24: unknown key `aferent`…did you mean `afferent`?
 "#;
 
 #[test]
@@ -184,15 +169,15 @@ const JSON_MISTAKES: &str = r#"
 {"seed": -1} => 1: `seed` is integer `-1`: must be a whole number, 0 or more…
 {"drives": {}} => 1: `drives` is map: must be a list…
 {"drives": [[3, 60, 80]]} => 1: `drives[0]` is sequence: must be a table…
-{"duration_s": 1, "receptors": [], "drives": [{"motor": 1e20, "frequency_hz": 60, "amplitude_um": 80}]} => …`drives[0].motor` is 1e20: must be 0 to 23…
-{"duration_s": 1, "receptors": [], "drives": [{"motor": 256, "frequency_hz": 60, "amplitude_um": 80}]} => …`drives[0].motor` is 256: must be 0 to 23…
+{"duration_s": 1, "afferents": [], "drives": [{"motor": 1e20, "frequency_hz": 60, "amplitude_um": 80}]} => …`drives[0].motor` is 1e20: must be 0 to 23…
+{"duration_s": 1, "afferents": [], "drives": [{"motor": 256, "frequency_hz": 60, "amplitude_um": 80}]} => …`drives[0].motor` is 256: must be 0 to 23…
 {"drives": [{"motor": 1,⏎"motor": 1}]} => 2: `drives[0].motor` is there twice…
-{"receptors": [{"x_mm": 1}, 2]} => 1: `receptors[0].y_mm` is missing…
-{"receptors": [[1, 2]]} => …`receptors[0]` is sequence: must be a table…
-{"receptor": {"rectify": {"half": null}}} => …`receptor.rectify` is map: must be "half"…
+{"afferents": [{"x_mm": 1}, 2]} => 1: `afferents[0].y_mm` is missing…
+{"afferents": [[1, 2]]} => …`afferents[0]` is sequence: must be a table…
+{"afferent": {"rectify": {"half": null}}} => …`afferent.rectify` is map: must be "half"…
 [1, 0] => 1: is sequence: must be a table…
-{"duration_s": 1, "receptors": []} x => 1: not JSON: trailing characters…
-{"duration_s": 1, "receptors": [], "population": {}} => …are both there: leave one out
+{"duration_s": 1, "afferents": []} x => 1: not JSON: trailing characters…
+{"duration_s": 1, "afferents": [], "population": {}} => …are both there: leave one out
 {"a\nb`, expected `c": 1} => 1: unknown key `a\nb`, expected `c`: did you mean `…
 "#;
 
@@ -203,7 +188,7 @@ fn a_mistake_in_json_is_refused_likewise() {
 
 #[test]
 fn the_file_s_name_decides_its_language() {
-    let json = r#"{"duration_s": 1, "receptors": []}"#;
+    let json = r#"{"duration_s": 1, "afferents": []}"#;
     read(json, "SCENE.JSON").unwrap();
     read(&format!(" \n{json}"), "scene").unwrap();
     assert!(read(json, "a.toml").unwrap_err().starts_with("a.toml:1: not TOML"));
@@ -214,16 +199,16 @@ fn the_file_s_name_decides_its_language() {
 #[test]
 fn long_and_deep_files_are_refused_or_read() {
     let json = |text: &str| read(text, "long.json");
-    let mut receptors = String::from(r#"{"duration_s": 1, "receptors": ["#);
+    let mut afferents = String::from(r#"{"duration_s": 1, "afferents": ["#);
     for i in 0..100_000 {
-        write!(receptors, r#"{{"x_mm": {i}, "y_mm": -0.5}},"#).unwrap();
+        write!(afferents, r#"{{"x_mm": {i}, "y_mm": -0.5}},"#).unwrap();
     }
-    assert_eq!(json(&format!("{}]}}", receptors.trim_end_matches(','))).unwrap().afferents().len(), 100_000);
-    let line = json(&format!("{receptors} {{\"x_mm\": 1, \"y_mm\": \"a\"}}]}}")).unwrap_err();
-    assert!(line.contains("`receptors[100000].y_mm` is string \"a\": must be a number"), "{line}");
+    assert_eq!(json(&format!("{}]}}", afferents.trim_end_matches(','))).unwrap().afferents().len(), 100_000);
+    let line = json(&format!("{afferents} {{\"x_mm\": 1, \"y_mm\": \"a\"}}]}}")).unwrap_err();
+    assert!(line.contains("`afferents[100000].y_mm` is string \"a\": must be a number"), "{line}");
 
     let deep =
-        |open: &str| format!(r#"{{"duration_s": 1, "receptors": [], "spikes_s": {}"#, open.repeat(1 << 20));
+        |open: &str| format!(r#"{{"duration_s": 1, "afferents": [], "spikes_s": {}"#, open.repeat(1 << 20));
     assert!(json(&deep("[")).unwrap_err().contains("not JSON"));
     assert!(json(&deep("{\"a\":")).unwrap_err().contains("not JSON"));
     for open in ["[", "{a=", "a."] {
@@ -232,7 +217,7 @@ fn long_and_deep_files_are_refused_or_read() {
     }
     let key = "k".repeat(1 << 20);
     for text in
-        [json!({ key.as_str(): 1 }), json!({ "duration_s": key }), json!({"receptor": {"rectify": key}})]
+        [json!({ key.as_str(): 1 }), json!({ "duration_s": key }), json!({"afferent": {"rectify": key}})]
     {
         assert!(json(&text.to_string()).unwrap_err().contains("kkk"));
     }
@@ -261,8 +246,8 @@ proptest! {
     #[test]
     fn no_heap_of_pieces_makes_the_reader_panic(pieces in prop::collection::vec(prop::sample::select(vec![
         "{", "}", "[", "]", ":", ",", "=", "\n", "\"", "\\u2028", "\u{2028}", "\r", ".", "1", "-1e9", "nan", "null",
-        "\"drives\"", "drives", "[[drives]]", "motor", "\"motor\"", "receptors", "\"receptors\"", "duration_s",
-        "\"duration_s\"", "population", "spikes_s", "rectify", "receptor", "1979-05-27", "\"a\\nb\"", "'''", " ",
+        "\"drives\"", "drives", "[[drives]]", "motor", "\"motor\"", "afferents", "\"afferents\"", "duration_s",
+        "\"duration_s\"", "population", "spikes_s", "rectify", "afferent", "1979-05-27", "\"a\\nb\"", "'''", " ",
     ]), 0..40)) {
         let text = pieces.concat();
         let _ = (read(&text, "a.toml"), read(&text, "a.json"), read(&format!("{{{text}}}"), "a"));

@@ -1,6 +1,6 @@
 //! The exact and stepped methods against references: another program's spikes, and the oracle's.
 
-use meissner_skin::{Answer, Integrator, Method, Options, Precision, Scene, Stepping, simulate};
+use meissner_skin::{Answer, Integrator, Method, Options, Scene, simulate};
 use meissner_test_support::both::both;
 use meissner_test_support::oracle;
 use serde_json::Value;
@@ -53,7 +53,7 @@ fn the_exact_method_agrees_with_the_oracle() {
 fn on_every_shipped_array_the_methods_agree_with_the_oracle() {
     let shipped = oracle::Array::shipped();
     assert_eq!(shipped.iter().map(|array| array.name).collect::<Vec<_>>(), meissner_array::spec::names());
-    let stepping = Stepping { step_us: 20, integrator: Integrator::Propagator, precision: Precision::F64 };
+    let propagator = Method::stepped(20, Integrator::Propagator);
     for array in shipped {
         let (mut compared, mut near, mut all) = (0, 0, 0);
         for seed in 1000..1040 {
@@ -62,7 +62,7 @@ fn on_every_shipped_array_the_methods_agree_with_the_oracle() {
             let found = solve(&ours, Method::Exact);
             compared += oracle::compare(&oracle::spikes(&theirs), found.spikes_s.as_ref().unwrap(), 1e-9)
                 .unwrap_or_else(|error| panic!("{}, scene {seed}: {error}", array.name));
-            let stepped = solve(&ours, Method::Stepped(stepping)).counts;
+            let stepped = solve(&ours, propagator).counts;
             near += stepped.iter().zip(&found.counts).filter(|(a, b)| a.abs_diff(**b) <= 1).count();
             all += stepped.len();
         }

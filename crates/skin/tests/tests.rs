@@ -3,8 +3,6 @@
 
 /// The second model: reference spikes, scene files, independence, extremes.
 mod afferents;
-/// The chosen method stays within the allowed error.
-mod choose;
 /// The stepped methods converge to the exact one as the step shrinks.
 mod convergence;
 /// Candidates and changes of single motors against fresh simulations.

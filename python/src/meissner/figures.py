@@ -153,11 +153,11 @@ def tradeoff(scene: str | None = None) -> Figure:
     axes.set_yscale("symlog", linthresh=0.01)
     series: dict[str, list[tuple[float, float]]] = {}
     for row in answer["rows"]:
-        name = ", ".join(str(row[key]) for key in ("method", "integrator", "precision") if row.get(key))
+        name = ", ".join(str(row[key]) for key in ("method", "integrator") if row.get(key))
         # A method that was left out has no time.
         if row["us_per_receptor_s"] is not None and row["rate_rms_hz"] is not None:
             series.setdefault(name, []).append((row["us_per_receptor_s"], row["rate_rms_hz"]))
-    for (name, points), marker in zip(series.items(), "*os^vD", strict=False):
+    for (name, points), marker in zip(series.items(), "*os", strict=False):
         axes.plot(*np.array(points).T, marker=marker, label=name)
     axes.legend()
     return figure

@@ -6,7 +6,7 @@ use crate::cli::{progress, text};
 use anyhow::Result;
 use clap::error::ErrorKind;
 use meissner_skin::afferents::{Afferent, Class, LOWER_PER_CM2, SAMPLE_US, Scene, UPPER_PER_CM2, simulate};
-use meissner_skin::{Keep, ModelName, Precision};
+use meissner_skin::{Keep, ModelName};
 use serde::Serialize;
 use std::process::ExitCode;
 use std::time::Instant;
@@ -17,7 +17,6 @@ struct Document<'a> {
     model: ModelName,
     method: &'static str,
     step_us: u32,
-    precision: Precision,
     #[serde(skip_serializing_if = "Option::is_none")]
     spikes_s: Option<&'a [Vec<f64>]>,
     rates_hz: Vec<f64>,
@@ -56,14 +55,9 @@ pub(super) struct OfClass {
 }
 
 pub(super) fn run(asked: &Simulate, scene: &Scene) -> Result<ExitCode> {
-    let of_the_other = asked.method.is_some()
-        || asked.step_us.is_some()
-        || asked.integrator.is_some()
-        || asked.precision.is_some()
-        || asked.max_rate_error.is_some();
-    if of_the_other {
-        let message = "the model afferents has steps of 200 us and no other method: leave out --method, --step-us, \
-                       --integrator, --precision and --max-rate-error, or take --model membrane";
+    if asked.names_a_method() {
+        let message = "the model afferents has steps of 200 us and no other method: leave out --method, --step-us and \
+                       --integrator, or take --model membrane";
         return Err(clap::Error::raw(ErrorKind::ArgumentConflict, message).into());
     }
     let begun = Instant::now();
@@ -85,7 +79,6 @@ pub(super) fn run(asked: &Simulate, scene: &Scene) -> Result<ExitCode> {
         model: ModelName::Afferents,
         method: "stepped",
         step_us: SAMPLE_US,
-        precision: Precision::F64,
         spikes_s: answer.spikes_s.as_deref(),
         rates_hz,
         afferents: scene.afferents().iter().map(Placed::of).collect(),

@@ -1,8 +1,8 @@
-//! The name of a method: the keys `method`, `step_us`, `integrator` and `precision` of a document, and a text.
+//! The name of a method: the keys `method`, `step_us` and `integrator` of a document, and a text.
 //!
-//! Invariant: the exact method has no step, no integrator and no precision.
+//! Invariant: the exact method has no step and no integrator.
 
-use meissner_skin::{Integrator, Method, Precision, Stepping};
+use meissner_skin::{Integrator, Method, Stepping};
 use serde::Serialize;
 use std::fmt;
 
@@ -15,30 +15,23 @@ pub(in crate::cli) struct MethodLabel {
     pub(in crate::cli) step_us: Option<u32>,
     /// None if exact.
     pub(in crate::cli) integrator: Option<Integrator>,
-    /// None if exact.
-    pub(in crate::cli) precision: Option<Precision>,
 }
 
 impl From<Method> for MethodLabel {
     fn from(method: Method) -> Self {
         match method {
-            Method::Exact => Self { method: "exact", step_us: None, integrator: None, precision: None },
-            Method::Stepped(Stepping { step_us, integrator, precision }) => Self {
-                method: "stepped",
-                step_us: Some(step_us),
-                integrator: Some(integrator),
-                precision: Some(precision),
-            },
+            Method::Exact => Self { method: "exact", step_us: None, integrator: None },
+            Method::Stepped(Stepping { step_us, integrator }) => {
+                Self { method: "stepped", step_us: Some(step_us), integrator: Some(integrator) }
+            }
         }
     }
 }
 
 impl fmt::Display for MethodLabel {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match (self.integrator, self.precision, self.step_us) {
-            (Some(integrator), Some(precision), Some(step_us)) => {
-                write!(f, "{} in {} at {step_us} us", integrator.name(), precision.name())
-            }
+        match (self.integrator, self.step_us) {
+            (Some(integrator), Some(step_us)) => write!(f, "{} at {step_us} us", integrator.name()),
             _ => write!(f, "{}", self.method),
         }
     }

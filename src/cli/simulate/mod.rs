@@ -22,12 +22,10 @@ use clap::{Args, ValueEnum};
 use meissner_api::Fit;
 use meissner_skin::membrane::Position;
 use meissner_skin::{
-    Answer, AnyScene, Integrator, Keep, MAX_JSON_BYTES, Method, ModelName, Options, Precision, Scene,
-    Stepping, choose, simulate,
+    Answer, AnyScene, Integrator, Keep, MAX_JSON_BYTES, Method, ModelName, Options, Scene, simulate,
 };
 use serde::Serialize;
-use skipped::{Count, Reason, reasons};
-use std::io::{self, Write};
+use skipped::{Reason, reasons};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::Instant;
@@ -47,7 +45,7 @@ pub(super) struct Simulate {
     /// Choose the model of skin and afferents [default: the scene's key `model`, else membrane]
     #[arg(long, value_parser = choice::<ModelName>(MODELS))]
     model: Option<ModelName>,
-    /// Choose the method [default: stepped if a step, integrator or precision is given, else exact]
+    /// Choose the method [default: stepped if a step or integrator is given, else exact]
     #[arg(long, value_enum)]
     method: Option<Name>,
     /// Take steps of N us [default: 200]
@@ -56,17 +54,6 @@ pub(super) struct Simulate {
     /// Choose how a step is integrated [default: propagator]
     #[arg(long, value_parser = choice::<Integrator>(&[("euler", "Use eq. 2 of the paper: input and leak at the step's start, a spike at its end"), ("propagator", "Use the exact leak, the mean input, and threshold crossings within the step")]))]
     integrator: Option<Integrator>,
-    /// Choose the floating-point precision [default: f32]
-    #[arg(long, value_parser = choice::<Precision>(&[("f32", "Single precision"), ("f64", "Double precision")]))]
-    precision: Option<Precision>,
-    /// Use the fastest method whose rates err by at most X impulses/s, RMS over afferents
-    #[arg(
-        long,
-        value_name = "X",
-        allow_negative_numbers = true,
-        conflicts_with_all = ["method", "step_us", "integrator", "precision"]
-    )]
-    max_rate_error: Option<f64>,
     /// Simulate a pattern for S seconds: truncate or loop it
     #[arg(long, value_name = "S", allow_negative_numbers = true, value_parser = positive)]
     seconds: Option<f64>,
@@ -94,6 +81,13 @@ pub(super) struct Simulate {
     output: Output,
 }
 
+impl Simulate {
+    /// Whether it asks for a method of the membrane.
+    const fn names_a_method(&self) -> bool {
+        self.method.is_some() || self.step_us.is_some() || self.integrator.is_some()
+    }
+}
+
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum Name {
     /// Go from event to event, without a step
@@ -108,20 +102,11 @@ struct Document<'a> {
     model: ModelName,
     #[serde(flatten)]
     how: MethodLabel,
-    chosen: Option<Chosen>,
     #[serde(skip_serializing_if = "Option::is_none")]
     spikes_s: Option<&'a [Vec<f64>]>,
     rates_hz: Vec<f64>,
     skipped: Vec<Reason>,
-    /// Wall time of the simulation and of the choice of a method.
     wall_s: f64,
-}
-
-/// The choice of `--max-rate-error`.
-#[derive(Clone, Copy, Debug, Serialize)]
-struct Chosen {
-    estimated_rate_error_hz: f64,
-    sampled: usize,
 }
 
 pub(super) fn run(asked: &Simulate) -> Result<ExitCode> {
@@ -129,7 +114,7 @@ pub(super) fn run(asked: &Simulate) -> Result<ExitCode> {
     if let Some(found) = pattern::find(&asked.scene)? {
         return pattern::run(asked, &found.pattern);
     }
-    let stepping = stepping(asked)?;
+    let method = method(asked)?;
     let is_scaled = asked.scale.to_bits() != 1.0_f64.to_bits() || asked.fit != Fit::Whole;
     if asked.seconds.is_some() || asked.error_um.is_some() || asked.seed != 0 || is_scaled {
         let message = "--seconds, --fit, --scale, --seed and --error-um are for patterns: a scene says its drives, its duration and its \
@@ -143,25 +128,6 @@ pub(super) fn run(asked: &Simulate) -> Result<ExitCode> {
         AnyScene::Afferents(scene) => return afferents::run(asked, &scene),
     };
     let begun = Instant::now();
-    let (method, chosen) = match asked.max_rate_error {
-        None if asked.method == Some(Name::Exact) => (Method::Exact, None),
-        None => (stepping.map_or(Method::Exact, Method::Stepped), None),
-        Some(error_hz) => {
-            let choice = progress::waiting("choosing a method", || choose(&scene, error_hz))?;
-            let (estimated_rate_error_hz, sampled) = (choice.estimated_rate_error_hz, choice.sampled);
-            (choice.method, Some(Chosen { estimated_rate_error_hz, sampled }))
-        }
-    };
-    let how = MethodLabel::from(method);
-    if let (Some(chosen), false) = (chosen, asked.output.json) {
-        // Ignore a closed stderr: the answer names the method, too.
-        let _ = writeln!(
-            io::stderr(),
-            "chosen: {how}, estimated error {:.3} impulses/s RMS (from {} afferents)",
-            chosen.estimated_rate_error_hz,
-            chosen.sampled
-        );
-    }
     let keep = if asked.rates_only { Keep::Rates } else { Keep::Spikes };
     let options = Options { keep, ..Options::spikes(method) };
     let answer = progress::metered(|at| simulate(&scene, &options, at))?;
@@ -172,8 +138,7 @@ pub(super) fn run(asked: &Simulate) -> Result<ExitCode> {
     }
     let document = Document {
         model: ModelName::Membrane,
-        how,
-        chosen,
+        how: method.into(),
         spikes_s: answer.spikes_s.as_deref(),
         rates_hz: answer.rates_hz(&scene),
         skipped: reasons(&answer.skipped),
@@ -182,19 +147,18 @@ pub(super) fn run(asked: &Simulate) -> Result<ExitCode> {
     give(asked.output.json, &document, || summary(&scene, &answer, &document))
 }
 
-/// The requested stepping, if any. Contradictions are usage errors.
-fn stepping(asked: &Simulate) -> Result<Option<Stepping>, clap::Error> {
-    let implied = asked.step_us.is_some() || asked.integrator.is_some() || asked.precision.is_some();
+/// The requested method. Contradictions are usage errors.
+fn method(asked: &Simulate) -> Result<Method, clap::Error> {
+    let implied = asked.step_us.is_some() || asked.integrator.is_some();
     if asked.method == Some(Name::Exact) && implied {
-        let message = "the exact method has no step, integrator or precision: leave them out, or take \
-                       --method stepped";
+        let message =
+            "the exact method has no step and no integrator: leave them out, or take --method stepped";
         return Err(clap::Error::raw(ErrorKind::ArgumentConflict, message));
     }
     let integrator = asked.integrator.unwrap_or_default();
-    let precision = asked.precision.unwrap_or_default();
     let step_us = asked.step_us.unwrap_or(STEP_US);
     let stepped = implied || asked.method == Some(Name::Stepped);
-    Ok(stepped.then_some(Stepping { step_us, integrator, precision }))
+    Ok(if stepped { Method::stepped(step_us, integrator) } else { Method::Exact })
 }
 
 /// Reads a scene of either model from a file, or from stdin.
@@ -243,11 +207,7 @@ fn summary(scene: &Scene, answer: &Answer, document: &Document<'_>) -> String {
         return text::pairs(&lines);
     }
     let row = |reason: &Reason| {
-        let count = match reason.count {
-            Count::Number(number) => number.to_string(),
-            Count::Seconds(seconds) => format!("{seconds:.3}"),
-        };
-        vec![reason.what.replace('_', " "), count, reason.why.to_string()]
+        vec![reason.what.replace('_', " "), reason.count.to_string(), reason.why.to_string()]
     };
     let skipped = text::columns(&["skipped", "count", "why"], document.skipped.iter().map(row));
     format!("{}\n\n{skipped}", text::pairs(&lines))

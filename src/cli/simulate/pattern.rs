@@ -68,14 +68,8 @@ pub(super) fn has_format(text: &str) -> bool {
 }
 
 pub(super) fn run(asked: &Simulate, pattern: &Pattern) -> Result<ExitCode> {
-    let of_a_scene = asked.method.is_some()
-        || asked.step_us.is_some()
-        || asked.integrator.is_some()
-        || asked.precision.is_some()
-        || asked.max_rate_error.is_some();
-    if of_a_scene {
-        let message = "a pattern is simulated burst by burst: leave out --method, --step-us, --integrator, --precision and \
-                       --max-rate-error, or name a scene";
+    if asked.names_a_method() {
+        let message = "a pattern is simulated burst by burst: leave out --method, --step-us and --integrator, or name a scene";
         return Err(clap::Error::raw(ErrorKind::ArgumentConflict, message).into());
     }
     asked.array.check(&asked.scene.to_string_lossy(), pattern.array())?;

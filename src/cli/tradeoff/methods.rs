@@ -4,7 +4,7 @@
 
 use super::compare::{Difference, Reference};
 use crate::cli::simulate::MethodLabel;
-use meissner_skin::{Integrator, Method, MethodError, Options, Precision, Scene, Stepping, simulate};
+use meissner_skin::{Integrator, Method, MethodError, Options, Scene, simulate};
 use serde::Serialize;
 use std::time::{Duration, Instant};
 
@@ -98,14 +98,8 @@ pub(super) fn compare(scene: &Scene, progress: &(dyn Fn(f64) + Sync)) -> Result<
 }
 
 fn stepped(steps: &[u32]) -> Vec<Method> {
-    let mut methods = Vec::new();
-    for integrator in Integrator::ALL {
-        for precision in Precision::ALL {
-            let method = |&step_us| Method::Stepped(Stepping { step_us, integrator, precision });
-            methods.extend(steps.iter().map(method));
-        }
-    }
-    methods
+    let of = |integrator| steps.iter().map(move |&step_us| Method::stepped(step_us, integrator));
+    Integrator::ALL.into_iter().flat_map(of).collect()
 }
 
 /// The result of a run, and the median wall time of some runs in seconds.
@@ -133,83 +127,5 @@ fn row(method: Method, afferent_s: f64, run: Result<(f64, Difference), MethodErr
         difference,
         unstable: matches!(error, Some(MethodError::Unstable { .. })),
         reason: error.map(|error| error.to_string()),
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use std::sync::LazyLock;
-
-    /// Two pins, and three afferents: one between them, one beside them, one out of reach.
-    const SMALL: &str = r#"
-duration_s = 0.1
-seed = 3
-receptors = [{ x_mm = 0, y_mm = 1.45 }, { x_mm = -1.5, y_mm = 1.2 }, { x_mm = 8.5, y_mm = -7 }]
-receptor = { noise_sd = 0.05 }
-[[drives]]
-motor = 9
-frequency_hz = 80
-amplitude_um = 80
-[[drives]]
-motor = 10
-frequency_hz = 120
-amplitude_um = 80
-phase = 0.3
-"#;
-
-    /// The scene with other keys, and with its pins at rest, so that all of it is quick.
-    fn still(change: impl Fn(String) -> String) -> Scene {
-        let mut scene = Scene::read(&change(SMALL.to_owned()), "small.toml").unwrap();
-        for motor in [9, 10] {
-            scene = scene.with_motor(motor, &[]).unwrap();
-        }
-        scene
-    }
-
-    static COMPARED: LazyLock<MethodTradeoff> = LazyLock::new(|| {
-        let at = |part| assert!((0.0..=1.0).contains(&part), "{part}");
-        compare(&Scene::read(SMALL, "small.toml").unwrap(), &at).unwrap()
-    });
-
-    #[test]
-    fn the_finer_the_step_the_smaller_the_error() {
-        let error = |step_us| {
-            let of = |how: &MethodLabel| {
-                how.step_us == Some(step_us)
-                    && (how.integrator, how.precision) == (Some(Integrator::Propagator), Some(Precision::F64))
-            };
-            COMPARED.rows.iter().find(|row| of(&row.method)).unwrap().difference.mean_error_us.unwrap()
-        };
-        assert!(error(1) < 1.0 && error(1) < error(1000), "{} {}", error(1), error(1000));
-        assert!(COMPARED.spikes > 0);
-    }
-
-    #[test]
-    fn expensive_steps_are_left_out_and_named() {
-        let long = |text: String| {
-            text.replace("0.1\nseed", "250\nseed").replace("8.5, y_mm = -7", "-8.5, y_mm = -7")
-        };
-        let found = compare(&still(long), &|_| ()).unwrap();
-        assert_eq!(found.left_out.unwrap().steps_us, [1]);
-        assert_eq!(found.rows.len(), 1 + 4 * (STEPS_US.len() - 1));
-        for Row { difference, .. } in found.rows {
-            assert_eq!((difference.spikes_matched_share, difference.rate_bias), (None, None));
-        }
-    }
-
-    /// A membrane and times for which `f32` cannot count the steps, and no step is too long for Euler.
-    #[test]
-    fn only_euler_is_called_unstable() {
-        let slow = |text: String| {
-            text.replace("0.1\nseed", "100\nseed").replace("noise_sd = 0.05", "hyperexcitability_s = 1e9")
-        };
-        let found = compare(&still(slow), &|_| ()).unwrap();
-        let refused: Vec<_> = found.rows.iter().filter(|row| row.reason.is_some()).collect();
-        assert!(!refused.is_empty());
-        for row in refused {
-            assert!(!row.unstable && row.reason.as_ref().unwrap().contains("f32 counts"), "{row:?}");
-            assert_eq!((row.method.precision, row.difference.rate_rms_hz), (Some(Precision::F32), None));
-        }
     }
 }

@@ -80,13 +80,7 @@ fn table(found: &MethodTradeoff) -> String {
         ),
         columns(&head, found.rows.iter().map(row)),
     ];
-    // Rows may share a reason, for example Euler's in f32 and f64.
-    for reason in found.rows.iter().filter_map(|row| row.reason.as_ref()) {
-        let line = format!("Refused: {reason}.");
-        if !lines.contains(&line) {
-            lines.push(line);
-        }
-    }
+    lines.extend(found.rows.iter().filter_map(|row| Some(format!("Refused: {}.", row.reason.as_ref()?))));
     if found.rows.iter().any(|row| row.unstable) {
         lines.push(format!(
             "With steps between tau ({} s) and 2 tau explicit Euler alternates in sign; above 2 tau it diverges. Steps \

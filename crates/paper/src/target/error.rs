@@ -8,7 +8,6 @@ use crate::target::limits::MAX_BYTES;
 use meissner_array::spec::UnknownArray;
 use meissner_input::document::{self, in_range};
 use meissner_input::message::short_number;
-use meissner_skin::TwoNames;
 use meissner_skin::membrane::{PAD_LENGTH_MM, PAD_WIDTH_MM};
 use std::ops::RangeInclusive;
 
@@ -33,8 +32,6 @@ pub enum Problem {
     Character { found: String },
     #[error("is there, but `[motion]` has its own: leave it out")]
     DurationOfMotion,
-    #[error(transparent)]
-    TwoNames(#[from] TwoNames),
     /// A point off the pad: `dot` is its number in a Braille character, `frame` the frame and their count, if several.
     #[error(
         "{}is at [{}, {}] mm{}: must be on the pad, an ellipse {PAD_WIDTH_MM} mm wide and {PAD_LENGTH_MM} mm \

@@ -13,8 +13,8 @@ use meissner_array::pattern::Pattern;
 use meissner_array::spec::Array;
 use meissner_input::document::{CommonProblem, Table, from_toml, given, in_range, line_of};
 use meissner_input::message::quote;
+use meissner_skin::RawAfferent;
 use meissner_skin::membrane;
-use meissner_skin::{RawAfferent, as_written, one_name};
 use meissner_touch::{Shape, braille_dots, on_pad};
 use serde::de::{Error, IgnoredAny, SeqAccess, Visitor};
 use serde::{Deserialize, Deserializer};
@@ -158,9 +158,9 @@ struct RawTarget {
     #[serde(default, deserialize_with = "given")]
     duration_s: Option<f64>,
     population: Option<Table<RawPopulation>>,
+    // Patterns name it `receptor` in their provenance.
+    #[serde(alias = "receptor")]
     afferent: Option<Table<RawAfferent>>,
-    /// Deprecated: the old name of `afferent`.
-    receptor: Option<Table<RawAfferent>>,
     motion: Option<Table<RawMotion>>,
 }
 
@@ -241,9 +241,7 @@ impl RawTarget {
             Some(motion) => motion.frames(&shape, duration_s),
             None => vec![Frame { shape: shape.clone(), start_s: None, stop_s: None }],
         };
-        let (raw, written) = one_name(("afferent", self.afferent), ("receptor", self.receptor))
-            .map_err(|two| KeyError::whole(None, two.into()))?;
-        let raw = raw.map_or_else(RawAfferent::default, |Table(raw)| raw);
+        let raw = self.afferent.map_or_else(RawAfferent::default, |Table(raw)| raw);
         let target = Target {
             name: self.name,
             array,
@@ -257,7 +255,7 @@ impl RawTarget {
             frames,
         };
         placed_by.check(&target)?;
-        target.checked().map_err(|fault| as_written(fault, "afferent", written))
+        target.checked()
     }
 
     fn shape(&mut self, array: Array) -> Result<(Shape, PlacedBy), KeyError> {

@@ -8,7 +8,7 @@ use super::afferent::Class;
 use super::population::{drawn, population};
 use super::scene::{PREINDENT_MM, Pins, Scene, SinePin};
 use crate::membrane::{AfferentModel, Position, Rectify};
-use crate::scene::{self, ModelName, Problem, RawDrive, RawPopulation, Scene as MembraneScene, one_name};
+use crate::scene::{self, ModelName, Problem, RawDrive, RawPopulation, Scene as MembraneScene};
 use meissner_input::document::{self, Table};
 use serde::Deserialize;
 use serde::de::IgnoredAny;
@@ -37,12 +37,12 @@ pub(crate) struct RawScene {
     noise: Option<bool>,
     pins: Option<Vec<Table<RawPin>>>,
     drives: Option<Vec<Table<RawDrive>>>,
+    // The aliases are the names of the membrane's reference scenes.
+    #[serde(alias = "receptors")]
     afferents: Option<Vec<Table<RawAfferent>>>,
-    /// Deprecated: the old name of `afferents`.
-    receptors: Option<Vec<Table<RawAfferent>>>,
     population: Option<Table<RawPopulation>>,
+    #[serde(alias = "receptor")]
     afferent: Option<IgnoredAny>,
-    receptor: Option<IgnoredAny>,
     #[serde(rename = "spikes_s")]
     _spikes_s: Option<IgnoredAny>,
     #[serde(rename = "promised_spikes")]
@@ -72,16 +72,12 @@ struct RawAfferent {
 /// A scene from its keys.
 pub(crate) fn read(raw: RawScene) -> Result<Scene, KeyError> {
     let own = |problem: Problem| KeyError::whole(None, problem);
-    for (key, there) in [("afferent", raw.afferent.is_some()), ("receptor", raw.receptor.is_some())] {
-        if there {
-            return Err(KeyError::key(key, Problem::MembraneKey));
-        }
+    if raw.afferent.is_some() {
+        return Err(KeyError::key("afferent", Problem::MembraneKey));
     }
-    let (afferents, list) = one_name(("afferents", raw.afferents), ("receptors", raw.receptors))
-        .map_err(|two| own(two.into()))?;
     let array = scene::array(raw.array.as_deref())?;
     let seed = raw.seed;
-    let (afferents, by_itself) = match (afferents, raw.population) {
+    let (afferents, by_itself) = match (raw.afferents, raw.population) {
         (Some(afferents), None) => {
             let afferent = |(number, Table(raw)): (usize, Table<RawAfferent>)| {
                 let at = Position { x_mm: raw.x_mm, y_mm: raw.y_mm };
@@ -96,7 +92,7 @@ pub(crate) fn read(raw: RawScene) -> Result<Scene, KeyError> {
                                 class: afferent.class.name(),
                                 most: afferent.class.rows() - 1,
                             };
-                            KeyError::key("row", problem).within(&format!("{list}[{number}]"))
+                            KeyError::key("row", problem).within(&format!("afferents[{number}]"))
                         })?;
                 }
                 Ok(afferent)
@@ -105,7 +101,7 @@ pub(crate) fn read(raw: RawScene) -> Result<Scene, KeyError> {
         }
         (None, Some(Table(of))) => (population(of.seed), true),
         (None, None) => return Err(own(Problem::NoAfferents)),
-        (Some(_), Some(_)) => return Err(own(Problem::TwoPopulations { afferents: list })),
+        (Some(_), Some(_)) => return Err(own(Problem::TwoPopulations)),
     };
     let pins = match (raw.pins, raw.drives) {
         (Some(_), Some(_)) => return Err(own(Problem::PinsAndDrives)),

@@ -6,7 +6,6 @@
 //! Invariant: no operation mixes lanes.
 
 use super::SAMPLES_PER_S;
-use crate::simd::Number;
 use pulp::Simd;
 
 /// The coefficients: of the first section b and a, of the second b0 (b1 = 2 b0, b2 = b0), a1 and a2.
@@ -45,26 +44,26 @@ impl LowPass {
 }
 
 /// The coefficients of a vector of filters.
-pub(super) struct Sections<S: Simd, N: Number> {
-    pub(super) first_b: N::Vector<S>,
-    pub(super) first_minus_a: N::Vector<S>,
-    pub(super) second_b: N::Vector<S>,
-    pub(super) second_minus_a1: N::Vector<S>,
-    pub(super) second_minus_a2: N::Vector<S>,
+pub(super) struct Sections<S: Simd> {
+    pub(super) first_b: S::f64s,
+    pub(super) first_minus_a: S::f64s,
+    pub(super) second_b: S::f64s,
+    pub(super) second_minus_a1: S::f64s,
+    pub(super) second_minus_a2: S::f64s,
 }
 
-impl<S: Simd, N: Number> Sections<S, N> {
+impl<S: Simd> Sections<S> {
     /// The next output.
     #[inline(always)]
-    pub(super) fn next(&self, simd: S, state: &mut [N::Vector<S>; 3], input: N::Vector<S>) -> N::Vector<S> {
-        let scaled = N::mul(simd, self.first_b, input);
-        let between = N::add(simd, scaled, state[0]);
-        state[0] = N::mul_add(simd, self.first_minus_a, between, scaled);
-        let scaled = N::mul(simd, self.second_b, between);
-        let output = N::add(simd, scaled, state[1]);
-        let twice = N::add(simd, N::add(simd, scaled, scaled), state[2]);
-        state[1] = N::mul_add(simd, self.second_minus_a1, output, twice);
-        state[2] = N::mul_add(simd, self.second_minus_a2, output, scaled);
+    pub(super) fn next(&self, simd: S, state: &mut [S::f64s; 3], input: S::f64s) -> S::f64s {
+        let scaled = simd.mul_f64s(self.first_b, input);
+        let between = simd.add_f64s(scaled, state[0]);
+        state[0] = simd.mul_add_f64s(self.first_minus_a, between, scaled);
+        let scaled = simd.mul_f64s(self.second_b, between);
+        let output = simd.add_f64s(scaled, state[1]);
+        let twice = simd.add_f64s(simd.add_f64s(scaled, scaled), state[2]);
+        state[1] = simd.mul_add_f64s(self.second_minus_a1, output, twice);
+        state[2] = simd.mul_add_f64s(self.second_minus_a2, output, scaled);
         output
     }
 }

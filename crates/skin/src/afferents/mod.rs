@@ -62,8 +62,6 @@ pub(crate) use file::read;
 pub const SAMPLE_US: u32 = 200;
 /// Samples per second.
 pub const SAMPLES_PER_S: f64 = 5000.0;
-/// Afferents in a group: the widest vector of `f64`.
-const LANES: usize = 8;
 /// Young's modulus of the skin, N/mm² (Saal et al. 2017).
 pub const ELASTICITY: f64 = 0.05;
 /// Poisson's ratio of the skin (Saal et al. 2017).

@@ -8,7 +8,7 @@
 use super::scene::{Pins, Scene, SinePin};
 use super::{SAMPLE_US, SAMPLES_PER_S};
 use crate::breakpoints::velocity_per_d;
-use crate::method::{Integrator, Method, Precision, Stepping};
+use crate::method::{Integrator, Method, Stepping};
 use crate::sampler::Sampler;
 use crate::track::{Track, Tracks, of_scene};
 use meissner_array::per_motor::PerMotor;
@@ -17,8 +17,7 @@ use std::f64::consts::TAU;
 use std::sync::Arc;
 
 /// The mean velocity over a sample.
-const STEPS: Stepping =
-    Stepping { step_us: SAMPLE_US, integrator: Integrator::Propagator, precision: Precision::F64 };
+const STEPS: Stepping = Stepping { step_us: SAMPLE_US, integrator: Integrator::Propagator };
 const MEANS: Method = Method::Stepped(STEPS);
 /// Converts the mean D over a sample, half pulses, to the path of a pin, mm.
 fn mm_per_mean(array: &ArraySpec) -> f64 {

@@ -11,12 +11,11 @@
 //!
 //! Invariant: no operation mixes lanes, and the start of a tile does not depend on how a scene is cut into blocks.
 
-use super::LANES;
 use super::afferent::{Afferent, Class, Parameters};
 use super::filter::{LowPass, Sections};
 use super::noise::Noise;
 use super::stimulus::{Field, TILE, mix, mix_together};
-use crate::simd::{Aligned, bits};
+use crate::simd::{Aligned, LANES, Row, bits};
 use pulp::{Arch, Simd, WithSimd};
 use std::sync::OnceLock;
 
@@ -31,8 +30,6 @@ pub(super) const NEVER: i64 = -1_000_000;
 /// A smaller state becomes 0 at the end of a tile, because processors are slow with denormal numbers.
 const NEGLIGIBLE: f64 = 1e-200;
 
-/// One number per lane.
-type Row = Aligned<[f64; LANES]>;
 /// The samples of a tile, with the lanes side by side.
 type Tile = Aligned<[[f64; LANES]; TILE]>;
 
@@ -328,7 +325,7 @@ impl Group {
     ) {
         let load = |row: &[f64; LANES]| S::as_simd_f64s(&row[lane..lane + S::F64_LANES]).0[0];
         let of = &self.constants;
-        let low_pass = Sections::<S, f64> {
+        let low_pass = Sections::<S> {
             first_b: load(&of.first_b),
             first_minus_a: load(&of.first_minus_a),
             second_b: load(&of.second_b),

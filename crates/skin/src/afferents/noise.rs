@@ -7,7 +7,7 @@
 //! Invariant: the code uses only additions, products, divisions and roots with one rounding each, so all machines give the same
 //! bits. The deviates are of single precision, and none is beyond 6.7 SD.
 
-use super::LANES;
+use crate::simd::LANES;
 use meissner_array::random;
 
 /// Separates these random numbers from others of the same seed.

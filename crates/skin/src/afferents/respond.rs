@@ -3,10 +3,11 @@
 //! [`respond`] takes the stimuli afferent by afferent and passes them to the neurons of `neuron`: to a group they look like the loads
 //! of eight pins, each of which reaches one afferent. So filters, currents, noise and spikes are those of a scene.
 
+use super::SAMPLES_PER_S;
 use super::afferent::{Afferent, Class};
 use super::neuron::{Block, Group};
 use super::stimulus::{Field, TILE};
-use super::{LANES, SAMPLES_PER_S};
+use crate::simd::LANES;
 use pulp::Arch;
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicUsize, Ordering};

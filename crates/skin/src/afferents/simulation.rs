@@ -5,14 +5,15 @@
 //!
 //! Invariant: the answer for an afferent depends on the scene and its number, not on blocks, tiles, groups or threads.
 
+use super::SAMPLES_PER_S;
 use super::afferent::{Afferent, Class};
 use super::contact::{Contact, FlatPins};
 use super::motion::{Motion, tracks};
 use super::neuron::{Block, Group};
 use super::scene::{Pins, Scene};
 use super::stimulus::{Field, TILE};
-use super::{LANES, SAMPLES_PER_S};
 use crate::method::{Keep, MAX_SPIKES, MethodError};
+use crate::simd::LANES;
 use crate::track::Tracks;
 use pulp::Arch;
 use rayon::prelude::*;

@@ -9,9 +9,9 @@
 //!
 //! Invariant: terms are added in the order of the pins, each with one rounding.
 
-use super::LANES;
 use super::afferent::{Afferent, Class};
 use super::contact::{FlatPins, Place};
+use crate::simd::LANES;
 use pulp::Simd;
 
 /// Samples that are summed at once.

@@ -1,11 +1,11 @@
 //! The exact method in the processor's vector instructions.
 
-use super::group::{Group, LANES, Row};
+use super::group::Group;
 use crate::breakpoints::Breakpoint;
 use crate::membrane::equation::{Membrane, SERIES, SERIES_ENDS, SHORT, SHORT_SERIES_ENDS};
 use crate::membrane::neuron::{Instant, Neuron, Segment};
 use crate::membrane::{MIN_THRESHOLD, Rectify};
-use crate::simd::{Aligned, bits};
+use crate::simd::{Aligned, LANES, Row, bits, load, spill, store};
 use pulp::{Simd, WithSimd};
 
 /// Adding and subtracting this rounds a number below 2⁵¹ to a whole number, ties to even, so the rounding is symmetric.
@@ -86,16 +86,6 @@ impl Pass<'_> {
         }
         self.group.weights = weights;
     }
-}
-
-#[inline(always)]
-fn load<S: Simd>(lanes: &Row, first: usize) -> S::f64s {
-    S::as_simd_f64s(&lanes[first..first + S::F64_LANES]).0[0]
-}
-
-#[inline(always)]
-fn store<S: Simd>(lanes: &mut Row, first: usize, values: S::f64s) {
-    S::as_mut_simd_f64s(&mut lanes[first..first + S::F64_LANES]).0[0] = values;
 }
 
 /// The lanes in the processor's registers.
@@ -250,15 +240,10 @@ impl<'m, S: Simd, const RECTIFY: u8> Vectors<'m, S, RECTIFY> {
         keep: bool,
     ) {
         let simd = self.simd;
-        let spill = |values| {
-            let mut lanes = Aligned([0.0; LANES]);
-            store::<S>(&mut lanes, 0, values);
-            lanes
-        };
-        let (at, v, k) = (spill(self.at), spill(self.v), spill(self.k));
-        let length = spill(simd.sub_f64s(to, self.at));
-        let (old_p, end, resting) = (spill(self.p), spill(p), spill(self.resting));
-        let (last_at, last_offset) = (spill(self.last_at), spill(self.last_offset));
+        let (at, v, k) = (spill::<S>(self.at), spill::<S>(self.v), spill::<S>(self.k));
+        let length = spill::<S>(simd.sub_f64s(to, self.at));
+        let (old_p, end, resting) = (spill::<S>(self.p), spill::<S>(p), spill::<S>(self.resting));
+        let (last_at, last_offset) = (spill::<S>(self.last_at), spill::<S>(self.last_offset));
         self.p = simd.select_f64s(mine, p, self.p);
         let until = group.end;
         let numbers = load::<S>(&NUMBERS, 0);

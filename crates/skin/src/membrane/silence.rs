@@ -13,8 +13,8 @@ use crate::membrane::equation::Membrane;
 
 /// Margin for rounding, here and in the simulation.
 const MARGIN: f64 = 1.001;
-/// Upper bound of the relative amount by which a step in `f32` rounds a membrane up: two roundings, doubled.
-const STEP_ROUNDING: f64 = 4.0 * (f32::EPSILON / 2.0) as f64;
+/// Upper bound of the relative amount by which a step rounds a membrane up: two roundings, doubled.
+const STEP_ROUNDING: f64 = 4.0 * (f64::EPSILON / 2.0);
 
 /// The share of a membrane that leaks in one part of a segment.
 const LEAK: f64 = 0.01;

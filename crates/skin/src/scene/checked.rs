@@ -54,16 +54,6 @@ impl Scene {
         Ok(Self { drives, ..self.clone() })
     }
 
-    /// The scene with all drives of one motor replaced. `drives` become this motor's, even if they name another motor.
-    ///
-    /// # Errors
-    /// The first thing that is wrong with it, by the key it would have in a file.
-    pub fn with_motor(&self, motor: u8, drives: &[Drive]) -> Result<Self, SceneError> {
-        let mut changed: Vec<_> = self.drives.iter().filter(|drive| drive.motor != motor).copied().collect();
-        changed.extend(drives.iter().map(|drive| Drive { motor, ..*drive }));
-        self.with_drives(changed)
-    }
-
     /// The scene with every motor's travel multiplied by its gain, 0 to 10. With a gain of 1 nothing changes; with 0 the
     /// motor rests. This shows what remains of a pattern on motors that scatter by 10 %.
     ///
@@ -117,7 +107,7 @@ impl Scene {
         &self.model
     }
 
-    /// The scene without drives, for motors that ramps move, with these gains. Such a scene has no period.
+    /// The scene without drives, for motors that ramps move, with these gains.
     pub(crate) fn without_drives(&self, gains: PerMotor<f64>) -> Self {
         Self { drives: Vec::new(), gains, ..self.clone() }
     }

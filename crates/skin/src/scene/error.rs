@@ -5,7 +5,6 @@
 //!
 //! Invariant: the display of a [`SceneError`] holds no line break.
 
-use super::names::TwoNames;
 use meissner_array::motor::MotorError;
 use meissner_array::spec::UnknownArray;
 use meissner_input::document;
@@ -20,12 +19,10 @@ pub type SceneError = document::DocumentError<Problem>;
 pub enum Problem {
     #[error("{bytes} bytes are too many: a scene in {language} has at most {most}{advice}")]
     TooLarge { bytes: usize, language: &'static str, most: usize, advice: &'static str },
-    #[error("neither `afferents` (or `receptors`, its old name) nor `population` is there: add one of them")]
+    #[error("neither `afferents` nor `population` is there: add one of them")]
     NoAfferents,
-    #[error("`{afferents}` and `population` are both there: leave one out")]
-    TwoPopulations { afferents: &'static str },
-    #[error(transparent)]
-    TwoNames(#[from] TwoNames),
+    #[error("`afferents` and `population` are both there: leave one out")]
+    TwoPopulations,
     #[error("is unknown: {0}")]
     Array(#[source] UnknownArray),
     #[error("{0}")]

@@ -6,7 +6,7 @@
 use super::afferent::RawAfferent;
 use super::checked::{Scene, ideal};
 use super::error::{KeyError, Problem};
-use super::names::{ModelName, as_written, one_name};
+use super::names::ModelName;
 use crate::membrane::{self, Position};
 use meissner_array::pattern::Drive;
 use meissner_array::spec::Array;
@@ -27,13 +27,12 @@ pub(crate) struct RawScene {
     seed: u64,
     #[serde(default)]
     drives: Vec<Table<RawDrive>>,
+    // The aliases are the names of the reference scenes.
+    #[serde(alias = "receptors")]
     afferents: Option<Vec<Table<Position>>>,
-    /// Deprecated: the old name of `afferents`.
-    receptors: Option<Vec<Table<Position>>>,
     population: Option<Table<RawPopulation>>,
+    #[serde(alias = "receptor")]
     afferent: Option<Table<RawAfferent>>,
-    /// Deprecated: the old name of `afferent`.
-    receptor: Option<Table<RawAfferent>>,
     #[serde(rename = "spikes_s")]
     _spikes_s: Option<IgnoredAny>,
     #[serde(rename = "promised_spikes")]
@@ -82,16 +81,12 @@ impl RawScene {
     /// The scene of these keys. `placed` adds the line to a problem with a key that names an array or a motor.
     pub(crate) fn checked_scene(self, placed: impl Fn(KeyError) -> KeyError) -> Result<Scene, KeyError> {
         let own = |problem: Problem| KeyError::whole(None, problem);
-        let (afferents, list) = one_name(("afferents", self.afferents), ("receptors", self.receptors))
-            .map_err(|two| own(two.into()))?;
-        let (afferent, table) = one_name(("afferent", self.afferent), ("receptor", self.receptor))
-            .map_err(|two| own(two.into()))?;
-        let (afferents, noise_sd) = match (afferents, self.population) {
+        let (afferents, noise_sd) = match (self.afferents, self.population) {
             // This collects in place, so memory holds only one copy of a million afferents.
             (Some(afferents), None) => (afferents.into_iter().map(|Table(at)| at).collect(), 0.0),
             (None, Some(Table(of))) => (membrane::population(of.seed), membrane::POPULATION_NOISE_SD),
             (None, None) => return Err(own(Problem::NoAfferents)),
-            (Some(_), Some(_)) => return Err(own(Problem::TwoPopulations { afferents: list })),
+            (Some(_), Some(_)) => return Err(own(Problem::TwoPopulations)),
         };
         let array = array(self.array.as_deref()).map_err(&placed)?;
         let scene = Scene {
@@ -101,10 +96,9 @@ impl RawScene {
             drives: drives(array, self.drives).map_err(&placed)?,
             afferents: Arc::new(afferents),
             gains: ideal(array),
-            model: afferent.map_or_else(RawAfferent::default, |Table(raw)| raw).model(noise_sd),
+            model: self.afferent.map_or_else(RawAfferent::default, |Table(raw)| raw).model(noise_sd),
         };
-        let written = |fault| as_written(as_written(fault, "afferents", list), "afferent", table);
-        scene.checked().map_err(written)
+        scene.checked()
     }
 }
 

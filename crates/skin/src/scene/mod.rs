@@ -20,4 +20,4 @@ pub use checked::Scene;
 pub(crate) use error::KeyError;
 pub use error::{Problem, SceneError};
 pub(crate) use file::{RawDrive, RawPopulation, RawScene, array, drives};
-pub use names::{ModelName, TwoNames, as_written, one_name};
+pub use names::ModelName;

@@ -1,7 +1,5 @@
-//! Names in a file: those of models, and those of keys that also have a deprecated name. A file may have either name of a key, but
-//! not both.
+//! The names of models in a file.
 
-use meissner_input::document::KeyError;
 use meissner_input::message::quote;
 use serde::de::{Error, Visitor};
 use serde::{Deserialize, Deserializer, Serialize};
@@ -46,40 +44,5 @@ impl<'de> Deserialize<'de> for ModelName {
             }
         }
         source.deserialize_str(Word)
-    }
-}
-
-/// Both names of a key are there.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("`{name}` and `{deprecated}` are both there and mean the same: keep `{name}`")]
-pub struct TwoNames {
-    name: &'static str,
-    deprecated: &'static str,
-}
-
-/// The value of a key under its name or its deprecated name, and the name that the file uses. Without a value that is the present
-/// name.
-///
-/// # Errors
-/// If both are there.
-pub fn one_name<T>(
-    (name, value): (&'static str, Option<T>),
-    (deprecated, old): (&'static str, Option<T>),
-) -> Result<(Option<T>, &'static str), TwoNames> {
-    match (value, old) {
-        (Some(_), Some(_)) => Err(TwoNames { name, deprecated }),
-        (None, Some(value)) => Ok((Some(value), deprecated)),
-        (value, None) => Ok((value, name)),
-    }
-}
-
-/// Renames the key `name` in a fault about it, or about a part of it, to the name that the file uses.
-#[must_use]
-pub fn as_written<P>(fault: KeyError<P>, name: &str, written: &str) -> KeyError<P> {
-    match fault.path.strip_prefix(name) {
-        Some(rest) if rest.is_empty() || rest.starts_with(['.', '[']) => {
-            KeyError { path: format!("{written}{rest}"), ..fault }
-        }
-        _ => fault,
     }
 }

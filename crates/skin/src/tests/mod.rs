@@ -2,16 +2,10 @@
 
 mod silence;
 
-use crate::blocks::Blocks;
-use crate::cycle::periods;
 use crate::engine::run_on;
-use crate::exact::{Group, MAX_BUFFERED};
-use crate::member::Member;
-use crate::membrane::equation::Membrane;
 use crate::membrane::{AfferentModel, Rectify, population};
-use crate::time::end;
 use crate::track::{Track, Tracks, of_scene};
-use crate::{Integrator, Method, Options, Precision, Ramps, Scene, Stepping};
+use crate::{Integrator, Method, Options, Ramps, Scene};
 use firmware_protocol::stroke::Direction;
 use firmware_protocol::tick::Tick;
 use meissner_array::motor::{HalfTick, Ramp, Shaft};
@@ -79,12 +73,8 @@ fn bits(arch: Arch, scene: &Scene, tracks: &Tracks, method: Method) -> Vec<(u32,
 
 #[test]
 fn every_width_of_vectors_gives_the_same_bits() {
-    let mut methods = vec![Method::Exact];
-    for integrator in [Integrator::Euler, Integrator::Propagator] {
-        for precision in [Precision::F32, Precision::F64] {
-            methods.push(Method::Stepped(Stepping { step_us: 330, integrator, precision }));
-        }
-    }
+    let [euler, propagator] = Integrator::ALL.map(|integrator| Method::stepped(330, integrator));
+    let methods = [Method::Exact, euler, propagator];
     for seed in 0..12 {
         let array = Array::paper();
         let scene = scene(array, seed);
@@ -157,11 +147,6 @@ fn bursts_of_any_speed_leave_every_motor_at_exactly_rest() {
     }
 }
 
-/// A stepped method with the samples of an integrator.
-fn stepping(step_us: u32, integrator: Integrator) -> Method {
-    Method::Stepped(Stepping { step_us, integrator, precision: Precision::F64 })
-}
-
 /// Each motor's samples, read `at_a_time` at a time; none for a motor at rest.
 fn samples(scene: &Scene, method: Method, steps: usize, at_a_time: usize) -> Vec<Vec<f64>> {
     let of_track = |track: &Option<Arc<Track>>| {
@@ -183,7 +168,7 @@ fn samples_do_not_depend_on_how_many_are_read_at_a_time() {
     for seed in 1..5 {
         let integrator = [Integrator::Propagator, Integrator::Euler][seed as usize % 2];
         for step_us in [30, 500, 10_000, 176_471] {
-            let (scene, method) = (scene(Array::paper(), seed), stepping(step_us, integrator));
+            let (scene, method) = (scene(Array::paper(), seed), Method::stepped(step_us, integrator));
             let steps = (scene.duration_s() * 1e6 / f64::from(step_us)).ceil() as usize;
             let whole = samples(&scene, method, steps, steps);
             for at_a_time in [1, 8, 37, 256] {
@@ -192,7 +177,7 @@ fn samples_do_not_depend_on_how_many_are_read_at_a_time() {
             }
             // The kept samples are the same.
             for (track, expected) in of_scene(&scene, method).iter().zip(&whole) {
-                let kept = track.as_ref().map_or(&[][..], |track| track.samples::<f64>().unwrap());
+                let kept = track.as_ref().map_or(&[][..], |track| track.samples().unwrap());
                 assert!(
                     kept[..expected.len()] == **expected && kept[expected.len()..].iter().all(|&d| d == 0.0)
                 );
@@ -209,7 +194,7 @@ fn the_mean_velocity_times_the_step_is_the_shaft_s_motion() {
         let step_us = if ticks_per_s == 85_000.0 { 500 } else { 10_000 };
         let step = (f64::from(step_us) * 1e-6 * 2.0 * ticks_per_s).round() as u64;
         let steps = 1_200_000 / step_us as usize;
-        let found = samples(&scene, stepping(step_us, Integrator::Propagator), steps, 100);
+        let found = samples(&scene, Method::stepped(step_us, Integrator::Propagator), steps, 100);
         let um_per_pulse = array.motor().um_per_pulse;
         let um = um_per_pulse / 2.0 / array.motor().window_half_ticks as f64 * step as f64;
         for drive in scene.drives() {
@@ -251,7 +236,7 @@ fn samples_at_rest_are_zero() {
     for integrator in [Integrator::Euler, Integrator::Propagator] {
         for step_us in [80, 500, 590] {
             let steps = 1_000_000 / step_us as usize;
-            let rows = samples(&scene, stepping(step_us, integrator), steps, 64);
+            let rows = samples(&scene, Method::stepped(step_us, integrator), steps, 64);
             let at = |s: f64| (s * 1e6 / f64::from(step_us)) as usize;
             assert!(rows[5][..at(0.01)].iter().all(|&d| d == 0.0), "{integrator:?}, {step_us}");
             assert!(rows[5][at(0.01)..at(0.13)].iter().any(|&d| d != 0.0));
@@ -259,39 +244,4 @@ fn samples_at_rest_are_zero() {
             assert!(rows.iter().enumerate().all(|(motor, row)| motor == 5 || row.iter().all(|&d| d == 0.0)));
         }
     }
-}
-
-/// The state never repeats within the scene, but the spikes buffered meanwhile stay within their bound.
-#[test]
-fn counted_spikes_are_buffered_within_a_bound() {
-    let model = AfferentModel {
-        alpha_per_um: 1e6,
-        refractory_s: 1e-4,
-        ..AfferentModel::default_for(Rectify::Half, 0.0)
-    };
-    let array = Array::paper();
-    // Together they repeat only after 10 s.
-    let scene =
-        Scene::new(array, 60.0, 0, vec![drive(9, 10.0, 80.0), drive(10, 10.1, 80.0)], Vec::new(), model)
-            .unwrap();
-    let (membrane, end) = (Membrane::of(scene.model(), &array), end(scene.duration_s(), array.rate()));
-    let mut weights = vec![0.0; array.motors()];
-    (weights[9], weights[10]) = (1.0, 0.5);
-    let member =
-        Member { number: 0, weights: weights.into(), motors: 1 << 9 | 1 << 10, resting: 1.0, noise: None };
-    let periods = periods(array, scene.drives(), end);
-    let mut group = Group::new(&array, vec![member], &membrane, Some(&periods), end);
-    let tracks = of_scene(&scene, Method::Exact);
-    let mut blocks = Blocks::new(&array, tracks.iter().flatten().map(Arc::as_ref), end);
-    let (mut block, mut most) = (Vec::new(), 0);
-    while blocks.next_into(&mut block) {
-        // Small blocks, as in a long scene.
-        for part in block.chunks(64) {
-            group.run(Arch::new(), &membrane, part, false);
-            most = most.max(group.kept());
-        }
-    }
-    assert!(most > 1000 && most <= MAX_BUFFERED, "{most}");
-    let (trains, _) = group.finish(Arch::new(), &membrane, false);
-    assert!(trains[0].0 > MAX_BUFFERED && trains[0].1.is_empty());
 }

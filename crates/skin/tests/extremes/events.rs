@@ -70,13 +70,8 @@ fn a_spike_at_a_breakpoint_is_one_spike() {
                 assert!(found[0].len() == 1 && (found[0][0] - breakpoint_s).abs() < 1e-13, "{found:?}");
                 alpha = alpha.next_up();
             }
-            for method in propagator(10) {
-                let found = spikes(&of(at), method);
-                assert!(
-                    found[0].len() == 1 && (found[0][0] - breakpoint_s).abs() < 1e-5,
-                    "{method:?}: {found:?}"
-                );
-            }
+            let found = spikes(&of(at), propagator(10));
+            assert!(found[0].len() == 1 && (found[0][0] - breakpoint_s).abs() < 1e-5, "{found:?}");
         }
     }
 }
@@ -104,7 +99,7 @@ fn a_threshold_reached_just_as_refractoriness_ends() {
     for method in stepped(10) {
         let held = spikes(&of(2.0 * interval_s), method).remove(0);
         // Within a millionth of the refractory time, or within a step for Euler.
-        let late = if propagator(10).contains(&method) { 1e-8 } else { 1.1e-5 };
+        let late = if method == propagator(10) { 1e-8 } else { 1.1e-5 };
         assert!((0.0..late).contains(&(held[1] - held[0] - 2.0 * interval_s + 2e-9)), "{method:?}: {held:?}");
     }
 }
