@@ -1,5 +1,4 @@
 use crate::harness::{document, meissner, printed};
-use serde_json::Value;
 
 #[test]
 fn validate_prints_a_verdict_for_every_case() {
