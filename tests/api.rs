@@ -253,7 +253,7 @@ fn every_error_is_a_problem() {
         ("/v1/arm", json!({"note": "x".repeat(20_000)}), "too-large", "bytes"),
         ("/v1/play", json!({"pattern": "edge-45", "seconds": 0.000_001}), "empty", "no stroke"),
         ("/v1/play", json!({"patern": "edge-45"}), "bad-request", "did you mean `pattern`?"),
-        ("/v1/play", json!({"pattern": "egde-45"}), "not-found", "did you mean `edge-45`?"),
+        ("/v1/play", json!({"pattern": "egde-45"}), "not-found", "did you mean `edge-45`"),
         ("/v1/play", json!({"pattern": "edge-45", "seconds": -1}), "bad-request", "`seconds`"),
         ("/v1/stop", json!({"now": true}), "bad-request", "`now`"),
     ] {

@@ -140,7 +140,7 @@ fn patterns_are_listed_shown_and_imported() {
     let list = printed(daemon.meissner().arg("list"));
     let row = list.lines().find(|line| line.starts_with("mine ")).unwrap();
     assert!(row.contains(&reached) && row.contains(&whole), "{row}");
-    // A drive whose frame is too short for a stroke never moves its pin: no map shows it, and it is not counted.
+    // A drive whose frame is too short for a stroke never moves its pin, and is not counted.
     let short =
         format!("{DRIVE}stop_s = 0.012\n{}", DRIVE[17..].replace("= 9", "= 14").replace("60.0", "200.0"));
     write_pattern(&daemon.path("short.toml"), "short", &short);
@@ -148,9 +148,6 @@ fn patterns_are_listed_shown_and_imported() {
     assert!(text.contains("drive 1 (motor 9) gives no stroke"), "{text}");
     let list = printed(daemon.meissner().arg("list"));
     assert!(list.lines().any(|line| line.starts_with("short ") && line.contains("1 of 2 move")), "{list}");
-    let text = printed(daemon.meissner().args(["show", "short"]));
-    let (map, _) = text.split_once("motor").unwrap();
-    assert!(!map.contains("60.0 Hz") && map.contains("200.0 Hz"), "{text}");
     // The name is taken.
     let sha256 = imported["sha256"].as_str().unwrap();
     let line = complaint(daemon.meissner().args(["import", "f.toml"]));

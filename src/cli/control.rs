@@ -45,9 +45,6 @@ pub(super) struct Play {
     /// Refuse the play if a motor is too slow for a motion
     #[arg(long)]
     strict: bool,
-    /// Let a pin stay above rest without a pulse for MS milliseconds at most; then the device lowers it [default: as long as the pattern needs]
-    #[arg(long, value_name = "MS", allow_negative_numbers = true, value_parser = positive)]
-    hold_ms: Option<f64>,
     #[command(flatten)]
     play: PlayOptions,
     /// Wait for the end and print the receipt; exit 1 if not all was played. Ctrl-C, SIGTERM and SIGHUP stop the play (exit 130, 143, 129)
@@ -252,7 +249,7 @@ pub(super) fn play(play: &Play) -> Result<ExitCode> {
         scale: play.play.scale,
         trigger: play.play.trigger.request(),
         strict: play.strict,
-        hold_ms: play.hold_ms,
+        hold_ms: None,
     };
     let json = play.options.output.json;
     if !play.wait {

@@ -26,9 +26,6 @@ pub(super) struct Displacement {
     /// Multiply the amplitude of every drive and motion by X, 0 to 1
     #[arg(long, value_name = "X", default_value_t = 1.0, allow_negative_numbers = true, value_parser = positive)]
     scale: f64,
-    /// Let steps move pins at most UM um away from what the motors can do of a motion [default: the array's shortest burst]
-    #[arg(long, value_name = "UM", allow_negative_numbers = true, value_parser = positive)]
-    error_um: Option<f64>,
     /// Take F samples a second, 1 to the array's tick rate
     #[arg(long, value_name = "F", default_value_t = 1000.0, allow_negative_numbers = true, value_parser = positive)]
     rate_hz: f64,
@@ -49,7 +46,6 @@ pub(super) fn run(asked: &Displacement) -> Result<ExitCode> {
         seconds: asked.seconds,
         scale: asked.scale,
         fit: fit(asked.fit),
-        error_um: asked.error_um,
         ..StrokeOptions::default()
     };
     let most_hz = pattern.array().rate().hz();

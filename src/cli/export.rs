@@ -121,8 +121,8 @@ pub(super) fn run(
     // Tells at once of a link or of a folder that is not there.
     output.map(files::beside).transpose()?;
     let exported = read(&mut options.client()?, id)?;
-    if let Some(lacks) = lacks(&exported).filter(|_| !incomplete) {
-        let id = &exported.session.id;
+    if !exported.complete && !incomplete {
+        let (id, lacks) = (&exported.session.id, exported.missing.join("; "));
         bail!("session {id} is not whole in the record: {lacks}; --incomplete exports what there is");
     }
     warn_incomplete(&exported);
@@ -164,13 +164,6 @@ pub(super) fn warn_incomplete(exported: &SessionPlays) {
     for line in exported.missing.iter().chain(left_out) {
         tell(&format!("warning: {line}"));
     }
-}
-
-/// The missing parts, in one line; none if the record has the whole session.
-fn lacks(exported: &SessionPlays) -> Option<String> {
-    let unknown = || "the daemon is an older one, and does not say what is missing".to_owned();
-    let missing = || if exported.missing.is_empty() { unknown() } else { exported.missing.join("; ") };
-    (!exported.complete).then(missing)
 }
 
 /// All plays of a session, answer by answer.

@@ -4,7 +4,6 @@
 //! object has lines.
 
 mod named;
-mod robustness;
 
 use super::arguments::{ArrayOption, Output};
 use super::output::give;
@@ -15,12 +14,9 @@ use anyhow::{Result, bail};
 use clap::Args;
 use meissner_array::pattern::Pattern;
 use meissner_array::spec::Array;
-use meissner_render::{
-    BLUR_MM, Change, Judge as Comparison, Judged, Method, Rival, TRACE_MM_S, render, response_of, trace,
-};
+use meissner_render::{Judge as Comparison, Judged, Method, Rival, TRACE_MM_S, render, response_of, trace};
 use meissner_skin::{Finger, SkinModel};
 use meissner_touch::{Contact, Object, respond};
-use robustness::Changed;
 use serde::Serialize;
 use std::fmt::Write;
 use std::process::ExitCode;
@@ -36,18 +32,9 @@ pub(super) struct Judge {
     /// Compare with this object: a file (TOML with kind = "object"), or the name of a shipped one
     #[arg(long, value_name = "OBJECT", required_unless_present = "set")]
     object: Option<String>,
-    /// Count how often observers name each of these objects, rendered by each method, and how far places, angles and gaps are off
+    /// Count how often observers name each of these objects, rendered by each method
     #[arg(long, value_name = "OBJECT", num_args = 2.., conflicts_with = "object")]
     set: Vec<String>,
-    /// Move the set by up to MM mm either way along x and y, differently for each finger
-    #[arg(long, value_name = "MM", default_value_t = 0.0, requires = "set", allow_negative_numbers = true)]
-    spread_mm: f64,
-    /// Blur the skin of observers by a Gaussian of MM mm (SD), 0.5 to 5
-    #[arg(long, value_name = "MM", default_value_t = BLUR_MM, requires = "set", allow_negative_numbers = true)]
-    blur_mm: f64,
-    /// Show also what is left if motors are up to 10 % off, the finger lies 1 mm off, or presses by 0.3 or 1 mm instead of 0.5
-    #[arg(long, conflicts_with = "set")]
-    robustness: bool,
     /// Take the mean over N fingers, 1 to 100
     #[arg(long, value_name = "N", default_value_t = 5)]
     fingers: u64,
@@ -68,9 +55,6 @@ struct Line {
     mean: Judged,
     /// The standard deviation of `error` over fingers.
     error_sd: f64,
-    /// With `--robustness`.
-    #[serde(skip_serializing_if = "Vec::is_empty")]
-    robustness: Vec<Changed>,
 }
 
 /// A pattern, and for how long fingers feel it.
@@ -127,31 +111,24 @@ pub(super) fn run(asked: &Judge) -> Result<ExitCode> {
         Some(duration_s) if of.is_traced => duration_s.max(touch.duration_s()) + AFTER_S,
         _ => seconds,
     };
-    let changes: &[Change] = if asked.robustness { &Change::ALL } else { &[] };
     let fingers: Vec<u64> = (FIRST_FINGER..FIRST_FINGER + asked.fingers).collect();
-    // By line, by change after what is told, by finger.
-    let (judged, felt) = progress::metered(|progress| -> Result<(Vec<Vec<Vec<Judged>>>, Felt)> {
+    // By line, by finger.
+    let (judged, felt) = progress::metered(|progress| -> Result<(Vec<Vec<Judged>>, Felt)> {
         let mut of_first = None;
-        let mut by_line = vec![vec![Vec::new(); changes.len() + 1]; patterns.len() + 1];
+        let mut by_line = vec![Vec::new(); patterns.len() + 1];
         for (index, &seed) in fingers.iter().enumerate() {
             let finger = Finger::new(SkinModel::AFFERENTS, seed);
-            let feel = |finger: &Finger, noise| {
+            let feel = |noise| {
                 respond(&contact, touch, finger.afferents(), Some(asked.seed.wrapping_add(noise)), &|_| ())
             };
-            let real = feel(&finger, 0);
+            let real = feel(0);
             let compared =
                 |felt: &[Vec<f64>], seconds| Comparison::new(&finger, &real, seconds).compare(felt);
-            by_line[0][0].push(compared(&feel(&finger, 1), seconds));
-            for (column, change) in changes.iter().enumerate() {
-                // The object needs no motor, and brings its own pressure.
-                if let Some(finger) = change.of_object(asked.seed, seed) {
-                    by_line[0][column + 1].push(compared(&feel(&finger, 1), seconds));
-                }
-            }
+            by_line[0].push(compared(&feel(1), seconds));
             for (line, of) in by_line[1..].iter_mut().zip(&patterns) {
                 let (seconds, noise) = (seconds_of(of), asked.seed.wrapping_add(2));
                 let felt = response_of(&finger, &of.pattern, seconds, noise)?;
-                line[0].push(compared(&felt, seconds));
+                line.push(compared(&felt, seconds));
                 of_first.get_or_insert_with(|| Felt {
                     finger: seed,
                     pattern: of.name.clone(),
@@ -160,19 +137,19 @@ pub(super) fn run(asked: &Judge) -> Result<ExitCode> {
                     object_spikes_s: real.clone(),
                     pattern_spikes_s: felt,
                 });
-                for (column, change) in changes.iter().enumerate() {
-                    let felt = change.response(asked.seed, seed, &of.pattern, seconds, noise)?;
-                    line[column + 1].push(compared(&felt, seconds));
-                }
             }
             progress((index + 1) as f64 / fingers.len() as f64);
         }
         Ok((by_line, of_first.expect("there are fingers, and the methods' patterns")))
     })?;
     let names = std::iter::once("the object again".to_owned()).chain(patterns.into_iter().map(|of| of.name));
-    let lines = names.zip(&judged).map(|(name, of_fingers)| line(name, of_fingers, changes)).collect();
+    let line = |(name, of_fingers): (String, &Vec<Judged>)| {
+        let (mean, error_sd) = mean_of(of_fingers);
+        Line { name, mean, error_sd }
+    };
+    let lines = names.zip(&judged).map(line).collect();
     let document = Document { object: object.name().to_owned(), fingers, seconds, lines, felt };
-    give(asked.output.json, &document, || table(&document) + &robustness::table(&document.lines, changes))
+    give(asked.output.json, &document, || table(&document))
 }
 
 /// The patterns of all methods and rules.
@@ -203,16 +180,6 @@ fn presented(array: Array, object: &Object, contact: &Contact) -> Result<Vec<Pre
         add(name, rival.pattern(array, contact, touch)?, false);
     }
     Ok(patterns)
-}
-
-/// The line of a pattern: what was told, and then each change, by finger.
-fn line(name: String, of_changes: &[Vec<Judged>], changes: &[Change]) -> Line {
-    let (of_fingers, of_changes) = of_changes.split_first().expect("what is told is always judged");
-    let (mean, error_sd) = mean_of(of_fingers);
-    let changed = changes.iter().zip(of_changes).filter(|(_, of_fingers)| !of_fingers.is_empty());
-    let robustness =
-        changed.map(|(&change, of_fingers)| Changed { change, mean: mean_of(of_fingers).0 }).collect();
-    Line { name, mean, error_sd, robustness }
 }
 
 /// The mean over the fingers that have spikes to compare, and the standard deviation of `error`.

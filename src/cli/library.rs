@@ -3,11 +3,10 @@
 //! `import` checks the file before it sends it, so that errors name the file and line; the daemon checks again.
 
 use super::arguments::ClientOptions;
-use super::motions::{MotionOptions, Motions};
+use super::motions::Motions;
 use super::output::give;
 use super::pattern_file::{self, Found};
 use super::text;
-use crate::array::details;
 use anyhow::Result;
 use meissner_api::{ImportedPattern, RemovedPattern};
 use meissner_array::pattern::Pattern;
@@ -66,17 +65,11 @@ fn reached(entry: &Value) -> String {
 
 pub(super) fn show(options: &ClientOptions, name: &str) -> Result<ExitCode> {
     options.learn_array()?;
-    let mut client = options.client()?;
-    let shown: Value = client.get(&format!("/v1/patterns/{}", escape(name)))?;
-    let its = shown["pattern"]["array"].as_str().map_or_else(|| Ok(Array::default()), Array::named);
-    // Its array is a shipped one, or the daemon's.
-    let array = match its {
-        Ok(array) => details(array),
-        Err(_) => client.get("/v1/array")?,
-    };
+    let shown: Value = options.client()?.get(&format!("/v1/patterns/{}", escape(name)))?;
+    let array = shown["pattern"]["array"].as_str().unwrap_or(Array::paper().spec().name());
     let motions = motions(&shown["pattern"])?;
     give(options.output.json, &shown, || {
-        let shown = text::pattern(&shown, &array);
+        let shown = text::pattern(&shown, array);
         motions.map_or_else(|| shown.clone(), |motions| format!("{shown}\n\n{}", text::motions(&motions)))
     })
 }
@@ -88,7 +81,7 @@ fn motions(pattern: &Value) -> Result<Option<Motions>> {
     }
     let name = pattern["name"].as_str().unwrap_or_default();
     let pattern = Pattern::from_keys(pattern["format"].as_i64().unwrap_or_default(), pattern.clone(), name)?;
-    Ok(Motions::of(&pattern, &MotionOptions::default())?)
+    Motions::of(&pattern, 1.0)
 }
 
 pub(super) fn import(options: &ClientOptions, file: &Path, replace: bool) -> Result<ExitCode> {

@@ -213,7 +213,7 @@ enum Command {
         #[command(flatten)]
         options: ClientOptions,
     },
-    /// Print events as they happen; with --json one document per line
+    /// Print events as they happen, one JSON document per line
     Events(ClientOptions),
     /// Show the result of a play
     Receipt {

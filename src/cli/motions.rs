@@ -1,52 +1,25 @@
-//! What motors do with the motions of a pattern, told before anything is played; and what a finer grid of moves costs.
+//! What motors do with the motions of a pattern, told before anything is played.
 //!
 //! [`Motions`] compiles the motions as the daemon does. For each motor it has the error of an ideal motor, from the waveform itself and
 //! from the waveform after the motor's response, and the times at which the motor is too slow. For all of them it has the moves per
-//! second and the bandwidth that the link needs. [`motion_tradeoff`] measures the same on each grid that the compiler knows.
+//! second and the bandwidth that the link needs.
 //!
 //! Of long motions the figures are those of the beginning ([`Motions::measured_s`]), as in a receipt: a pattern may last for years.
 //!
 //! Invariant: every figure is measured from the moves, none is promised.
 
+use anyhow::Result;
 use firmware_protocol::moves::Move;
-use meissner_array::motion::{Deviation, Grid, MotionError, Reached, TRIED_S, Waveform, beginning, choose};
+use meissner_array::motion::{Deviation, Reached, TRIED_S, Waveform, beginning, choose};
 use meissner_array::pattern::Pattern;
 use meissner_array::spec::Array;
-use meissner_array::strokes::{Step, StrokeOptions, Strokes, StrokesError};
+use meissner_array::strokes::{Step, StrokeOptions, Strokes};
 use meissner_stream::{Bandwidth, Settings};
 use rayon::prelude::*;
 use serde::Serialize;
 
-/// The steps of the compiler's grids, ms.
-const STEPS_MS: [u64; 4] = [1, 2, 3, 4];
 /// The most times that are listed at which a motor is too slow.
 const LISTED: usize = 100;
-
-/// How motions are compiled.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct MotionOptions {
-    /// Multiplies every waveform, 0 to 1.
-    pub(super) scale: f64,
-    /// How far pins may be from what their motors can do at best, µm; `None`: a burst of `least_pulses`.
-    pub(super) error_um: Option<f64>,
-}
-
-impl Default for MotionOptions {
-    fn default() -> Self {
-        Self { scale: 1.0, error_um: None }
-    }
-}
-
-/// Why motions cannot be compiled.
-#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
-pub(super) enum MotionsError {
-    /// An option out of its range.
-    #[error(transparent)]
-    Motion(#[from] MotionError),
-    /// An option out of its range.
-    #[error(transparent)]
-    Strokes(#[from] StrokesError),
-}
 
 /// What the motors of a pattern do with its motions, in one run.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -173,26 +146,24 @@ impl FollowedMotor {
 }
 
 impl Motions {
-    /// What the motors of a pattern do; `None` without motions. Takes some ms per second of each motion.
+    /// What the motors of a pattern do that is played `scale` times as high; `None` without motions. Takes some ms per second of each motion.
     ///
     /// # Errors
     /// If an option is out of its range.
-    pub(super) fn of(pattern: &Pattern, options: &MotionOptions) -> Result<Option<Self>, MotionsError> {
+    pub(super) fn of(pattern: &Pattern, scale: f64) -> Result<Option<Self>> {
         let array = pattern.array();
-        let motors = scaled(pattern, options.scale);
+        let of = |(motor, waveform): &(u8, Waveform)| (*motor, waveform.clone().scaled(scale));
+        let motors: Vec<_> = pattern.waveforms().iter().map(of).collect();
         if motors.is_empty() {
             return Ok(None);
         }
-        let stroke_options = StrokeOptions {
-            scale: options.scale,
-            error_um: options.error_um,
-            ..StrokeOptions::lasting(pattern.motions_rest_s())
-        };
+        let stroke_options = StrokeOptions { scale, ..StrokeOptions::lasting(pattern.motions_rest_s()) };
         // This checks the options, too.
         let strokes = Strokes::new(pattern, &stroke_options)?;
-        let grid =
-            choose(array, motors.iter().map(|(motor, waveform)| (*motor, waveform)), options.error_um)?;
-        let Compiled { moves, reached } = Compiled::new(array, &motors, grid);
+        let grid = choose(array, motors.iter().map(|(motor, waveform)| (*motor, waveform)), None)?;
+        let ns = most_ns(&motors);
+        let (moves, reached): (Vec<_>, Vec<_>) =
+            motors.par_iter().map(|(motor, waveform)| beginning(array, *motor, waveform, grid, ns)).unzip();
         let measured_s = measured_s(&motors);
         let end_s = measured_s.unwrap_or(f64::INFINITY);
         let follow = |(of, motor)| FollowedMotor::new(array, motor, of, end_s);
@@ -200,7 +171,7 @@ impl Motions {
         let Bandwidth { open, closed } = Bandwidth::of(&strokes, &Settings::of(array));
         let (moves_per_s, busiest_second) = together(array, &motors, &moves);
         Ok(Some(Self {
-            step_ms: step_ms(array, grid),
+            step_ms: array.rate().ticks_to_ms(grid.step_ticks.into()),
             moves_per_s,
             busiest_second,
             longest_hold_s: followed.iter().map(|of| of.longest_hold_s).fold(0.0, f64::max),
@@ -215,95 +186,6 @@ impl Motions {
     #[must_use]
     pub(super) fn problems(&self, array: Array) -> Vec<String> {
         self.motors.iter().filter_map(|of| of.problem(array)).collect()
-    }
-}
-
-/// Grids of moves compared on the motions of a pattern.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub(super) struct MotionTradeoff {
-    /// How much of each motion the rows are of, from its beginning, s; null: all of it.
-    pub(super) measured_s: Option<f64>,
-    /// Each grid of the compiler, the finest first.
-    pub(super) rows: Vec<GridRow>,
-}
-
-/// What a grid costs, and what it errs by. Errors are the worst motor's.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub(super) struct GridRow {
-    /// The step, ms.
-    pub(super) step_ms: f64,
-    /// Whether the compiler takes this grid.
-    pub(super) chosen: bool,
-    /// Moves per second, all motors together.
-    pub(super) moves_per_s: f64,
-    /// The most moves that begin within a second.
-    pub(super) busiest_second: usize,
-    /// Bytes per second that the link must carry at the peak for the motions alone, without corrections.
-    pub(super) link_bytes_per_s: u32,
-    /// RMS of the difference from the waveform after the motor's response, µm.
-    pub(super) rms_um: f64,
-    /// It as a share of that waveform's RMS about its mean.
-    pub(super) share: f64,
-    /// The smallest correlation of a motor with that waveform.
-    pub(super) r: Option<f64>,
-    /// The largest difference from what a motor of this speed does without steps, µm.
-    pub(super) step_error_um: f64,
-}
-
-/// Compiles the motions of a pattern on each grid, and measures; `None` without motions.
-pub(super) fn motion_tradeoff(
-    pattern: &Pattern,
-    options: &MotionOptions,
-    progress: &(dyn Fn(f64) + Sync),
-) -> Result<Option<MotionTradeoff>, MotionsError> {
-    let array = pattern.array();
-    let motors = scaled(pattern, options.scale);
-    if motors.is_empty() {
-        return Ok(None);
-    }
-    let chosen = choose(array, motors.iter().map(|(motor, waveform)| (*motor, waveform)), options.error_um)?;
-    let mut rows = Vec::new();
-    for ms in STEPS_MS {
-        let grid = Grid::of_ms(array, ms);
-        let Compiled { moves, reached } = Compiled::new(array, &motors, grid);
-        let (moves_per_s, busiest_second) = together(array, &motors, &moves);
-        let bandwidth = Bandwidth::of_steps(steps_of(&moves), &Settings::of(array));
-        let most = |of: fn(&Reached) -> f64| reached.iter().map(of).fold(0.0, f64::max);
-        rows.push(GridRow {
-            step_ms: step_ms(array, grid),
-            chosen: grid == chosen,
-            moves_per_s,
-            busiest_second,
-            link_bytes_per_s: bandwidth.open.rate,
-            rms_um: most(|of| of.from_filtered.rms_um),
-            share: most(|of| of.from_filtered.share),
-            r: reached.iter().filter_map(|of| of.from_filtered.correlation).reduce(f64::min),
-            step_error_um: most(|of| of.step_error_um),
-        });
-        progress(rows.len() as f64 / STEPS_MS.len() as f64);
-    }
-    Ok(Some(MotionTradeoff { measured_s: measured_s(&motors), rows }))
-}
-
-/// The waveforms of a pattern, so many times as high.
-fn scaled(pattern: &Pattern, scale: f64) -> Vec<(u8, Waveform)> {
-    let of = |(motor, waveform): &(u8, Waveform)| {
-        (*motor, if scale == 1.0 { waveform.clone() } else { waveform.clone().scaled(scale) })
-    };
-    pattern.waveforms().iter().map(of).collect()
-}
-
-struct Compiled {
-    moves: Vec<Vec<Move>>,
-    reached: Vec<Reached>,
-}
-
-impl Compiled {
-    fn new(array: Array, motors: &[(u8, Waveform)], grid: Grid) -> Self {
-        let ns = most_ns(motors);
-        let of = |(motor, waveform): &(u8, Waveform)| beginning(array, *motor, waveform, grid, ns);
-        let (moves, reached) = motors.par_iter().map(of).unzip();
-        Self { moves, reached }
     }
 }
 
@@ -361,10 +243,6 @@ fn together(array: Array, motors: &[(u8, Waveform)], moves: &[Vec<Move>]) -> (f6
     (ticks.len() as f64 / (settled_s - from_s).max(1e-9), busiest)
 }
 
-fn step_ms(array: Array, grid: Grid) -> f64 {
-    array.rate().ticks_to_ms(grid.step_ticks.into())
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -374,7 +252,7 @@ mod tests {
     }
 
     fn of(tables: &str) -> Motions {
-        Motions::of(&pattern(tables), &MotionOptions::default()).unwrap().unwrap()
+        Motions::of(&pattern(tables), 1.0).unwrap().unwrap()
     }
 
     const RAMP: &str = "[[ramp]]\nmotor = 9\nto_um = 200.0\nrise_s = 0.05\nhold_s = 0.5\n";
@@ -395,8 +273,7 @@ mod tests {
         assert!(found.busiest_second >= tone.busiest_second && moves >= found.busiest_second);
         assert!(found.link_bytes_per_s > 1000 && found.link_bytes_per_s_corrected > found.link_bytes_per_s);
         // Half as high, half the error of the lag.
-        let half = MotionOptions { scale: 0.5, ..MotionOptions::default() };
-        let half = Motions::of(&pattern(RAMP), &half).unwrap().unwrap();
+        let half = Motions::of(&pattern(RAMP), 0.5).unwrap().unwrap();
         assert!((half.motors[0].from_asked.rms_um / ramp.from_asked.rms_um - 0.5).abs() < 0.05, "{half:?}");
     }
 
@@ -432,37 +309,5 @@ mod tests {
         assert_eq!((ramp.highest_um, &ramp.too_slow_s[..]), (200.0, &[[5e7; 2]][..]));
         let line = &long.problems(Array::paper())[1];
         assert!(line.starts_with("motor 9 is too slow for its motion from 50000000.0000 s on: it"), "{line}");
-        let rows = motion_tradeoff(&pattern(years), &MotionOptions::default(), &|_| ()).unwrap().unwrap();
-        assert_eq!((rows.measured_s, rows.rows.len()), (Some(240.0), 4));
-    }
-
-    #[test]
-    fn a_pattern_of_drives_has_no_motions() {
-        let drives = Pattern::parse("format = 1\nname = \"a\"\n", "a.toml").unwrap();
-        assert_eq!(Motions::of(&drives, &MotionOptions::default()).unwrap(), None);
-        assert_eq!(motion_tradeoff(&drives, &MotionOptions::default(), &|_| ()).unwrap(), None);
-        let small = MotionOptions { error_um: Some(0.0), ..MotionOptions::default() };
-        assert!(Motions::of(&pattern(RAMP), &small).unwrap_err().to_string().starts_with("error_um is 0 um"));
-    }
-
-    #[test]
-    fn a_coarser_grid_has_fewer_moves_and_bytes_and_one_is_chosen() {
-        let noise = "[[noise]]\nmotor = 9\nduration_s = 2.0\nlow_hz = 5.0\nhigh_hz = 50.0\nrms_um = 10.0\nseed = 3\nenvelope = { attack_s = 0.1, release_s = 0.1 }\n";
-        let options = MotionOptions { error_um: Some(2.0), ..MotionOptions::default() };
-        let found = motion_tradeoff(&pattern(noise), &options, &|_| ()).unwrap().unwrap();
-        assert_eq!(found.rows.len(), 4);
-        for two in found.rows.windows(2) {
-            assert!(two[1].moves_per_s < two[0].moves_per_s, "{found:?}");
-            assert!(two[1].link_bytes_per_s < two[0].link_bytes_per_s, "{found:?}");
-            assert!(two[1].step_error_um > 0.9 * two[0].step_error_um, "{found:?}");
-        }
-        let chosen: Vec<_> = found.rows.iter().filter(|row| row.chosen).collect();
-        assert!(chosen.len() == 1 && chosen[0].step_error_um <= 2.0, "{found:?}");
-        let compiled = Motions::of(&pattern(noise), &options).unwrap().unwrap();
-        assert_eq!(compiled.step_ms, chosen[0].step_ms);
-        assert!((compiled.moves_per_s / chosen[0].moves_per_s - 1.0).abs() < 1e-9);
-        // The play is compiled by other code; both need the same of the link.
-        let [play, moves] = [compiled.link_bytes_per_s, chosen[0].link_bytes_per_s].map(f64::from);
-        assert!((play / moves - 1.0).abs() < 0.02, "{play} and {moves}");
     }
 }

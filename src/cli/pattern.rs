@@ -1,14 +1,14 @@
 //! `pattern`: packs a pattern with its sample files, and says what motors will do with its motions. It needs no daemon.
 
 use super::arguments::{ArrayOption, Output, positive};
-use super::motions::{GridRow, MotionOptions, MotionTradeoff, Motions, motion_tradeoff};
+use super::motions::Motions;
 use super::output::{give, say_file, tell};
-use super::{files, pattern_file, progress, text};
+use super::{files, pattern_file, text};
 use crate::receipts::Order;
 use crate::store::hash;
 use anyhow::{Result, bail};
 use clap::{Args, Subcommand};
-use meissner_array::pattern::{Form, Motion, Pattern as Played};
+use meissner_array::pattern::{Form, Motion};
 use meissner_array::strokes::StrokeOptions;
 use serde::Serialize;
 use std::fs;
@@ -29,44 +29,23 @@ pub(super) enum Pattern {
         json: bool,
     },
     /// Compute what the motors will do with a pattern's motions: errors, moves and bytes per second
-    Check {
-        #[command(flatten)]
-        which: Which,
-        /// Exit with 1 if a motor is too slow for its motion, or saturated
-        #[arg(long)]
-        strict: bool,
-    },
-    /// Compare grids of moves on a pattern: error against moves per second
-    Tradeoff(Which),
+    Check(Check),
 }
 
 #[derive(Debug, Args)]
-pub(super) struct Which {
+pub(super) struct Check {
     /// Compute for this pattern: a name of the library, a file (TOML), or - for stdin
     pattern: String,
     /// Multiply all motions by X, 0 to 1
     #[arg(long, value_name = "X", default_value_t = 1.0, allow_negative_numbers = true, value_parser = positive)]
     scale: f64,
-    /// Let steps move pins at most UM um away from what the motors can do at best [default: the array's shortest burst]
-    #[arg(long, value_name = "UM", allow_negative_numbers = true, value_parser = positive)]
-    error_um: Option<f64>,
+    /// Exit with 1 if a motor is too slow for its motion, or saturated
+    #[arg(long)]
+    strict: bool,
     #[command(flatten)]
     array: ArrayOption,
     #[command(flatten)]
     output: Output,
-}
-
-impl Which {
-    fn read(&self) -> Result<Played> {
-        self.array.find()?;
-        let pattern = pattern_file::of_argument(&self.pattern)?.pattern;
-        self.array.check(&self.pattern, pattern.array())?;
-        Ok(pattern)
-    }
-
-    const fn options(&self) -> MotionOptions {
-        MotionOptions { scale: self.scale, error_um: self.error_um }
-    }
 }
 
 /// The document of `pattern pack --json`.
@@ -105,8 +84,7 @@ struct Checked<'a> {
 pub(super) fn run(asked: &Pattern) -> Result<ExitCode> {
     match asked {
         Pattern::Pack { file, to, json } => pack(file, to.as_deref(), *json),
-        Pattern::Check { which, strict } => check(which, *strict),
-        Pattern::Tradeoff(which) => tradeoff(which),
+        Pattern::Check(asked) => check(asked),
     }
 }
 
@@ -159,13 +137,15 @@ fn wave(Motion { motor, form }: &Motion) -> Option<PackedWave<'_>> {
     })
 }
 
-fn check(which: &Which, strict: bool) -> Result<ExitCode> {
-    let pattern = which.read()?;
-    let followed = Motions::of(&pattern, &which.options())?;
+fn check(asked: &Check) -> Result<ExitCode> {
+    asked.array.find()?;
+    let pattern = pattern_file::of_argument(&asked.pattern)?.pattern;
+    asked.array.check(&asked.pattern, pattern.array())?;
+    let followed = Motions::of(&pattern, asked.scale)?;
     let problems = followed.as_ref().map(|of| of.problems(pattern.array())).unwrap_or_default();
-    let order = Order::of(&pattern, &StrokeOptions { scale: which.scale, ..StrokeOptions::default() })?;
+    let order = Order::of(&pattern, &StrokeOptions { scale: asked.scale, ..StrokeOptions::default() })?;
     let saturated = pattern.warnings().into_iter().map(|warning| warning.to_string());
-    if strict
+    if asked.strict
         && let Some((first, more)) =
             problems.iter().cloned().chain(saturated).collect::<Vec<_>>().split_first()
     {
@@ -181,7 +161,7 @@ fn check(which: &Which, strict: bool) -> Result<ExitCode> {
         followed,
         warnings: problems.into_iter().chain(order.warnings).collect(),
     };
-    give(which.output.json, &document, || summary(&document))
+    give(asked.output.json, &document, || summary(&document))
 }
 
 fn summary(found: &Checked<'_>) -> String {
@@ -197,37 +177,4 @@ fn summary(found: &Checked<'_>) -> String {
     }
     lines.extend(found.warnings.iter().map(|warning| format!("warning: {warning}")));
     lines.join("\n")
-}
-
-fn tradeoff(which: &Which) -> Result<ExitCode> {
-    let pattern = which.read()?;
-    let found = progress::metered(|at| motion_tradeoff(&pattern, &which.options(), at))?;
-    let Some(found) = found else {
-        bail!("{}: it has no motions, so there is no grid to choose", pattern.name());
-    };
-    give(which.output.json, &found, || tradeoff_table(&found))
-}
-
-fn tradeoff_table(found: &MotionTradeoff) -> String {
-    let head =
-        ["step_ms", "moves/s", "busiest_second", "link_kB/s", "error_um", "%", "r", "step_error_um", ""];
-    let row = |row: &GridRow| {
-        vec![
-            format!("{:.0}", row.step_ms),
-            format!("{:.0}", row.moves_per_s),
-            row.busiest_second.to_string(),
-            format!("{:.1}", f64::from(row.link_bytes_per_s) / 1000.0),
-            format!("{:.3}", row.rms_um),
-            format!("{:.2}", 100.0 * row.share),
-            text::number(row.r, 4),
-            format!("{:.2}", row.step_error_um),
-            if row.chosen { "taken".to_owned() } else { String::new() },
-        ]
-    };
-    format!(
-        "{}\n{}error: RMS from the motion after the motor's lag and smoothing, of the worst motor; step error: the largest difference from \
-         the same motor without steps. `--error-um` bounds the step error: the coarsest grid within it is taken.",
-        text::columns(&head, found.rows.iter().map(row)),
-        text::measured(found.measured_s)
-    )
 }

@@ -2,7 +2,7 @@
 //!
 //! Invariant: the request is sent once.
 
-use super::arguments::{ClientOptions, EdgeOptions, Onset, positive};
+use super::arguments::{ClientOptions, EdgeOptions, Onset};
 use super::control::follow;
 use super::ending::Ending;
 use super::output::give;
@@ -30,9 +30,6 @@ pub(super) struct Sequence {
     /// Refuse the sequence if a motor is too slow for a motion
     #[arg(long)]
     strict: bool,
-    /// Let a pin stay above rest without a pulse for MS milliseconds at most; then the device lowers it [default: as long as the items need]
-    #[arg(long, value_name = "MS", allow_negative_numbers = true, value_parser = positive)]
-    hold_ms: Option<f64>,
     /// Wait for the end and print the receipt; exit 1 if not all was played. Ctrl-C, SIGTERM and SIGHUP stop the sequence (exit 130,
     /// 143, 129)
     #[arg(long)]
@@ -50,7 +47,6 @@ pub(super) fn run(asked: &Sequence) -> Result<ExitCode> {
     request.stop_on_edge |= asked.edge.stop_on_edge;
     request.replace |= asked.replace;
     request.strict |= asked.strict;
-    request.hold_ms = asked.hold_ms.or(request.hold_ms);
     request.session = request.session.or_else(session_token::session);
     let json = asked.options.output.json;
     let mut client = asked.options.client()?;

@@ -1,26 +1,21 @@
-//! Status, events and patterns as text; `receipt` has receipts.
+//! Status, sessions and patterns as text; `receipt` has receipts.
 //!
 //! Every number is also in the JSON. Invariant: no line depends on the terminal; units are ASCII (`um`, `us`).
 
 mod motions;
 mod receipt;
-mod segments;
 
-pub(super) use motions::{measured, motions};
+pub(super) use motions::motions;
 pub(super) use receipt::{LARGEST_OFFSET, accepted, burst_counts, duration, pulse_counts, receipt};
 
 use crate::doctor::device::{NO_TELEMETRY, ON_NO_BOARD, SHORT_PLAYS};
 use crate::doctor::rights::SLOW_ESTOP;
-use crate::receipts::end_text;
-use comfy_table::presets::{NOTHING, UTF8_FULL};
-use comfy_table::{CellAlignment, Table};
+use comfy_table::Table;
+use comfy_table::presets::NOTHING;
 use meissner_api::{
-    ArmedStatus, ArrayDetails, ArrayGrid, BoardRecord, BoardStatus, EdgeEffect, EndCause, ErrorSource, Event,
-    ItemState, NO_DEVICE, ParticipantStatus, Receipt, RenderingState, Session, Status,
+    ArmedStatus, BoardRecord, BoardStatus, EndCause, ErrorSource, NO_DEVICE, ParticipantStatus, Session,
+    Status,
 };
-use meissner_array::pattern::Drive;
-use meissner_array::units::TickRate;
-use segments::segments;
 use serde_json::Value;
 use std::fmt::Write;
 
@@ -274,91 +269,8 @@ pub(super) fn lost(session: &Session) -> Option<String> {
         .then(|| format!("{plays_lost} of {plays} plays, {lost} entries of the session record"))
 }
 
-/// An event on one line.
-pub(super) fn event(event: &Event) -> String {
-    match event {
-        Event::State { state, cause, position, tick, play } => {
-            let play = play
-                .as_ref()
-                .map_or_else(String::new, |play| format!(", play {} {:.1} s", play.id, play.played_s));
-            format!("state: {state} ({cause}), position {position}, tick {tick}{play}")
-        }
-        Event::Connected { device } => format!("connected: {}, firmware {}", device.kind, device.firmware),
-        Event::Disconnected { reason } => format!("disconnected: {reason}"),
-        Event::Queued { id, pattern, .. } => format!("queued: {id} of {pattern}"),
-        Event::Began { id, onset } => format!("began: {id} at tick {}", onset.actual_tick),
-        Event::Late { id, stroke } => {
-            format!("late: {id}, motor {}, by {:.1} ms, {:?}", stroke.motor, stroke.late_ms, stroke.cause)
-        }
-        Event::Refused { id, stroke } => format!("refused: {id}, motor {}, {}", stroke.motor, stroke.reason),
-        Event::Edge { edge, play, effect } => {
-            let play = play.map_or_else(String::new, |id| match effect {
-                EdgeEffect::Start => format!(", starts play {id}"),
-                EdgeEffect::Stop => format!(", stops play {id}"),
-                EdgeEffect::Mark => format!(", during play {id}"),
-            });
-            format!("edge: {} at tick {}{play}", edge.number, edge.tick)
-        }
-        Event::Items { id, first, items, .. } => {
-            let played = items.iter().filter(|item| item.state == ItemState::Played).count();
-            format!("items: {id}, {first} to {}: {played} played", first + items.len().saturating_sub(1))
-        }
-        Event::Ended { receipt } => {
-            let Receipt { id, state, cause, cut_after_ms, .. } = &**receipt;
-            format!("ended: {id} {}", end_text(state.name(), cause.as_ref(), *cut_after_ms))
-        }
-        Event::Calibrated { id, motors, problem: None } => {
-            format!("calibrated: {} motors by play {id}", motors.len())
-        }
-        Event::Calibrated { id, problem: Some(problem), .. } => format!("not calibrated: {id}, {problem}"),
-        Event::SensorFault { motor, fault } => {
-            format!("sensor fault: motor {motor}, {}; it plays in open loop until the next arm", fault.text())
-        }
-        Event::Contradiction { kind } => {
-            format!("contradiction: the device sent a {kind} that cannot be true")
-        }
-        Event::Drifted { um } => {
-            format!(
-                "drifted: pins may be {um:.0} um off; `meissner home` between plays, or level them by hand"
-            )
-        }
-        Event::Rendering { id, state, object, found, seconds, problem } => {
-            let problem = problem.as_ref().map_or_else(String::new, |problem| format!(": {problem}"));
-            let state = match (state, found) {
-                (RenderingState::Running, true) => "found".into(),
-                _ => serde_json::to_value(state).unwrap_or_default(),
-            };
-            let state = state.as_str().unwrap_or_default();
-            format!("rendering: {id} of {object}, {state} after {seconds:.1} s{problem}")
-        }
-        Event::SessionStarted { session } => format!("session: {} began", session_name(session)),
-        Event::SessionReleased { session } => {
-            format!("session: {session} is open to others, its owner was silent")
-        }
-        Event::Intervened { command, by, session } => {
-            format!("intervened: {command} by {by}, who does not own session {session}")
-        }
-        Event::OwnerSilent { by, silence_s } => {
-            format!(
-                "owner silent: nothing was heard for {silence_s} s since {by} armed; the motors are disarmed"
-            )
-        }
-        Event::RecordProblem { problem, lost } => {
-            let problem = problem.as_ref().map_or_else(String::new, |problem| format!("{problem}; "));
-            format!("session record: {problem}{lost} entries are lost")
-        }
-        Event::SessionEnded { session } => format!("session: {} ended", session_name(session)),
-        Event::Lost { events } => format!("lost: {events} events of the streamer"),
-        Event::Lagged { events } => format!("lagged: this client missed {events} events"),
-    }
-}
-
-/// The most maps of a pattern; the list of drives has the rest.
-const MAPS: usize = 4;
-
-/// A pattern from the daemon: the array seen from above, fingertip up, if it has rows and columns; then the drives.
-pub(super) fn pattern(shown: &Value, array: &ArrayDetails) -> String {
-    let (grid, rate) = (array.grid, TickRate::new(array.tick_hz));
+/// A pattern from the daemon, for this array: its drives, what its rails draw, its warnings.
+pub(super) fn pattern(shown: &Value, array: &str) -> String {
     let pattern = &shown["pattern"];
     let none = Vec::new();
     let drives = pattern["drive"].as_array().unwrap_or(&none);
@@ -368,25 +280,7 @@ pub(super) fn pattern(shown: &Value, array: &ArrayDetails) -> String {
     let duration = duration_s.map_or_else(|| "endless".to_owned(), |seconds| format!("{seconds} s"));
     let whole = shown["compiled_ms"].as_f64();
     let whole = whole.map_or_else(String::new, |ms| format!(" ({ms:.1} ms in whole strokes)"));
-    let _ = writeln!(text, ", {duration}{whole}, {} drives, for {}", drives.len(), array.name);
-    // The maps show what moves: each drive with the amplitude that it reaches, none without a stroke.
-    let moving: Vec<Drive> =
-        drives.iter().zip(0..).filter_map(|(file, at)| drive(file, &shown["drives"][at])).collect();
-    let segments = segments(rate, &moving, duration_s);
-    for segment in segments.iter().take(MAPS) {
-        let Some(grid) = grid else { break };
-        let when = match (segments.len(), segment.stop_s) {
-            (1, _) => String::new(),
-            (_, Some(stop_s)) => format!(", {} to {stop_s} s", segment.start_s),
-            (_, None) => format!(", from {} s on", segment.start_s),
-        };
-        let _ = writeln!(text, "fingertip{when}\n{}", map(&segment.drives, grid));
-    }
-    if let more @ 1.. = segments.len().saturating_sub(MAPS)
-        && grid.is_some()
-    {
-        let _ = writeln!(text, "and {more} more segments, see below");
-    }
+    let _ = writeln!(text, ", {duration}{whole}, {} drives, for {array}", drives.len());
     let head =
         ["motor", "frequency_hz", "amplitude_um", "reached_um", "strokes", "phase", "start_s", "stop_s"];
     let row = |(at, drive): (usize, &Value)| {
@@ -422,40 +316,6 @@ pub(super) fn pattern(shown: &Value, array: &ArrayDetails) -> String {
     text
 }
 
-/// The array with each motor's frequency and reached amplitude in its cell; `.` does not move.
-fn map(drives: &[Drive], grid: ArrayGrid) -> String {
-    let cell = |motor: u8| match drives.iter().find(|drive| drive.motor == motor) {
-        Some(drive) => format!("{motor}\n{:?} Hz\n{:.1} um", drive.frequency_hz, drive.amplitude_um),
-        None => format!("{motor}\n.\n"),
-    };
-    let mut table = Table::new();
-    table.load_style(UTF8_FULL);
-    let ArrayGrid { rows, columns, .. } = grid;
-    for row in 0..rows {
-        table.add_row((0..columns).map(|column| cell(columns * row + column)));
-    }
-    for column in table.column_iter_mut() {
-        column.set_cell_alignment(CellAlignment::Center);
-    }
-    table.to_string()
-}
-
-/// Reads a drive from the daemon's JSON, with the amplitude that it reaches; none if it gives no stroke.
-fn drive(shown: &Value, reached: &Value) -> Option<Drive> {
-    if reached["strokes"] == 0 {
-        return None;
-    }
-    let reached_um = reached["reached_um"].as_f64();
-    Some(Drive {
-        motor: shown["motor"].as_u64()?.try_into().ok()?,
-        frequency_hz: shown["frequency_hz"].as_f64()?,
-        amplitude_um: reached_um.or(shown["amplitude_um"].as_f64())?,
-        phase: shown["phase"].as_f64()?,
-        start_s: shown["start_s"].as_f64(),
-        stop_s: shown["stop_s"].as_f64(),
-    })
-}
-
 fn figure(value: &Value) -> String {
     if value.is_null() { "-".to_owned() } else { value.to_string() }
 }
@@ -464,28 +324,6 @@ fn figure(value: &Value) -> String {
 mod tests {
     use super::*;
     use meissner_api::MotorStatus;
-    use serde_json::json;
-
-    fn shown(drives: &Value) -> String {
-        pattern(
-            &json!({"pattern": {"name": "a", "duration_s": 5.0, "drive": drives}, "warnings": ["w"]}),
-            &crate::array::details(meissner_array::spec::Array::paper()),
-        )
-    }
-
-    #[test]
-    fn a_pattern_shows_every_motor_and_every_drive() {
-        let drive =
-            |motor: u8| json!({"motor": motor, "frequency_hz": 60.0, "amplitude_um": 80.0, "phase": 0.25});
-        let text = shown(&json!([drive(9), drive(10)]));
-        for part in ["a, 5", " s, 2 drives, for tula35-6x4\nfingertip\n", "0.25", "warning: w"] {
-            assert!(text.contains(part), "{part}: {text}");
-        }
-        let count = |what: &str| text.matches(what).count();
-        assert_eq!((count("60.0 Hz"), count("80.0 um"), count(" . ")), (2, 2, 22), "{text}");
-        let at = |what: &str| text.find(what).unwrap();
-        assert!(at(" 0 ") < at(" 23 ") && at(" 23 ") < at("0.25"), "the map, then the drives: {text}");
-    }
 
     #[test]
     fn a_status_shows_the_offsets_of_each_source() {
@@ -510,19 +348,5 @@ mod tests {
         let found = "  up to 15.4 um from rest (telemetry), 2 of 4 pins; up to 2.0 um from rest (lower-stop), 1 of 4 pins";
         assert!(offset.ends_with(found), "{offset}");
         assert!(drift.ends_with("  up to 30 um from rest (estimated), 1 of 4 pins; limit 150 um"), "{drift}");
-    }
-
-    #[test]
-    fn a_pattern_of_many_segments_shows_the_first_ones_and_says_so() {
-        let drive = |n: u8| {
-            let start_s = f64::from(n) / 2.0;
-            json!({"motor": n, "frequency_hz": 60.0, "amplitude_um": 80.0, "phase": 0.0, "start_s": start_s,
-                   "stop_s": start_s + 0.5})
-        };
-        let text = shown(&(0..6).map(drive).collect());
-        assert!(text.contains("fingertip, 0 to 0.5 s") && text.contains("fingertip, 1.5 to 2 s"), "{text}");
-        assert_eq!(text.matches("fingertip").count(), 4);
-        // Six drives, and nothing after them.
-        assert!(text.contains("and 3 more segments, see below"), "{text}");
     }
 }

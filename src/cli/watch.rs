@@ -40,11 +40,7 @@ pub(super) fn events(options: &ClientOptions) -> Result<ExitCode> {
     let mut events = options.client()?.events()?;
     while let Some(event) = events.next(None)? {
         // Do not use `give` here: the command must end when its reader is gone.
-        if options.output.json {
-            say_json(&event)?;
-        } else {
-            say(&text::event(&event))?;
-        }
+        say_json(&event)?;
     }
     Ok(ExitCode::SUCCESS)
 }

@@ -12,13 +12,9 @@ pub const BLUR_MM: f64 = 1.5;
 const LEAST_WEIGHT: f64 = 1e-6;
 
 /// A Gaussian weight of a distance between two places.
-pub(crate) fn weight(a: [f64; 2], b: [f64; 2]) -> f64 {
-    weight_of(BLUR_MM, a, b)
-}
-
-fn weight_of(blur_mm: f64, [x, y]: [f64; 2], [a, b]: [f64; 2]) -> f64 {
+pub(crate) fn weight([x, y]: [f64; 2], [a, b]: [f64; 2]) -> f64 {
     let squared = (a - x) * (a - x) + (b - y) * (b - y);
-    libm::exp(-squared / (2.0 * blur_mm * blur_mm))
+    libm::exp(-squared / (2.0 * BLUR_MM * BLUR_MM))
 }
 
 /// The weights of a finger's afferents at each place, by class.
@@ -30,16 +26,10 @@ pub(crate) struct Blurred {
 
 impl Blurred {
     pub(crate) fn new(afferents: &[Afferent]) -> Self {
-        Self::over(afferents, BLUR_MM)
-    }
-
-    /// With weights of another SD, mm.
-    pub(crate) fn over(afferents: &[Afferent], blur_mm: f64) -> Self {
         let places = grid(SPACING_MM);
         let at_place = |class: Class, place: [f64; 2]| {
             let of_class = afferents.iter().enumerate().filter(|(_, of)| of.class == class);
-            let weighed =
-                of_class.map(|(number, of)| (number, weight_of(blur_mm, place, [of.at.x_mm, of.at.y_mm])));
+            let weighed = of_class.map(|(number, of)| (number, weight(place, [of.at.x_mm, of.at.y_mm])));
             let mut row: Vec<_> = weighed.filter(|(_, weight)| *weight > LEAST_WEIGHT).collect();
             let sum: f64 = row.iter().map(|(_, weight)| weight).sum();
             row.iter_mut().for_each(|(_, weight)| *weight /= sum);

@@ -4,7 +4,6 @@
 
 use crate::blurred::{Blurred, counts};
 use meissner_array::pattern::Pattern;
-use meissner_array::per_motor::PerMotor;
 use meissner_array::strokes::{StrokeOptions, Strokes};
 use meissner_skin::afferents::Class;
 use meissner_skin::{Finger, FingerError, Ramps, Stimulus};
@@ -46,26 +45,11 @@ pub fn response_of(
     seconds: f64,
     noise_seed: u64,
 ) -> Result<Vec<Vec<f64>>, FingerError> {
-    let gains = PerMotor::all(pattern.array(), 1.0);
-    response_on(finger, pattern, &gains, seconds, noise_seed)
-}
-
-/// The same on motors that go `gains` times as far as they are told.
-///
-/// # Errors
-/// If the pattern cannot be compiled or simulated.
-pub fn response_on(
-    finger: &Finger,
-    pattern: &Pattern,
-    gains: &PerMotor<f64>,
-    seconds: f64,
-    noise_seed: u64,
-) -> Result<Vec<Vec<f64>>, FingerError> {
     // Once: an object touches once.
     let once_s = pattern.duration_s().map_or(seconds, |duration_s| duration_s.min(seconds));
     let strokes =
         Strokes::new(pattern, &StrokeOptions::lasting(once_s)).map_err(meissner_skin::RampsError::from)?;
-    let ramps = Ramps::of_strokes(strokes, seconds)?.scaled(gains)?;
+    let ramps = Ramps::of_strokes(strokes, seconds)?;
     finger.spikes_s(&Stimulus::of_ramps(&ramps, seconds, noise_seed))
 }
 

@@ -12,15 +12,13 @@
 //!    `trace`: [`trace()`] moves a press along an object's lines, one after another, in place of the touch.
 //! 7. `levels`: heights over time become a pattern.
 //! 8. `poses`: [`Poses`] gives heights for one pose at a time, for poses that are not known before.
-//! 9. `judge`: a [`Judge`] compares the response of a finger to a pattern with its response to the object, `blurred` over the skin. `change`: motors,
-//!    finger or pressure are not as told. `observer`: an
-//!    [`Observer`] names what a finger feels.
+//! 9. `judge`: a [`Judge`] compares the response of a finger to a pattern with its response to the object, `blurred` over the skin.
+//!    `observer`: an [`Observer`] names what a finger feels.
 //!
 //! Invariant: heights are within the travel of the array's motors, and no pin is asked to move faster than they do. Results depend on
 //! the request alone, not on threads.
 
 mod blurred;
-mod change;
 mod descent;
 mod field;
 mod judge;
@@ -36,8 +34,7 @@ mod trace;
 mod wanted;
 
 pub use blurred::BLUR_MM;
-pub use change::Change;
-pub use judge::{Judge, Judged, response_of, response_on};
+pub use judge::{Judge, Judged, response_of};
 pub use levels::Levels;
 pub use observer::{Observer, Reads};
 pub use poses::{PART_MM, Poses, PosesError};

@@ -21,8 +21,8 @@ const WINDOWS: usize = 3;
 pub enum Reads {
     /// Each afferent.
     Fine,
-    /// The mean of the afferents near each place, with a Gaussian weight of this SD in mm.
-    Blurred(f64),
+    /// The mean of the afferents near each place, with a Gaussian weight of [`BLUR_MM`](crate::BLUR_MM).
+    Blurred,
 }
 
 /// An observer of one finger's responses.
@@ -41,7 +41,7 @@ impl<'f> Observer<'f> {
     pub fn new(finger: &'f Finger, reads: Reads, seconds: f64, things: usize) -> Self {
         let blurred = match reads {
             Reads::Fine => None,
-            Reads::Blurred(blur_mm) => Some(Blurred::over(finger.afferents(), blur_mm)),
+            Reads::Blurred => Some(Blurred::new(finger.afferents())),
         };
         Self { finger, blurred, seconds, seen: vec![(Vec::new(), 0.0); things] }
     }

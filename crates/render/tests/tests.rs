@@ -6,9 +6,8 @@
 mod poses;
 
 use meissner_array::pattern::Pattern;
-use meissner_array::per_motor::PerMotor;
 use meissner_array::spec::Array;
-use meissner_render::{Change, Judge, Judged, Method, Rival, render, response_of, response_on};
+use meissner_render::{Judge, Judged, Method, Rival, render, response_of};
 use meissner_skin::{Finger, SkinModel};
 use meissner_touch::{Contact, Object, Pose, Press, Scan, Shape, Touch, respond, surface_of};
 use std::fs;
@@ -114,34 +113,6 @@ fn slow_objects_are_followed() {
         let held: Vec<f64> = levels.heights_mm[25..125].iter().map(highest).collect();
         assert!(held.iter().all(|&mm| mm > 0.3), "{speed_mm_s} mm/s: {held:?}");
         assert!(levels.heights_mm.last().is_some_and(|heights| highest(heights) == 0.0));
-    }
-}
-
-/// Motors that go half as far give the response to a pattern of half the heights; changes are of a seed.
-#[test]
-fn motors_that_are_off_are_felt() {
-    let object = pressed(&bar(0.8));
-    let pattern = |share: f64| {
-        let mut levels = render(Array::paper(), &contact(&object), object.touch(), Method::Rule);
-        levels.heights_mm.iter_mut().flatten().for_each(|mm| *mm *= share);
-        levels.pattern(Array::paper(), "test", Table::new()).unwrap()
-    };
-    let (full, half) = (pattern(1.0), pattern(0.5));
-    let finger = Finger::new(SkinModel::AFFERENTS, 9001);
-    let spikes = |gain: f64, pattern| {
-        let felt = response_on(&finger, pattern, &PerMotor::all(Array::paper(), gain), 0.3, 1).unwrap();
-        felt.iter().map(Vec::len).sum::<usize>() as f64
-    };
-    let (halved, told) = (spikes(0.5, &full), spikes(1.0, &half));
-    assert!((halved / told - 1.0).abs() < 0.1 && told < 0.8 * spikes(1.0, &full), "{halved} {told}");
-
-    let response = |change: Change, seed| change.response(seed, 9001, &full, 0.3, 1).unwrap();
-    let told = response_of(&finger, &full, 0.3, 1).unwrap();
-    for change in Change::ALL {
-        assert_ne!(response(change, 0), told, "{change:?}");
-        assert_eq!(response(change, 0), response(change, 0));
-        let is_random = matches!(change, Change::MotorsOff | Change::FingerOff);
-        assert_eq!(response(change, 0) != response(change, 1), is_random, "{change:?}");
     }
 }
 

@@ -216,17 +216,6 @@ impl Touch {
         self.poses.iter().all(|(_, pose)| Pose { depth_mm: first.depth_mm, ..*pose } == first)
     }
 
-    /// The touch moved over the skin by so many mm.
-    ///
-    /// # Errors
-    /// If a pose is then too far away.
-    pub fn moved(&self, [x_mm, y_mm]: [f64; 2]) -> Result<Self, TouchError> {
-        let moved = |&(t_s, pose): &(f64, Pose)| {
-            (t_s, Pose { x_mm: pose.x_mm + x_mm, y_mm: pose.y_mm + y_mm, ..pose })
-        };
-        Self::of(self.poses.iter().map(moved).collect())
-    }
-
     /// Poses with contact, not further than `step_mm` or a degree apart.
     pub(crate) fn in_contact(&self, step_mm: f64) -> Vec<Pose> {
         let mut found: Vec<Pose> = Vec::new();

@@ -87,7 +87,7 @@ fn every_shape_makes_grains_of_its_size() {
 
 /// What a trace follows, on the skin, and the gaps that observers read.
 #[test]
-fn an_object_has_lines_and_a_gap() {
+fn an_object_has_lines() {
     let at = "center_mm = [1, 0]\nangle_deg = 90";
     let read = |shape: &str| read_with(&object(shape), &[("p.csv", b"height_um\n0\n1\n".to_vec())]).unwrap();
     let lines = |shape: &str| -> Vec<Vec<[f64; 2]>> {
@@ -119,9 +119,7 @@ fn an_object_has_lines_and_a_gap() {
         [vec![[1.0, 0.0], [1.0, 1.0], [-1.0, 1.0]], vec![[-3.0, 4.0]]]
     );
     let texture = read("shape = \"texture\"\nfile = \"p.csv\"\nmm_per_pixel = 0.5");
-    assert_eq!((texture.lines_mm(), texture.gap_mm()), (None, None));
-    assert_eq!(read(&format!("shape = \"gap\"\ngap_mm = 3\n{bar}")).gap_mm(), Some(3.0));
-    assert_eq!(read("shape = \"grating\"\nperiod_mm = 4\nridge_mm = 1").gap_mm(), Some(3.0));
+    assert_eq!(texture.lines_mm(), None);
 }
 
 #[test]

@@ -1,4 +1,4 @@
-//! `judge --set`: how often observers name the object that was rendered, and how far off they place it.
+//! `judge --set`: how often observers name the object that was rendered.
 //!
 //! One observer has felt the real objects, another the rendered ones; each reads every afferent, or the blurred response. All know the finger.
 //! A trace has another time than the touch, so only an observer that has felt traces reads it.
@@ -6,11 +6,10 @@
 use super::{AFTER_S, FIRST_FINGER, Judge, Presented, fingers_shown, presented};
 use crate::cli::output::give;
 use crate::cli::{object, progress};
-use anyhow::{Result, bail};
+use anyhow::Result;
 use meissner_array::pattern::Pattern;
-use meissner_array::random;
 use meissner_array::spec::Array;
-use meissner_render::{Observer, Reads, response_of};
+use meissner_render::{BLUR_MM, Observer, Reads, response_of};
 use meissner_skin::{Finger, FingerError, SkinModel};
 use meissner_touch::{Contact, Object, respond};
 use serde::Serialize;
@@ -19,10 +18,6 @@ use std::process::ExitCode;
 
 /// Times that an observer feels each object.
 const LESSONS: u64 = 4;
-/// The largest spread, mm.
-const MOST_MM: f64 = 10.0;
-/// Separates the places of a set from other random numbers.
-const PLACE_WORD: u64 = 21;
 /// Noise of rendered objects begins here.
 const RENDERED: u64 = 100;
 
@@ -35,12 +30,6 @@ struct Answers {
     d_prime: f64,
     /// By object that was felt: how often each object was named.
     confusion: Vec<Vec<u32>>,
-    /// The distance of the named object from the real one, RMS, mm.
-    place_mm: f64,
-    /// The difference of their angles, RMS, degrees.
-    angle_deg: f64,
-    /// The difference of their gaps, RMS, mm; 0 for objects without gap.
-    gap_mm: f64,
 }
 
 /// A method's line: by the observer of real touch and by that of the display, fine and blurred.
@@ -56,61 +45,18 @@ struct Line {
 struct Document {
     objects: Vec<String>,
     fingers: Vec<u64>,
-    spread_mm: f64,
-    blur_mm: f64,
     lines: Vec<Line>,
-    #[serde(skip)]
-    columns: Vec<Column>,
 }
 
-/// The sums of answers.
-#[derive(Clone, Debug)]
-struct Sum {
-    confusion: Vec<Vec<u32>>,
-    answers: f64,
-    right: f64,
-    squared_mm: f64,
-    squared_deg: f64,
-    squared_gap_mm: f64,
-}
+/// By object that was felt: how often each object was named.
+type Named = Vec<Vec<u32>>;
 
-impl Sum {
-    fn new(objects: usize) -> Self {
-        Self {
-            confusion: vec![vec![0; objects]; objects],
-            answers: 0.0,
-            right: 0.0,
-            squared_mm: 0.0,
-            squared_deg: 0.0,
-            squared_gap_mm: 0.0,
-        }
-    }
-
-    fn add(&mut self, objects: &[Object], thing: usize, named: usize) {
-        self.confusion[thing][named] += 1;
-        let [is, taken] = [thing, named].map(|number| objects[number].touch().pose(0.0));
-        self.answers += 1.0;
-        self.right += f64::from(u8::from(thing == named));
-        self.squared_mm += (is.x_mm - taken.x_mm).powi(2) + (is.y_mm - taken.y_mm).powi(2);
-        // Turned by 180 degrees, a line is the same.
-        let turned = (is.angle_deg - taken.angle_deg + 90.0).rem_euclid(180.0) - 90.0;
-        self.squared_deg += turned * turned;
-        if let [Some(is), Some(taken)] = [thing, named].map(|number| objects[number].gap_mm()) {
-            self.squared_gap_mm += (is - taken) * (is - taken);
-        }
-    }
-
-    fn answers(self) -> Answers {
-        let mean = |sum: f64| sum / self.answers.max(1.0);
-        Answers {
-            named: mean(self.right),
-            d_prime: d_prime(self.right, self.answers, self.confusion.len()),
-            place_mm: mean(self.squared_mm).sqrt(),
-            angle_deg: mean(self.squared_deg).sqrt(),
-            gap_mm: mean(self.squared_gap_mm).sqrt(),
-            confusion: self.confusion,
-        }
-    }
+/// The answers of an observer.
+fn answers(confusion: Named) -> Answers {
+    let right: u32 = confusion.iter().enumerate().map(|(thing, named)| named[thing]).sum();
+    let all: u32 = confusion.iter().flatten().sum();
+    let [right, all] = [right, all].map(f64::from);
+    Answers { named: right / all.max(1.0), d_prime: d_prime(right, all, confusion.len()), confusion }
 }
 
 /// The d' at which the largest of `names` normal readings, one of them shifted by d', is the right one as often as in these answers. An
@@ -138,55 +84,6 @@ fn d_prime(right: f64, answers: f64, names: usize) -> f64 {
     high
 }
 
-/// What the table shows of an observer's answers: names, and in what else the objects differ.
-#[derive(Clone, Copy, Debug, PartialEq)]
-enum Column {
-    Named,
-    DPrime,
-    Place,
-    Angle,
-    Gap,
-}
-
-impl Column {
-    fn of(objects: &[Object]) -> Vec<Self> {
-        let differs = |differ: &dyn Fn(&Object, &Object) -> bool| {
-            objects.windows(2).any(|pair| differ(&pair[0], &pair[1]))
-        };
-        let pose = |object: &Object| object.touch().pose(0.0);
-        let gaps = objects.iter().all(|object| object.gap_mm().is_some());
-        let place = differs(&|a, b| [pose(a).x_mm, pose(a).y_mm] != [pose(b).x_mm, pose(b).y_mm]);
-        let columns = [
-            (Self::Named, true),
-            (Self::DPrime, true),
-            (Self::Place, place),
-            (Self::Angle, differs(&|a, b| pose(a).angle_deg != pose(b).angle_deg)),
-            (Self::Gap, gaps && differs(&|a, b| a.gap_mm() != b.gap_mm())),
-        ];
-        columns.into_iter().filter(|(_, shown)| *shown).map(|(column, _)| column).collect()
-    }
-
-    const fn title(self) -> &'static str {
-        match self {
-            Self::Named => "share named",
-            Self::DPrime => "d'",
-            Self::Place => "place RMS mm",
-            Self::Angle => "angle RMS degrees",
-            Self::Gap => "gap RMS mm",
-        }
-    }
-
-    fn shown(self, answers: &Answers) -> String {
-        match self {
-            Self::Named => format!("{:5.2}", answers.named),
-            Self::DPrime => format!("{:5.2}", answers.d_prime),
-            Self::Place => format!("{:5.2}", answers.place_mm),
-            Self::Angle => format!("{:5.1}", answers.angle_deg),
-            Self::Gap => format!("{:5.2}", answers.gap_mm),
-        }
-    }
-}
-
 /// A method, and its pattern of each object.
 struct Way {
     name: String,
@@ -196,20 +93,19 @@ struct Way {
     is_traced: bool,
 }
 
-/// The objects at one place on the pins, and what all methods make of them.
+/// The objects, and what all methods make of them.
 struct Placed {
-    things: Vec<(Object, Contact)>,
+    contacts: Vec<Contact>,
     ways: Vec<Way>,
 }
 
 impl Placed {
-    fn new(asked: &Judge, array: Array, objects: &[Object], by_mm: [f64; 2]) -> Result<Self> {
-        let (mut things, mut made) = (Vec::new(), Vec::new());
+    fn new(asked: &Judge, array: Array, objects: &[Object]) -> Result<Self> {
+        let (mut contacts, mut made) = (Vec::new(), Vec::new());
         for (argument, object) in asked.set.iter().zip(objects) {
-            let moved = object.clone().with_touch(object.touch().moved(by_mm)?);
-            let contact = object::contact(argument, &moved)?;
-            made.push(presented(array, &moved, &contact)?);
-            things.push((moved, contact));
+            let contact = object::contact(argument, object)?;
+            made.push(presented(array, object, &contact)?);
+            contacts.push(contact);
         }
         let touch_s = seconds(objects);
         let mut ways: Vec<Way> = Vec::new();
@@ -232,7 +128,7 @@ impl Placed {
         }
         // Traces count if all objects have lines.
         ways.retain(|way| way.patterns.len() == objects.len());
-        Ok(Self { things, ways })
+        Ok(Self { contacts, ways })
     }
 }
 
@@ -241,32 +137,32 @@ fn seconds(objects: &[Object]) -> f64 {
     objects.iter().map(|object| object.touch().duration_s()).fold(0.0, f64::max) + AFTER_S
 }
 
-/// The sums of a finger's answers, fine and blurred.
-type Sums = [Sum; 2];
+/// A finger's answers, fine and blurred.
+type Sums = [Named; 2];
 
 /// The spikes of a finger, s, by afferent.
 type Felt = Vec<Vec<f64>>;
+
+/// Adds what observers name a response.
+fn add(sums: &mut Sums, observers: &[Observer<'_>], thing: usize, felt: &[Vec<f64>]) {
+    for (sum, observer) in sums.iter_mut().zip(observers) {
+        if let Some(named) = observer.name(felt) {
+            sum[thing][named] += 1;
+        }
+    }
+}
 
 /// One finger, and how it is asked.
 struct Asked<'a> {
     finger: Finger,
     objects: &'a [Object],
-    blur_mm: f64,
     seed: u64,
 }
 
 impl Asked<'_> {
     fn observers(&self, seconds: f64) -> [Observer<'_>; 2] {
-        [Reads::Fine, Reads::Blurred(self.blur_mm)]
+        [Reads::Fine, Reads::Blurred]
             .map(|reads| Observer::new(&self.finger, reads, seconds, self.objects.len()))
-    }
-
-    fn add(&self, sums: &mut Sums, observers: &[Observer<'_>], thing: usize, felt: &[Vec<f64>]) {
-        for (sum, observer) in sums.iter_mut().zip(observers) {
-            if let Some(named) = observer.name(felt) {
-                sum.add(self.objects, thing, named);
-            }
-        }
     }
 
     /// What an observer learns under each object, and what it is asked then: `feel` gives the response to an object by noise.
@@ -290,13 +186,13 @@ impl Asked<'_> {
     /// Adds the answers to the object felt again, and then to each method.
     fn answer(&self, placed: &Placed, sums: &mut [[Sums; 2]], progress: &dyn Fn(f64)) -> Result<()> {
         let real = |thing: usize, noise| -> Result<_, FingerError> {
-            let (object, contact) = &placed.things[thing];
-            Ok(respond(contact, object.touch(), self.finger.afferents(), Some(noise), &|_| ()))
+            let touch = self.objects[thing].touch();
+            Ok(respond(&placed.contacts[thing], touch, self.finger.afferents(), Some(noise), &|_| ()))
         };
         let (learned, tests) = self.taught(seconds(self.objects), real)?;
         for (thing, felt) in tests.iter().enumerate() {
             // The observer of the display has felt the same.
-            sums[0].iter_mut().for_each(|sums| self.add(sums, &learned, thing, felt));
+            sums[0].iter_mut().for_each(|sums| add(sums, &learned, thing, felt));
         }
         let share = 1.0 / (placed.ways.len() + 1) as f64;
         progress(share);
@@ -306,9 +202,9 @@ impl Asked<'_> {
             };
             let (own, tests) = self.taught(way.seconds, rendered)?;
             for (thing, felt) in tests.iter().enumerate() {
-                self.add(of_own, &own, thing, felt);
+                add(of_own, &own, thing, felt);
                 if !way.is_traced {
-                    self.add(of_real, &learned, thing, felt);
+                    add(of_real, &learned, thing, felt);
                 }
             }
             progress((number + 2) as f64 * share);
@@ -318,33 +214,18 @@ impl Asked<'_> {
 }
 
 pub(super) fn run(asked: &Judge) -> Result<ExitCode> {
-    if !(0.0..=MOST_MM).contains(&asked.spread_mm) {
-        bail!("--spread-mm {}: must be 0 to {MOST_MM} mm", asked.spread_mm);
-    }
-    if !(0.5..=5.0).contains(&asked.blur_mm) {
-        bail!("--blur-mm {}: must be 0.5 to 5 mm", asked.blur_mm);
-    }
     let array = asked.array.find()?.unwrap_or_default();
     let objects: Vec<Object> =
         asked.set.iter().map(|argument| object::read(argument)).collect::<Result<_>>()?;
     let fingers: Vec<u64> = (FIRST_FINGER..FIRST_FINGER + asked.fingers).collect();
     let lines = progress::metered(|progress| {
-        let place = |finger: u64| {
-            let shares = random::uniform([asked.seed, finger, 0, PLACE_WORD]);
-            let by_mm = shares.map(|share| asked.spread_mm * (2.0 * share - 1.0));
-            Placed::new(asked, array, &objects, by_mm)
-        };
-        let mut placed = place(FIRST_FINGER)?;
-        let sum = Sum::new(objects.len());
-        let sums: Sums = [sum.clone(), sum];
+        let placed = Placed::new(asked, array, &objects)?;
+        let none = vec![vec![0; objects.len()]; objects.len()];
+        let sums: Sums = [none.clone(), none];
         let mut sums = vec![[sums.clone(), sums]; placed.ways.len() + 1];
         for (index, &seed) in fingers.iter().enumerate() {
-            // Without a spread, all fingers have the set at one place.
-            if asked.spread_mm > 0.0 && index > 0 {
-                placed = place(seed)?;
-            }
             let finger = Finger::new(SkinModel::AFFERENTS, seed);
-            let one = Asked { finger, objects: &objects, blur_mm: asked.blur_mm, seed: asked.seed };
+            let one = Asked { finger, objects: &objects, seed: asked.seed };
             let progress = |share: f64| progress((index as f64 + share) / fingers.len() as f64);
             one.answer(&placed, &mut sums, &progress)?;
         }
@@ -352,27 +233,22 @@ pub(super) fn run(asked: &Judge) -> Result<ExitCode> {
         lines.extend(placed.ways.into_iter().map(|way| (way.name, way.is_traced)));
         let line = |((name, is_traced), [real, own]): ((String, bool), [Sums; 2])| Line {
             name,
-            real: (!is_traced).then(|| real.map(Sum::answers)),
-            own: own.map(Sum::answers),
+            real: (!is_traced).then(|| real.map(answers)),
+            own: own.map(answers),
         };
         anyhow::Ok(lines.into_iter().zip(sums).map(line).collect())
     })?;
-    let columns = Column::of(&objects);
     let names = objects.iter().map(|object| object.name().to_owned()).collect();
-    let (spread_mm, blur_mm) = (asked.spread_mm, asked.blur_mm);
-    let document = Document { objects: names, fingers, spread_mm, blur_mm, lines, columns };
+    let document = Document { objects: names, fingers, lines };
     give(asked.output.json, &document, || table(&document))
 }
 
 fn table(document: &Document) -> String {
-    let Document { columns, blur_mm, .. } = document;
-    let titles: Vec<&str> = columns.iter().map(|column| column.title()).collect();
-    let width = (6 * columns.len()).max("display, blurred".len());
+    let width = "display, blurred".len();
     let mut table = format!(
-        "{} objects, {}, by observers of real touch and of the display (blurred: {blur_mm} mm): {}\n{:24}",
+        "{} objects, {}, by observers of real touch and of the display (blurred: {BLUR_MM} mm): share named, d'\n{:24}",
         document.objects.len(),
         fingers_shown(document.fingers.len()),
-        titles.join(", "),
         ""
     );
     // Writing to a string does not fail.
@@ -383,9 +259,8 @@ fn table(document: &Document) -> String {
         let _ = write!(table, "\n{name:24}");
         let real = real.as_ref().map_or([None; 2], |real| real.each_ref().map(Some));
         for answers in real.into_iter().chain(own.each_ref().map(Some)) {
-            let shown: Option<Vec<String>> =
-                answers.map(|answers| columns.iter().map(|column| column.shown(answers)).collect());
-            let shown = shown.map_or_else(|| "-".to_owned(), |shown| shown.join(" "));
+            let shown = |of: &Answers| format!("{:5.2} {:5.2}", of.named, of.d_prime);
+            let shown = answers.map_or_else(|| "-".to_owned(), shown);
             let _ = write!(table, " | {shown:>width$}");
         }
     }

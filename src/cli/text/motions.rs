@@ -50,7 +50,7 @@ pub(in crate::cli) fn motions(found: &Motions) -> String {
 }
 
 /// A line that says how much of the motions was measured, if not all.
-pub(in crate::cli) fn measured(measured_s: Option<f64>) -> String {
+fn measured(measured_s: Option<f64>) -> String {
     measured_s.map_or_else(String::new, |seconds| {
         format!("measured: the first {seconds:.0} s of each motion; what is asked and too_slow_s are of all of it\n")
     })

@@ -76,10 +76,6 @@ pub(in crate::cli) fn receipt(receipt: &Receipt) -> String {
     }
     if let Some(errors) = &receipt.rest_errors {
         lines.extend(rest_error(errors).map(|text| ("rest error", text)));
-    } else if let Some(errors) = &receipt.rest_error_um {
-        // An older daemon does not say which pins were driven.
-        let worst = errors.iter().fold(0.0_f32, |worst, error| worst.max(error.abs()));
-        lines.push(("rest error", format!("largest offset from rest: {worst:.2} um (estimated)")));
     }
     lines.extend(receipt.warnings.iter().map(|warning| ("warning", warning.clone())));
     pairs(&lines)
@@ -173,7 +169,7 @@ pub(in crate::cli) fn pulse_counts(ordered: Option<&OrderedCounts>, pulses: &Pul
 pub(in crate::cli) fn accepted(accepted: &PlayAccepted, pattern: &str) -> String {
     let PlayAccepted { id, ordered_ms, compiled_ms, .. } = accepted;
     let duration = DurationRecord { ordered: *ordered_ms, compiled: *compiled_ms, played: None };
-    // An older daemon sends no duration, and an endless play has none.
+    // An endless play has none.
     let told = ordered_ms.map_or_else(String::new, |_| format!(", {}", self::duration(&duration)));
     format!("play {id}: {pattern}{told}")
 }
@@ -181,143 +177,11 @@ pub(in crate::cli) fn accepted(accepted: &PlayAccepted, pattern: &str) -> String
 #[cfg(test)]
 mod tests {
     use super::*;
-    use meissner_api::{LateCounts, LinkTraffic, OffsetRecord, OnsetRecord, PlayState};
-    use serde_json::Value;
 
     #[test]
     fn a_receipt_that_has_not_begun_shows_no_figures() {
         let text = receipt(&Receipt::new(3, "edge-45", "", None));
         assert_eq!(text, "play   3 of edge-45\nstate  queued");
-    }
-
-    /// A receipt in which all numbers differ.
-    fn full() -> Receipt {
-        let mut receipt = Receipt::new(41, "edge", "00ff", Some(2.3));
-        receipt.state = PlayState::Stopped;
-        receipt.cause = Some(meissner_api::EndCause::HostTimeout);
-        receipt.cut_after_ms = Some(1203.47);
-        receipt.onset = Some(OnsetRecord {
-            requested_tick: 6_442_460_000,
-            actual_tick: 6_442_460_001,
-            monotonic_ns: 75_793_647_058_823,
-            uncertainty_ns: 9_600,
-        });
-        receipt.onset_latency_ms = Some(106.32);
-        receipt.offset = Some(OffsetRecord {
-            tick: 6_442_562_300,
-            monotonic_ns: 75_794_850_588_235,
-            uncertainty_ns: 9_700,
-        });
-        receipt.duration_ms =
-            DurationRecord { ordered: Some(2300.0), compiled: Some(2298.71), played: Some(1203.52) };
-        receipt.ordered = Some(OrderedCounts { bursts: 1380, pulses: Some(96_600) });
-        receipt.bursts = Some(BurstCounts {
-            planned: 720,
-            played: 715,
-            late: 2,
-            dropped: 1,
-            refused: 3,
-            replaced: 9,
-            amended: 688,
-            shortened: 0,
-        });
-        receipt.pulses = Some(PulseCounts { planned: 50_410, played: 49_800 });
-        let counts = LateCounts { host: 4, link: 5, device: 6, worst_ms: 1.84 };
-        receipt.lateness.counts = counts;
-        receipt.wire = Some(LinkTraffic::new(14_260, 720));
-        receipt.rest_error_um = Some(vec![17.3; 24]);
-        let drive = |drive, reached_um, surplus_um| ReachedDrive {
-            drive,
-            motor: 9,
-            ordered_um: 80.0,
-            reached_um,
-            surplus_um,
-            strokes: Some(118),
-        };
-        receipt.drives = vec![drive(1, 69.24, 0.0), drive(2, 69.24, 0.0), drive(3, 61.78, 4.31)];
-        let error = |onset_um, offset_um| MotorRestError {
-            motor: 9,
-            onset_um: Some(onset_um),
-            onset_source: Some(ErrorSource::Telemetry),
-            offset_um,
-            offset_source: ErrorSource::DeadReckoning,
-        };
-        receipt.rest_errors = Some(vec![error(0.12, -3.27), error(-0.38, 1.5)]);
-        receipt.warnings = vec!["drive 3 (motor 9) reaches 61.8 of 80 um".to_owned()];
-        receipt
-    }
-
-    fn numbers_of(value: &Value, into: &mut Vec<f64>) {
-        match value {
-            Value::Number(number) => into.extend(number.as_f64()),
-            Value::Array(items) => items.iter().for_each(|item| numbers_of(item, into)),
-            Value::Object(keys) => keys.values().for_each(|value| numbers_of(value, into)),
-            _ => {}
-        }
-    }
-
-    #[test]
-    fn each_number_of_the_text_is_the_jsons_and_each_figure_of_the_json_is_in_the_text() {
-        let receipt = full();
-        let (text, json) = (super::receipt(&receipt), serde_json::to_value(&receipt).unwrap());
-        let mut numbers = Vec::new();
-        numbers_of(&json, &mut numbers);
-        // The drives that are alike.
-        numbers.push(2.0);
-        let is_number = |part: &&str| part.parse::<f64>().is_ok();
-        let parts = |line: &str| -> Vec<String> {
-            let split = line.split(|c: char| !c.is_ascii_digit() && !matches!(c, '.' | '-'));
-            split.map(|part| part.trim_matches('.')).filter(is_number).map(str::to_owned).collect()
-        };
-        for line in text.lines() {
-            for shown in parts(line) {
-                let digits = shown.split_once('.').map_or(0, |(_, digits)| digits.len());
-                let is_shown = |number: &f64| format!("{number:.digits$}") == shown;
-                assert!(numbers.iter().any(is_shown), "{shown} is not in the JSON: {line}");
-            }
-        }
-        for (figure, digits) in [
-            ("/id", 0),
-            ("/cut_after_ms", 1),
-            ("/onset/actual_tick", 0),
-            ("/onset_latency_ms", 2),
-            ("/offset/tick", 0),
-            ("/duration_ms/ordered", 1),
-            ("/duration_ms/compiled", 1),
-            ("/duration_ms/played", 1),
-            ("/ordered/bursts", 0),
-            ("/ordered/pulses", 0),
-            ("/bursts/planned", 0),
-            ("/bursts/played", 0),
-            ("/bursts/late", 0),
-            ("/bursts/dropped", 0),
-            ("/bursts/refused", 0),
-            ("/bursts/amended", 0),
-            ("/pulses/planned", 0),
-            ("/pulses/played", 0),
-            ("/lateness/host", 0),
-            ("/lateness/link", 0),
-            ("/lateness/device", 0),
-            ("/lateness/worst_ms", 1),
-            ("/wire/bytes_to_device", 0),
-            ("/wire/bytes_per_burst", 2),
-            ("/drives/0/ordered_um", 1),
-            ("/drives/0/reached_um", 1),
-            ("/drives/2/reached_um", 1),
-            ("/drives/2/surplus_um", 1),
-            ("/rest_errors/1/onset_um", 2),
-            ("/rest_errors/0/offset_um", 2),
-        ] {
-            let value = json.pointer(figure).and_then(Value::as_f64).unwrap();
-            let shown = format!("{value:.digits$}");
-            let is_in = text.lines().flat_map(parts).any(|part| part == shown);
-            assert!(is_in, "{figure}, {shown}, is not in the text:\n{text}");
-        }
-        for word in ["stopped: the PC was silent", "dead-reckoning", "telemetry", "by 2 drives", "warning"] {
-            assert!(text.contains(word), "{word}:\n{text}");
-        }
-        // The largest error of driven pins, not of all.
-        assert!(!text.contains("17.3"), "{text}");
     }
 
     #[test]

@@ -256,12 +256,7 @@ impl RawObject {
         let at = Pose { x_mm, y_mm, angle_deg: self.angle_deg, depth_mm: 0.0 };
         let Table(touch) = self.touch;
         let touch = touch.touch(at, open).map_err(|fault| fault.within("touch"))?;
-        let gap_mm = match self.shape {
-            Kind::Gap => self.gap_mm,
-            Kind::Grating => self.period_mm.zip(self.ridge_mm).map(|(period, ridge)| period - ridge),
-            _ => None,
-        };
-        Ok(Object { name: self.name, surface, touch, gap_mm })
+        Ok(Object { name: self.name, surface, touch })
     }
 
     fn surface(&self, open: Open<'_>) -> Result<Surface, KeyError> {

@@ -43,14 +43,13 @@ pub struct Object {
     name: String,
     surface: Surface,
     touch: Touch,
-    gap_mm: Option<f64>,
 }
 
 impl Object {
     /// An object with this surface.
     #[must_use]
     pub fn new(name: &str, surface: Surface, touch: Touch) -> Self {
-        Self { name: name.to_owned(), surface, touch, gap_mm: None }
+        Self { name: name.to_owned(), surface, touch }
     }
 
     /// The name.
@@ -63,12 +62,6 @@ impl Object {
     #[must_use]
     pub const fn surface(&self) -> &Surface {
         &self.surface
-    }
-
-    /// The width of the gap between its two bars or its ridges, mm; none for other objects, and for those that no file describes.
-    #[must_use]
-    pub const fn gap_mm(&self) -> Option<f64> {
-        self.gap_mm
     }
 
     /// The lines that draw it, by their points on the skin in mm, where the touch begins, in the order of the file: a line itself, the
@@ -97,12 +90,6 @@ impl Object {
     #[must_use]
     pub const fn touch(&self) -> &Touch {
         &self.touch
-    }
-
-    /// The object with another touch.
-    #[must_use]
-    pub fn with_touch(self, touch: Touch) -> Self {
-        Self { touch, ..self }
     }
 
     /// The pitch of grains that suits the object, mm: a quarter of the finest width or an eighth of a

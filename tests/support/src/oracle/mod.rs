@@ -395,9 +395,7 @@ mod tests {
         assert!(right[afferent].len() > 2 && compare(&trains, &right, 1e-9).is_ok());
         let changes: [fn(&mut Vec<f64>); 3] = [
             |spikes| spikes[1] += 2e-9,
-            |spikes| {
-                spikes.remove(1);
-            },
+            |spikes| _ = spikes.remove(1),
             |spikes| spikes.push(spikes[spikes.len() - 1] + 1e-5),
         ];
         for change in changes {
