@@ -165,7 +165,6 @@ leave = ops.leave
 def interrupted(core):
     ops.leave = leave
     raise KeyboardInterrupt
-    yield
 ops.leave = interrupted
 ready()
 with m:

@@ -31,7 +31,7 @@ ORDERS: dict[str, Callable[[meissner.Client], object]] = {
 
 def end(other: meissner.Client, session_id: str) -> None:
     """Ends somebody's session, as `meissner session end` does."""
-    other.run(ops.document(other.core, _http.post(f"/v1/sessions/{session_id}/end")))
+    ops.document(other.core, _http.post(f"/v1/sessions/{session_id}/end"))
 
 
 def plays(m: meissner.Client, session_id: str) -> list[dict[str, Any]]:

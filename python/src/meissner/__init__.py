@@ -105,7 +105,7 @@ def connect(
     for endpoint in tried:
         client = Client(_core(endpoint, token, 0.0))
         try:
-            client.run(begin(client.core))
+            begin(client.core)
         except Unreachable as error:
             client.close()
             errors.append(error)

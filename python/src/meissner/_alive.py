@@ -10,9 +10,9 @@ Invariant: at most one thread per client, with a connection of its own.
 from __future__ import annotations
 
 import contextlib
+import copy
 import threading
 
-from . import _http
 from . import _operations as ops
 from ._operations import Core
 from ._transport import BlockingTransport
@@ -52,7 +52,7 @@ class Alive:
         with self._transport() as transport:
             while self._is_wanted(pause):
                 try:
-                    pause = _http.run(ops.heartbeat(self._core), transport.perform, transport.pause)
+                    pause = ops.heartbeat(self._by(transport))
                     self.problem = None
                 except MeissnerError as error:
                     pause = min(1.0, (self._core.silence or 4.0) / 4)
@@ -73,6 +73,12 @@ class Alive:
         core = self._core
         return contextlib.closing(BlockingTransport(core.endpoint, lambda: core.headers, core.clock.now_ns))
 
+    def _by(self, transport: BlockingTransport) -> Core:
+        """What the client's operations take, for another connection."""
+        core = copy.copy(self._core)
+        core.link = transport
+        return core
+
     def release(self) -> None:
         """Disarm, if the client has armed: in any thread, on a connection that no other thread uses.
 
@@ -80,4 +86,4 @@ class Alive:
         """
         if self._core.has_armed and self._core.is_own:
             with self._transport() as transport:
-                _http.run(ops.switch_off(self._core), transport.perform, transport.pause)
+                ops.switch_off(self._by(transport))

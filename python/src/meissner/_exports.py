@@ -9,7 +9,6 @@ from typing import Any
 
 from . import bids, nwb
 from ._arguments import number, table
-from ._http import Op
 from ._operations import Core, pattern, status
 from ._sessions import session_plays, warn_of_gaps
 from .clocks import NS, Instant
@@ -32,9 +31,9 @@ def _check_rate(displacement_hz: float | None) -> None:
         raise ValueError(f"`displacement_hz` is {displacement_hz}: must be above 0, or None for no displacement")
 
 
-def _stimuli(core: Core, session_id: str, incomplete: bool) -> Op[tuple[dict[str, Any], dict[str, dict[str, Any]]]]:
+def _stimuli(core: Core, session_id: str, incomplete: bool) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
     """The rows of a session, and the patterns as they were played, by SHA-256: without those whose text is not kept."""
-    recorded = yield from session_plays(core, session_id)
+    recorded = session_plays(core, session_id)
     warn_of_gaps(recorded)
     if not incomplete:
         _complete(recorded)
@@ -42,7 +41,7 @@ def _stimuli(core: Core, session_id: str, incomplete: bool) -> Op[tuple[dict[str
     found = {}
     for name, sha256 in sorted({(row["pattern"], row["pattern_sha256"]) for row in rows if row["pattern_sha256"]}):
         try:
-            stored = yield from pattern(core, name, sha256=sha256)
+            stored = pattern(core, name, sha256=sha256)
         except (NotFound, BadPattern):
             continue
         found[sha256] = stored["pattern"]
@@ -63,7 +62,7 @@ def export_bids(
     array: ArrayName | None = None,
     incomplete: bool = False,
     overwrite: bool = False,
-) -> Op[bids.Export]:
+) -> bids.Export:
     """Write a recorded session into a BIDS dataset: events, the patterns as stimuli, the displacement of the pins.
 
     `task` names the task, else the session's experiment does. `subject` and `session` are labels of letters and digits, by
@@ -79,7 +78,7 @@ def export_bids(
     Raises `IncompleteSession` if the record lacks something of the session, unless `incomplete`; `left_out` then says what.
     """
     _check_rate(displacement_hz)
-    recorded, found = yield from _stimuli(core, session_id, incomplete)
+    recorded, found = _stimuli(core, session_id, incomplete)
     if isinstance(zero, Instant):
         zero_host_ns: int | None = zero.host_ns
     else:
@@ -112,7 +111,7 @@ def export_nwb(
     array: ArrayName | None = None,
     incomplete: bool = False,
     overwrite: bool = False,
-) -> Op[nwb.Export]:
+) -> nwb.Export:
     """Write a recorded session as an NWB file: a table of stimuli, the trials with their answers, the displacement of the pins.
 
     It needs the package `pynwb`. `subject` has keys of `pynwb.file.Subject`, such as `age="P30Y"` and `sex="F"`, `metadata` those of
@@ -129,12 +128,12 @@ def export_nwb(
             ("metadata", metadata, "{'institution': 'a lab'}"),
         )
     }
-    recorded, found = yield from _stimuli(core, session_id, incomplete)
+    recorded, found = _stimuli(core, session_id, incomplete)
     return nwb.write(
         Path(file),
         recorded,
         found,
-        status=(yield from status(core)),
+        status=status(core),
         **about,
         displacement_hz=displacement_hz,
         array=array,

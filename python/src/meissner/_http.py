@@ -1,19 +1,14 @@
-"""Requests and answers without input or output: what every method of the client sends, and how it reads the answer.
-
-A method is a generator that yields `Request` or `Pause` and is given `Answer`; `run` sends them on a connection.
-"""
+"""Requests and answers without input or output: what every method of the client sends, and how it reads the answer."""
 
 from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Generator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, TypeVar, Union
+from typing import Any
 
-from .errors import ApiError, MeissnerError, UnexpectedAnswer
-
-T = TypeVar("T")
+from .errors import ApiError, UnexpectedAnswer
 
 
 @dataclass(frozen=True)
@@ -30,13 +25,6 @@ class Request:
     """Whether to open a connection for this request alone, as an emergency stop does."""
     repeatable: bool = False
     """Whether it may be sent again although the daemon may have carried it out."""
-
-
-@dataclass(frozen=True)
-class Pause:
-    """Wait for so many seconds."""
-
-    seconds: float
 
 
 @dataclass(frozen=True)
@@ -59,30 +47,6 @@ class Answer:
         if self.status >= 400:
             raise ApiError.of(document if isinstance(document, dict) else {}, self.status)
         return document
-
-
-Step = Union[Request, Pause]
-Op = Generator[Step, Answer, T]
-
-
-def run(operation: Op[T], perform: Callable[[Request], Answer], pause: Callable[[float], None]) -> T:
-    """Runs a method with a blocking connection."""
-    try:
-        step = next(operation)
-        while True:
-            if isinstance(step, Pause):
-                pause(step.seconds)
-                step = operation.send(Answer(0, b""))
-                continue
-            try:
-                answer = perform(step)
-            except MeissnerError as error:
-                step = operation.throw(error)
-            else:
-                step = operation.send(answer)
-    except StopIteration as end:
-        result: T = end.value
-        return result
 
 
 def identity(client: str, token: str | None, session_token: str | None) -> dict[str, str]:

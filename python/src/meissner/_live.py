@@ -20,7 +20,6 @@ from . import _operations as ops
 from ._arguments import drive_list, hints, number, table
 from ._bodies import Labels, Late, Trigger, milliseconds, texts, trial_number, trigger_of
 from ._endpoint import Endpoint
-from ._http import Op
 from ._operations import Accepted, Core
 from .arrays import Array
 from .errors import ApiError, ConnectionLost, MeissnerError, PlayStopped, UnexpectedAnswer
@@ -61,7 +60,7 @@ def start(
     late: Late = None,
     replace: bool = False,
     open_loop: bool = False,
-) -> Op[Started]:
+) -> Started:
     """Start a live play, whose drives change while it runs: use it in a `with` block, which ends it.
 
     `object` is a thing that your poses press and move: a dict with the keys of an object file, or the name of a shipped one; its
@@ -71,7 +70,7 @@ def start(
     The play ends when the program sends nothing for `timeout` s (0.5; the first message may take 2 s), and the pins return.
     No thread keeps it alive: a program that hangs must not leave pins moving. A loop without a change calls `keep()`.
     """
-    array = yield from ops.array(core)
+    array = ops.array(core)
     body = {
         "object": object,
         "drives": None if drives is None else plain_drives(drives, array),
@@ -87,7 +86,7 @@ def start(
         "open_loop": open_loop or None,
         "session": core.session and core.session.id,
     }
-    answer = yield from ops.send(core, _http.post("/v1/live", body, timeout=20.0))
+    answer = ops.send(core, _http.post("/v1/live", body, timeout=20.0))
     raw = core.read(answer)
     return Started(Accepted(raw["id"], "live", None, core.daemon), raw["path"], array)
 
@@ -293,20 +292,18 @@ class Updates:
         )
 
 
-def result(core: Core, raw: dict[str, Any]) -> Op[LiveResult]:
+def result(core: Core, raw: dict[str, Any]) -> LiveResult:
     """What the daemon's answer says, with the onset on every clock."""
     applied = raw.get("applied")
     if applied is None:
         return LiveResult("merged", raw["merged_into"], (), None, 0, raw)
     ticks = tuple(applied["ticks"])
     changed = [tick for tick in ticks if tick is not None]
-    onset = (yield from ops.instant(core, min(changed))) if changed else None
+    onset = ops.instant(core, min(changed)) if changed else None
     return LiveResult("applied", None, ticks, onset, applied["repeats"], raw)
 
 
-def outcome(
-    core: Core, updates: Updates, lost: MeissnerError | None
-) -> Op[tuple[Receipt | None, MeissnerError | None]]:
+def outcome(core: Core, updates: Updates, lost: MeissnerError | None) -> tuple[Receipt | None, MeissnerError | None]:
     """The receipt of a play that is over, and why it is over, unless its client has ended it.
 
     `lost`: the connection ended without the daemon's last word, which a lost connection may take along. The request is
@@ -314,7 +311,7 @@ def outcome(
     """
     receipt, cause = None, updates.cause
     try:
-        answer = yield _http.get(f"/v1/plays/{updates.play_id}?wait=10.000", timeout=20.0)
+        answer = core.link.perform(_http.get(f"/v1/plays/{updates.play_id}?wait=10.000", timeout=20.0))
         receipt = core.receipt(answer.json())
     except MeissnerError as error:
         detail = f"the daemon has ended live play {updates.play_id} ({cause}), and gives no receipt: {error}"

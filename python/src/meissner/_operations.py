@@ -1,7 +1,6 @@
 """Every method of the client, once: what it sends, what it reads, and when it tries again.
 
-Each function is a generator, as `_http.py` explains. `Core` is what they share: endpoint, tokens, clock, and what the
-daemon said last.
+`Core` is what they share: endpoint, tokens, clock, the connection, and what the daemon said last.
 
 Invariants: a command is sent once, and only an emergency stop is repeated; `Core.clock` alone converts instants.
 """
@@ -13,7 +12,7 @@ import hashlib
 import os
 from collections.abc import Generator, Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, ParamSpec, TypeVar
+from typing import Any, ParamSpec, Protocol, TypeVar
 from urllib.parse import quote
 
 from . import _http, motions
@@ -32,7 +31,7 @@ from ._bodies import (
     trigger_of,
 )
 from ._endpoint import Endpoint
-from ._http import Answer, Op, Pause, Request
+from ._http import Answer, Request
 from ._text_file import text_of
 from ._unreached import warn_of
 from .arrays import Array
@@ -82,12 +81,23 @@ class Owned:
     """Whether it goes on after an error, for the next run of the program."""
 
 
+class Link(Protocol):
+    """What sends requests for one thread, or several."""
+
+    def perform(self, request: Request) -> Answer:
+        """Sends a request, and waits for its answer."""
+
+    def pause(self, seconds: float) -> None:
+        """Waits."""
+
+
 @dataclass
 class Core:
     """What the methods of one client share."""
 
     endpoint: Endpoint
     clock: ClientClock
+    link: Link = field(init=False, repr=False)
     token: str | None = None
     reconnect: float = 10.0
     """For how long to look for a daemon that was there before, s."""
@@ -156,28 +166,28 @@ class Accepted:
     """How each motor follows its motions, with the keys of the API reference."""
 
 
-def send(core: Core, request: Request) -> Op[Answer]:
+def send(core: Core, request: Request) -> Answer:
     """Sends a request, and again if the daemon cannot have carried it out or it changes nothing."""
     begun, pause = core.clock.now_ns(), 0.05
     while True:
         try:
-            return (yield request)
+            return core.link.perform(request)
         except (Unreachable, ConnectionLost) as error:
             is_safe = isinstance(error, Unreachable) or request.repeatable
             if not is_safe or core.clock.now_ns() - begun > core.reconnect * NS:
                 raise
-        yield Pause(pause)
+        core.link.pause(pause)
         pause = min(2 * pause, 1.0)
 
 
-def document(core: Core, request: Request) -> Op[Any]:
-    answer = yield from send(core, request)
+def document(core: Core, request: Request) -> Any:
+    answer = send(core, request)
     return core.read(answer)
 
 
-def status(core: Core) -> Op[Status]:
+def status(core: Core) -> Status:
     """Ask how daemon and device stand. Each answer improves the clock's estimate."""
-    answer = yield from send(core, _http.get("/v1/status"))
+    answer = send(core, _http.get("/v1/status"))
     return _take_status(core, answer)
 
 
@@ -195,29 +205,29 @@ def _take_status(core: Core, answer: Answer) -> Status:
     return Status.of(raw)
 
 
-def begin(core: Core) -> Op[Status]:
+def begin(core: Core) -> Status:
     """Meet the daemon, and compare the clocks. A device that has just been opened gets a moment to connect."""
-    state = yield from status(core)
+    state = status(core)
     for _ in range(20):
         if state.raw["clock"] is not None or state.raw["missing"] is not None:
             break
-        yield Pause(0.05)
-        state = yield from status(core)
-    yield from synchronise(core)
+        core.link.pause(0.05)
+        state = status(core)
+    synchronise(core)
     return state
 
 
-def array(core: Core) -> Op[Array]:
+def array(core: Core) -> Array:
     """The array that the daemon drives."""
     if core.array is None:
-        core.array = Array.of((yield from document(core, _http.get("/v1/array"))))
+        core.array = Array.of(document(core, _http.get("/v1/array")))
     return core.array
 
 
-def synchronise(core: Core) -> Op[float]:
+def synchronise(core: Core) -> float:
     """Compare the clocks of client and daemon anew. Returns the uncertainty between them, s."""
     for _ in range(_SYNC_SAMPLES):
-        yield from status(core)
+        status(core)
         if core.clock.is_shared:
             break
     if not core.clock.has_samples:
@@ -225,8 +235,8 @@ def synchronise(core: Core) -> Op[float]:
     return core.clock.to_host(core.clock.now_ns())[1] / NS
 
 
-def _command(core: Core, path: str, body: dict[str, Any] | None = None, timeout: float = 10.0) -> Op[Status]:
-    answer = yield from send(core, _http.post(path, body, timeout=timeout))
+def _command(core: Core, path: str, body: dict[str, Any] | None = None, timeout: float = 10.0) -> Status:
+    answer = send(core, _http.post(path, body, timeout=timeout))
     return _take_status(core, answer)
 
 
@@ -237,7 +247,7 @@ def arm(
     checked: str | None = None,
     silence: float = SILENCE,
     stay_armed: bool = False,
-) -> Op[Status]:
+) -> Status:
     """Enable the motors. `assume_rest`: you have seen that all pins are at rest; `checked`: who has looked at them.
 
     The daemon disarms when it hears nothing of this client for `silence` s, 1 to 86400, as of a program that was killed. A thread
@@ -251,7 +261,7 @@ def arm(
     # Set first: if the answer is lost, the motors may be on.
     core.has_armed, core.silence = True, None if stay_armed else silence
     try:
-        return (yield from _command(core, "/v1/arm", {**body, **statement}))
+        return _command(core, "/v1/arm", {**body, **statement})
     except ApiError as error:
         # What the daemon refused has changed nothing; after a timeout the motors may be on.
         if not isinstance(error, DeviceTimeout):
@@ -259,46 +269,46 @@ def arm(
         raise
 
 
-def disarm(core: Core) -> Op[Status]:
+def disarm(core: Core) -> Status:
     """Stop, return the pins to rest and switch the motors off."""
-    state = yield from _command(core, "/v1/disarm")
+    state = _command(core, "/v1/disarm")
     core.has_armed = False
     return state
 
 
-def stop(core: Core) -> Op[Status]:
+def stop(core: Core) -> Status:
     """Stop the running play and clear the queue. The motors stay armed."""
-    return (yield from _command(core, "/v1/stop"))
+    return _command(core, "/v1/stop")
 
 
-def estop(core: Core) -> Op[Status]:
+def estop(core: Core) -> Status:
     """Switch all lines off at once and latch the fault. `reset()` clears it."""
     request = Request("POST", "/v1/estop", b"{}", timeout=5.0, fresh=True, repeatable=True)
-    answer = yield from send(core, request)
+    answer = send(core, request)
     return _take_status(core, answer)
 
 
-def reset(core: Core, *, force: bool = False, keep: bool = False) -> Op[Status]:
+def reset(core: Core, *, force: bool = False, keep: bool = False) -> Status:
     """Clear a latched emergency stop or fault. Pins that stand above rest return to it, unless `keep`. The motors stay disarmed."""
-    return (yield from _command(core, "/v1/reset", {"force": force or None, "keep": keep or None}))
+    return _command(core, "/v1/reset", {"force": force or None, "keep": keep or None})
 
 
-def home(core: Core) -> Op[Status]:
+def home(core: Core) -> Status:
     """Move every pin to rest; takes up to 25 s."""
-    return (yield from _command(core, "/v1/home", timeout=600.0))
+    return _command(core, "/v1/home", timeout=600.0)
 
 
-def edge(core: Core, *, after: float | None = None, at: Instant | None = None) -> Op[Status]:
+def edge(core: Core, *, after: float | None = None, at: Instant | None = None) -> Status:
     """Make an edge at the trigger input of a simulated array: now, in `after` s, or `at` an instant, exact to the tick. A board refuses."""
     if after is not None and at is not None:
         raise ValueError("give `after` or `at`, not both")
     if at is not None and not isinstance(at, Instant):
         raise TypeError(f"`at` is {at!r}: must be an instant, such as `play.onset.later(1.0)`; or give `after`, s")
     body = {"at_ms": milliseconds("after", after), "at_tick": at and at.tick}
-    return (yield from _command(core, "/v1/edge", body))
+    return _command(core, "/v1/edge", body)
 
 
-def _onset(core: Core, at: At, on_edge: float | None) -> Op[dict[str, Any]]:
+def _onset(core: Core, at: At, on_edge: float | None) -> dict[str, Any]:
     """The keys of an onset: an instant of the device's clock, or of this process's `time.monotonic()`, or a delay after an edge."""
     if on_edge is not None:
         if at is not None:
@@ -311,14 +321,14 @@ def _onset(core: Core, at: At, on_edge: float | None) -> Op[dict[str, Any]]:
     seconds = number("at", at, " of seconds, such as `m.now() + 0.2`, or an instant, such as `play.onset.later(1.5)`")
     core.clock.check(seconds)
     if not core.clock.is_shared and core.clock.now_ns() - core.synced_ns > _SYNC_AGE_NS:
-        yield from status(core)
+        status(core)
     return {"at_monotonic_ns": core.clock.to_host(round(seconds * NS))[0]}
 
 
-def instant(core: Core, tick: int) -> Op[Instant]:
+def instant(core: Core, tick: int) -> Instant:
     """A tick near the present, on every clock. The device's clock is compared anew if that was more than a second ago."""
     if core.device_clock is None or core.clock.now_ns() - core.synced_ns > _SYNC_AGE_NS:
-        yield from status(core)
+        status(core)
     sample = core.device_clock
     if sample is None:
         raise NotKnownYet("no device is connected, so its ticks have no times: connect one")
@@ -332,8 +342,8 @@ def instant(core: Core, tick: int) -> Op[Instant]:
     )
 
 
-def _accepted(core: Core, request: Request, pattern: str, played: Any) -> Op[Accepted]:
-    raw = yield from document(core, request)
+def _accepted(core: Core, request: Request, pattern: str, played: Any) -> Accepted:
+    raw = document(core, request)
     ordered = raw["ordered_ms"]
     followed = tuple(raw.get("motions", ()))
     accepted = Accepted(raw["id"], pattern, None if ordered is None else ordered / 1000, core.daemon, followed)
@@ -342,7 +352,7 @@ def _accepted(core: Core, request: Request, pattern: str, played: Any) -> Op[Acc
         core.looked_at.add(key)
         # The play is queued, whatever becomes of this question.
         with contextlib.suppress(MeissnerError):
-            warn_of((yield from receipt(core, accepted.id)), core.warned_of)
+            warn_of(receipt(core, accepted.id), core.warned_of)
     return accepted
 
 
@@ -372,7 +382,7 @@ def play(
     replace: bool = False,
     endless: bool = False,
     open_loop: bool = False,
-) -> Op[Accepted]:
+) -> Accepted:
     """Queue a play of a pattern: of its name, or of a dict with the keys of a pattern file.
 
     In its place `samples` are displacements above rest, µm: a dict by motor, or an array of shape (time, motors), at `rate` Hz;
@@ -392,7 +402,7 @@ def play(
     if samples is not None or drives is not None:
         if pattern is not None:
             raise ValueError("give `pattern`, or `samples` and `drives`, not both")
-        given = yield from _inline(core, {"samples": samples, "rate": rate, "drives": drives})
+        given = _inline(core, {"samples": samples, "rate": rate, "drives": drives})
     if given is None:
         raise ValueError("give `pattern`, or `samples` with `rate`, or `drives`")
     if not isinstance(given, (str, Mapping)):
@@ -416,14 +426,14 @@ def play(
         "open_loop": open_loop or None,
         "stop_on_edge": stop_on_edge or None,
         "session": core.session and core.session.id,
-        **(yield from _onset(core, at, on_edge)),
+        **_onset(core, at, on_edge),
     }
-    return (yield from _accepted(core, _http.post("/v1/play", body, timeout=_COMPILING), name, given))
+    return _accepted(core, _http.post("/v1/play", body, timeout=_COMPILING), name, given)
 
 
-def _inline(core: Core, given: Mapping[str, Any]) -> Op[dict[str, Any]]:
+def _inline(core: Core, given: Mapping[str, Any]) -> dict[str, Any]:
     """The inline pattern of samples and drives, for the daemon's array."""
-    driven = yield from array(core)
+    driven = array(core)
     return motions.pattern(**given, **_limits(driven))
 
 
@@ -451,7 +461,7 @@ def sequence(
     late: Late = None,
     replace: bool = False,
     open_loop: bool = False,
-) -> Op[Accepted]:
+) -> Accepted:
     """Queue patterns as one play with exact times.
 
     An item is a pattern's name, or a dict with `pattern` (or `samples` and `rate`, or `drives`, as in `play`) and any of `seconds`,
@@ -460,7 +470,7 @@ def sequence(
     onset, `soa` the distance of onsets, s. `seconds` and `scale` are for items that give none. `strict`, `hold`,
     `on_edge` and `stop_on_edge`: as in `play`.
     """
-    made = yield from items_of(core, items, isi, soa, seconds, scale)
+    made = items_of(core, items, isi, soa, seconds, scale)
     body = {
         "items": made,
         "name": name,
@@ -473,10 +483,10 @@ def sequence(
         "open_loop": open_loop or None,
         "stop_on_edge": stop_on_edge or None,
         "session": core.session and core.session.id,
-        **(yield from _onset(core, at, on_edge)),
+        **_onset(core, at, on_edge),
     }
     request = _http.post("/v1/sequence", body, timeout=_COMPILING)
-    return (yield from _accepted(core, request, name or "sequence", [item["pattern"] for item in made]))
+    return _accepted(core, request, name or "sequence", [item["pattern"] for item in made])
 
 
 def items_of(
@@ -486,9 +496,9 @@ def items_of(
     soa: float | None,
     seconds: float | None,
     scale: float | None,
-) -> Op[list[dict[str, Any]]]:
+) -> list[dict[str, Any]]:
     """The items of a sequence as the daemon takes them."""
-    driven = yield from array(core)
+    driven = array(core)
 
     def inline(item: dict[str, Any]) -> dict[str, Any]:
         own = {key: item.pop(key) for key in ("samples", "rate", "drives") if key in item}
@@ -497,15 +507,15 @@ def items_of(
     return sequence_items(items, isi, soa, {"seconds": seconds, "scale": scale}, inline)
 
 
-def receipt(core: Core, play_id: int | str = "last") -> Op[Receipt]:
+def receipt(core: Core, play_id: int | str = "last") -> Receipt:
     """Ask for what became of a play."""
-    raw = yield from document(core, _http.get(f"/v1/plays/{quote(str(play_id), safe='')}"))
+    raw = document(core, _http.get(f"/v1/plays/{quote(str(play_id), safe='')}"))
     return core.receipt(raw)
 
 
-def withdraw(core: Core, play_id: int) -> Op[Receipt]:
+def withdraw(core: Core, play_id: int) -> Receipt:
     """Take a waiting play out of the queue, and return its receipt."""
-    raw = yield from document(core, Request("DELETE", f"/v1/plays/{play_id}"))
+    raw = document(core, Request("DELETE", f"/v1/plays/{play_id}"))
     return core.receipt(raw)
 
 
@@ -516,7 +526,7 @@ def checked(result: Receipt) -> Receipt:
     return result
 
 
-def wait(core: Core, accepted: Accepted, timeout: float | None = None) -> Op[Receipt]:
+def wait(core: Core, accepted: Accepted, timeout: float | None = None) -> Receipt:
     """Wait until a play has ended, at most `timeout` s (then `TimeoutError`), and return its receipt."""
     deadline = None if timeout is None else core.clock.now_ns() + round(number("timeout", timeout, " of seconds") * NS)
     while True:
@@ -524,11 +534,11 @@ def wait(core: Core, accepted: Accepted, timeout: float | None = None) -> Op[Rec
         seconds = max(0.0, min(left, _LONGEST_WAIT))
         request = _http.get(f"/v1/plays/{accepted.id}?wait={seconds:.3f}", timeout=seconds + 10.0)
         try:
-            raw = yield from document(core, request)
+            raw = document(core, request)
         except MeissnerError:
-            yield from _same_daemon(core, accepted)
+            _same_daemon(core, accepted)
             raise
-        yield from _same_daemon(core, accepted)
+        _same_daemon(core, accepted)
         result = core.receipt(raw)
         if result.is_over:
             warn_of(result, core.warned_of)
@@ -537,9 +547,9 @@ def wait(core: Core, accepted: Accepted, timeout: float | None = None) -> Op[Rec
             raise TimeoutError(f"play {accepted.id} is {result.state} after {timeout} s: wait longer, or call `stop()`")
 
 
-def _same_daemon(core: Core, accepted: Accepted) -> Op[None]:
+def _same_daemon(core: Core, accepted: Accepted) -> None:
     """Refuses a receipt of another daemon's play of that number. The answer also keeps the clock's estimate fresh."""
-    yield from status(core)
+    status(core)
     if accepted.daemon is not None and core.daemon != accepted.daemon:
         raise DaemonRestarted(
             f"the daemon was restarted after it took play {accepted.id}: arm again and repeat the trial; "
@@ -547,36 +557,36 @@ def _same_daemon(core: Core, accepted: Accepted) -> Op[None]:
         )
 
 
-def wait_until_idle(core: Core) -> Op[None]:
+def wait_until_idle(core: Core) -> None:
     """Wait until no play runs or waits."""
     while True:
-        state = yield from status(core)
+        state = status(core)
         if state.playing is None and not state.queued and state.state != "returning":
             return
-        yield Pause(0.02)
+        core.link.pause(0.02)
 
 
-def doctor(core: Core) -> Op[dict[str, Any]]:
+def doctor(core: Core) -> dict[str, Any]:
     """Check what could keep the daemon's machine or its device from playing: keys `ok` and `findings`, each with its remedy."""
-    raw: dict[str, Any] = yield from document(core, _http.get("/v1/doctor", timeout=20.0))
+    raw: dict[str, Any] = document(core, _http.get("/v1/doctor", timeout=20.0))
     return raw
 
 
-def patterns(core: Core) -> Op[list[dict[str, Any]]]:
+def patterns(core: Core) -> list[dict[str, Any]]:
     """List the patterns."""
-    raw = yield from document(core, _http.get("/v1/patterns"))
+    raw = document(core, _http.get("/v1/patterns"))
     listed: list[dict[str, Any]] = raw["patterns"]
     return listed
 
 
-def pattern(core: Core, name: str, *, sha256: str | None = None) -> Op[dict[str, Any]]:
+def pattern(core: Core, name: str, *, sha256: str | None = None) -> dict[str, Any]:
     """Show one pattern with its drives. `sha256` asks for another text of that name, as it was played: the session record keeps it."""
     path = f"/v1/patterns/{quote(text('name', name), safe='')}" + ("" if sha256 is None else f"?sha256={sha256}")
-    raw: dict[str, Any] = yield from document(core, _http.get(path))
+    raw: dict[str, Any] = document(core, _http.get(path))
     return raw
 
 
-def store_pattern(core: Core, name: str, toml: str | os.PathLike[str], *, replace: bool = False) -> Op[dict[str, Any]]:
+def store_pattern(core: Core, name: str, toml: str | os.PathLike[str], *, replace: bool = False) -> dict[str, Any]:
     """Store a pattern: its TOML text, or the path of its file."""
     if isinstance(toml, os.PathLike):
         toml = text_of(toml).replace("\r\n", "\n")
@@ -587,27 +597,25 @@ def store_pattern(core: Core, name: str, toml: str | os.PathLike[str], *, replac
     path = f"/v1/patterns/{quote(text('name', name), safe='')}" + ("?replace=true" if replace else "")
     request = Request("PUT", path, toml.encode(), {"Content-Type": "application/toml"}, timeout=_STORING)
     with _library("choose another name"):
-        raw: dict[str, Any] = yield from document(core, request)
+        raw: dict[str, Any] = document(core, request)
     # It is another pattern now.
     core.looked_at.discard(_fingerprint(name))
     core.warned_of.discard(f"`{name}`")
     return raw
 
 
-def remove_pattern(core: Core, name: str) -> Op[None]:
+def remove_pattern(core: Core, name: str) -> None:
     """Remove a pattern that was stored."""
     with _library("the library stays as it is"):
-        yield from document(
-            core, Request("DELETE", f"/v1/patterns/{quote(text('name', name), safe='')}", timeout=_STORING)
-        )
+        document(core, Request("DELETE", f"/v1/patterns/{quote(text('name', name), safe='')}", timeout=_STORING))
 
 
-def store_calibration(core: Core, toml: str) -> Op[dict[str, Any]]:
+def store_calibration(core: Core, toml: str) -> dict[str, Any]:
     """Store gains of motors: the text of a calibration file, such as `meissner.laser.fit` makes. Other motors keep theirs."""
     request = Request(
         "PUT", "/v1/calibration", text("toml", toml).encode(), {"Content-Type": "application/toml"}, timeout=_STORING
     )
-    raw: dict[str, Any] = yield from document(core, request)
+    raw: dict[str, Any] = document(core, request)
     return raw
 
 
@@ -622,29 +630,29 @@ def _library(advice: str) -> Generator[None]:
         raise Exists(error.detail, status=error.status, advice=advice) from None
 
 
-def leave(core: Core) -> Op[None]:
+def leave(core: Core) -> None:
     """Disarm at the end if this client has armed, unless another one has armed, too. A device that is off already is fine."""
     if core.has_armed and core.is_own:
-        yield from switch_off(core)
+        switch_off(core)
         core.has_armed = False
 
 
-def switch_off(core: Core) -> Op[None]:
+def switch_off(core: Core) -> None:
     """Take back what this client has armed: motors that another one has armed stay armed for that one. A device that is off is fine."""
     with contextlib.suppress(Faulted, NoDevice):
-        yield from _command(core, "/v1/disarm", {"own": True})
+        _command(core, "/v1/disarm", {"own": True})
 
 
-def heartbeat(core: Core) -> Op[float]:
+def heartbeat(core: Core) -> float:
     """Show that the client is there. Returns how soon to do so again, s."""
-    yield from status(core)
+    status(core)
     pauses = [30.0]
     if core.has_armed and core.silence is not None:
         pauses.append(core.silence / 4)
     owned = core.session
     if owned is not None:
         try:
-            raw = yield from document(core, _http.get("/v1/sessions/running"))
+            raw = document(core, _http.get("/v1/sessions/running"))
         except NotFound:
             raw = {"id": None}
         if raw["id"] != owned.id:

@@ -7,7 +7,6 @@ from collections.abc import Iterable
 from . import _http
 from . import _operations as ops
 from ._bodies import SequenceItem
-from ._http import Op
 from ._operations import Core
 from .results import PlanCheck
 
@@ -20,13 +19,13 @@ def check(
     soa: float | None = None,
     seconds: float | None = None,
     scale: float | None = None,
-) -> Op[PlanCheck]:
+) -> PlanCheck:
     """Ask before the first trial whether a study would stop at the drift limit on a board. Nothing is played.
 
     The arguments are those of `sequence`: give all plays of the study as one list, at most 4096. The daemon follows its estimate of the
     drift of pins without telemetry, from level pins on, also if its own device has telemetry.
     """
-    body = {"items": (yield from ops.items_of(core, items, isi, soa, seconds, scale))}
+    body = {"items": ops.items_of(core, items, isi, soa, seconds, scale)}
     # Compiling long motions takes a while.
-    answer = yield from ops.send(core, _http.post("/v1/sequence/check", body, timeout=60.0))
+    answer = ops.send(core, _http.post("/v1/sequence/check", body, timeout=60.0))
     return PlanCheck.of(core.read(answer))

@@ -85,7 +85,7 @@ class KnownPlay:
 
     def refresh(self) -> Receipt:
         """Ask for the receipt as it is now."""
-        self._receipt = self._client.run(ops.receipt(self._client.core, self.id))
+        self._receipt = ops.receipt(self._client.core, self.id)
         return self._receipt
 
     def answer(
@@ -108,8 +108,7 @@ class KnownPlay:
             if isinstance(response, Press) and (self._receipt is None or self._receipt.onset is None):
                 self.refresh()
             onset = self.onset if isinstance(response, Press) else None
-            order = _sessions.answer(self._client.core, self._accepted, onset, response, correct, rt_ms, level, factors)
-            self._client.run(order)
+            _sessions.answer(self._client.core, self._accepted, onset, response, correct, rt_ms, level, factors)
 
     def __repr__(self) -> str:
         state = self._receipt.state if self._receipt else "accepted"

@@ -10,7 +10,6 @@ from urllib.parse import quote
 from . import _http, _kept
 from ._arguments import number, table, text
 from ._bodies import Labels, Verdict, texts, verdict, whole
-from ._http import Op
 from ._operations import Accepted, Core, Owned, document, send, status, stop, wait_until_idle
 from ._presses import Press
 from .clocks import Instant
@@ -26,7 +25,7 @@ def session(
     seed: int | None = None,
     labels: Labels = None,
     resume: bool = False,
-) -> Op[dict[str, Any]]:
+) -> dict[str, Any]:
     """Start a session that this client owns. `exclusive`: others may change nothing but stop.
 
     Every play of this client belongs to it from now on. If the session ends without this client, as by a restart of the daemon,
@@ -37,7 +36,7 @@ def session(
     another participant. After an error in its block the session goes on, for the next run of the program.
     """
     if resume:
-        resumed = yield from _resumed(core, participant)
+        resumed = _resumed(core, participant)
         if resumed is not None:
             return resumed
     body = {
@@ -47,17 +46,17 @@ def session(
         "seed": seed,
         "labels": texts(labels),
     }
-    answer = yield from send(core, _http.post("/v1/sessions", body))
+    answer = send(core, _http.post("/v1/sessions", body))
     started: dict[str, Any] = answer.json()
     core.session = Owned(started["id"], started["token"], resume)
     _kept.keep(started["id"], started["token"])
     return {**started, "resumed": False}
 
 
-def _resumed(core: Core, participant: str) -> Op[dict[str, Any] | None]:
+def _resumed(core: Core, participant: str) -> dict[str, Any] | None:
     """The running session, taken over from a program that has ended; None: no session runs."""
     try:
-        running: dict[str, Any] = yield from document(core, _http.get("/v1/sessions/running"))
+        running: dict[str, Any] = document(core, _http.get("/v1/sessions/running"))
     except NotFound:
         return None
     name = f"session {running['id']} with participant `{running['participant']}` runs"
@@ -79,11 +78,11 @@ def _resumed(core: Core, participant: str) -> Op[dict[str, Any] | None]:
     core.session = Owned(running["id"], token, True)
     # A latched fault refuses the stop, and has stopped already.
     with contextlib.suppress(ApiError):
-        yield from stop(core)
+        stop(core)
     return {"id": running["id"], "record_problem": None, "resumed": True}
 
 
-def session_leave(core: Core, session_id: str, failed: bool) -> Op[IncompleteSession | None]:
+def session_leave(core: Core, session_id: str, failed: bool) -> IncompleteSession | None:
     """End a session after its plays have ended; after an error stop them first, and let a session that resumes go on.
 
     One that is over already is left. Returns an error to raise if the record has lost something of the session.
@@ -92,16 +91,16 @@ def session_leave(core: Core, session_id: str, failed: bool) -> Op[IncompleteSes
     if not core.is_own or core.session is None:
         return None
     goes_on = failed and core.session.resumes
-    if (yield from _runs(core, session_id)):
+    if _runs(core, session_id):
         if failed:
             # A latched fault refuses the stop, and has stopped already.
             with contextlib.suppress(ApiError):
-                yield from stop(core)
+                stop(core)
         if not goes_on:
-            yield from wait_until_idle(core)
+            wait_until_idle(core)
             # Somebody else may end it meanwhile.
             with contextlib.suppress(NotFound, SessionOver):
-                ended = yield from document(core, _http.post(f"/v1/sessions/{session_id}/end"))
+                ended = document(core, _http.post(f"/v1/sessions/{session_id}/end"))
     _kept.let_go(session_id, forget=not goes_on)
     if core.session is not None and core.session.id == session_id:
         core.session = None
@@ -114,8 +113,8 @@ def session_leave(core: Core, session_id: str, failed: bool) -> Op[IncompleteSes
     )
 
 
-def _runs(core: Core, session_id: str) -> Op[bool]:
-    state = yield from status(core)
+def _runs(core: Core, session_id: str) -> bool:
+    state = status(core)
     running = state.raw["session"]
     return running is not None and bool(running["id"] == session_id)
 
@@ -129,7 +128,7 @@ def answer(
     rt_ms: float | None = None,
     level: float | None = None,
     factors: Labels = None,
-) -> Op[None]:
+) -> None:
     """Record what the participant answered to a play of the running session. `response` and the factors are kept as text.
 
     A `Press` has its time: from the play's `onset`.
@@ -148,7 +147,7 @@ def answer(
     }
     body = {"response": whole(str(said)), "correct": verdict(correct), **numbers}
     try:
-        yield from document(core, _http.post(f"/v1/plays/{accepted.id}/answer", {**body, "factors": texts(given)}))
+        document(core, _http.post(f"/v1/plays/{accepted.id}/answer", {**body, "factors": texts(given)}))
     except Exists as error:
         raise Exists(error.detail, status=error.status, advice="the first one counts") from None
     except SessionOver:
@@ -163,9 +162,9 @@ def _is_unknown(value: Any) -> bool:
     return bool(value != value)
 
 
-def sessions(core: Core) -> Op[list[dict[str, Any]]]:
+def sessions(core: Core) -> list[dict[str, Any]]:
     """List the recorded sessions. Warns of what is missing of the record, or cannot be read."""
-    raw = yield from document(core, _http.get("/v1/sessions", timeout=60.0))
+    raw = document(core, _http.get("/v1/sessions", timeout=60.0))
     warn_of_gaps(raw)
     listed: list[dict[str, Any]] = raw["sessions"]
     return listed
@@ -177,12 +176,12 @@ def warn_of_gaps(recorded: dict[str, Any]) -> None:
         warnings.warn(problem, stacklevel=2)
 
 
-def session_plays(core: Core, session_id: str) -> Op[dict[str, Any]]:
+def session_plays(core: Core, session_id: str) -> dict[str, Any]:
     """The recorded plays of a session, all pages: keys `session`, `plays`, `complete`, `missing`, `lost`, `problems`."""
     plays: list[dict[str, Any]] = []
     while True:
         path = f"/v1/sessions/{quote(text('session_id', session_id), safe='')}/plays?from={len(plays)}"
-        page: dict[str, Any] = yield from document(core, _http.get(path, timeout=60.0))
+        page: dict[str, Any] = document(core, _http.get(path, timeout=60.0))
         plays += page["plays"]
         if not page["more"]:
             return {**page, "plays": plays}

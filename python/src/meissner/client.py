@@ -11,12 +11,11 @@ from collections.abc import Callable, Generator, Iterable
 from types import TracebackType
 from typing import Any, Concatenate, ParamSpec, TypeVar
 
-from . import _ending, _exports, _http, _kept, _live, _plan, _sessions, bids, nwb, program
+from . import _ending, _exports, _kept, _live, _plan, _sessions, bids, nwb, program
 from . import _operations as ops
 from ._alive import Alive
 from ._arguments import hinted, hints
 from ._bodies import Labels, Verdict
-from ._http import Op
 from ._operations import Accepted, Core
 from ._plays import KnownPlay, answered, played_in, quietly, trial_answer, unanswered
 from ._sse import Event, EventParser
@@ -34,22 +33,22 @@ T = TypeVar("T")
 
 
 def _method(
-    operation: Callable[Concatenate[Core, P], Op[T]], then: Callable[[Client, T, object], R]
+    operation: Callable[Concatenate[Core, P], T], then: Callable[[Client, T, object], R]
 ) -> Callable[Concatenate[Client, P], R]:
     """A method that runs this operation and waits for its end. `then` makes its result, of the trial that it belongs to, too."""
     operation = hinted(operation)
 
     def method(client: Client, /, *args: P.args, **kwargs: P.kwargs) -> R:
-        return then(client, client.run(operation(client.core, *args, **kwargs)), kwargs.get("trial"))
+        return then(client, operation(client.core, *args, **kwargs), kwargs.get("trial"))
 
     return functools.update_wrapper(method, operation)
 
 
-def _blocking(operation: Callable[Concatenate[Core, P], Op[T]]) -> Callable[Concatenate[Client, P], T]:
+def _blocking(operation: Callable[Concatenate[Core, P], T]) -> Callable[Concatenate[Client, P], T]:
     return _method(operation, lambda client, result, trial: result)
 
 
-def _arming(operation: Callable[Concatenate[Core, P], Op[T]]) -> Callable[Concatenate[Client, P], T]:
+def _arming(operation: Callable[Concatenate[Core, P], T]) -> Callable[Concatenate[Client, P], T]:
     """A method that arms, and shows signs of life from then on."""
     arm = _blocking(operation)
 
@@ -88,13 +87,13 @@ class Play(KnownPlay):
 
         Raises `PlayStopped` if it was stopped or aborted, unless `check` is False, and `TimeoutError` after `timeout` s.
         """
-        result = self._client.run(ops.wait(self._client.core, self._accepted, timeout))
+        result = ops.wait(self._client.core, self._accepted, timeout)
         self._receipt = result
         return ops.checked(result) if check else result
 
     def withdraw(self) -> Receipt:
         """Take the play out of the queue, and return its receipt. Raises `Playing` once it runs."""
-        self._receipt = self._client.run(ops.withdraw(self._client.core, self.id))
+        self._receipt = ops.withdraw(self._client.core, self.id)
         return self._receipt
 
 
@@ -162,7 +161,7 @@ class Session:
     def _leave(self, failed: bool) -> None:
         owned = self._client.core.session
         if owned is not None and owned.id == self.id:
-            incomplete = self._client.run(_sessions.session_leave(self._client.core, self.id, failed))
+            incomplete = _sessions.session_leave(self._client.core, self.id, failed)
             self._client.alive.end()
             if incomplete is not None:
                 raise incomplete
@@ -196,13 +195,9 @@ class Client:
         self.trials: dict[Any, Play | Live] = {}
         """The newest play of each trial."""
         self._daemon: program.Daemon | None = None
-        self._transport = BlockingTransport(core.endpoint, lambda: core.headers, core.clock.now_ns)
+        self._transport = core.link = BlockingTransport(core.endpoint, lambda: core.headers, core.clock.now_ns)
         self._is_closed = False
         _ending.opened(self)
-
-    def run(self, operation: Op[T]) -> T:
-        """Runs an operation of `_operations.py`."""
-        return _http.run(operation, self._transport.perform, self._transport.pause)
 
     def adopt(self, daemon: program.Daemon) -> None:
         """Ends this daemon when the client is closed."""
@@ -215,7 +210,7 @@ class Client:
     @property
     def array(self) -> Array:
         """The array that the daemon drives. It is read once."""
-        return self.run(ops.array(self.core))
+        return ops.array(self.core)
 
     status = _blocking(ops.status)
     synchronise = _blocking(ops.synchronise)
@@ -280,7 +275,7 @@ class Client:
         self._is_closed = True
         try:
             if self._daemon is None or self._daemon.runs:
-                self.run(ops.leave(self.core))
+                ops.leave(self.core)
         except (KeyboardInterrupt, SystemExit):
             # The end of Python tries it again.
             self._is_closed = False

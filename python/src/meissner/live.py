@@ -120,7 +120,7 @@ class Live(KnownPlay):
             except (ConnectionClosed, MeissnerError) as error:
                 lost = self._updates.lost(error)
                 self._hang_up()
-            receipt, failure = self._client.run(_live.outcome(self._client.core, self._updates, lost))
+            receipt, failure = _live.outcome(self._client.core, self._updates, lost)
         except Exception as error:  # A client that was closed meanwhile, or a mistake in this package.
             receipt, failure = None, self._updates.lost(repr(error))
         with self._lock:
@@ -143,7 +143,7 @@ class Live(KnownPlay):
         with self._lock:
             self._updates.wait_ends(update)
             raw = self._updates.answer(update)
-        return self._client.run(_live.result(self._client.core, raw))
+        return _live.result(self._client.core, raw)
 
     def end(self) -> None:
         """End the play, and wait until the daemon has ended it. The pins return.
@@ -174,7 +174,7 @@ class Live(KnownPlay):
             raise TimeoutError(f"live play {self.id} runs after {timeout} s: wait longer, or call `end()`")
         if self._receipt is None or not self._receipt.is_over:
             left = None if timeout is None else max(0.0, timeout - (time.monotonic() - begun))
-            self._receipt = self._client.run(ops.wait(self._client.core, self._accepted, left))
+            self._receipt = ops.wait(self._client.core, self._accepted, left)
         return ops.checked(self._receipt) if check and not self._updates.ended_as_asked else self._receipt
 
     def __enter__(self) -> Live:
