@@ -18,7 +18,7 @@ use meissner_array::spec::Array;
 use meissner_render::{
     BLUR_MM, Change, Judge as Comparison, Judged, Method, Rival, TRACE_MM_S, render, response_of, trace,
 };
-use meissner_skin::{Finger, SkinModel};
+use meissner_skin::Finger;
 use meissner_touch::{Contact, Object, respond};
 use robustness::Changed;
 use serde::Serialize;
@@ -134,7 +134,7 @@ pub(super) fn run(asked: &Judge) -> Result<ExitCode> {
         let mut of_first = None;
         let mut by_line = vec![vec![Vec::new(); changes.len() + 1]; patterns.len() + 1];
         for (index, &seed) in fingers.iter().enumerate() {
-            let finger = Finger::new(SkinModel::AFFERENTS, seed);
+            let finger = Finger::new(seed);
             let feel = |finger: &Finger, noise| {
                 respond(&contact, touch, finger.afferents(), Some(asked.seed.wrapping_add(noise)), &|_| ())
             };

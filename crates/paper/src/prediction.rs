@@ -17,9 +17,9 @@ use meissner_array::pattern::Pattern;
 use meissner_array::strokes::Burst;
 use meissner_array::strokes::{StrokeOptions, Strokes, StrokesError};
 use meissner_array::units::TickRate;
-use meissner_skin::afferents::Class;
-use meissner_skin::membrane::{AfferentModel, POPULATION_NOISE_SD, Position, Rectify};
-use meissner_skin::{Finger, FingerError, Ramps, RampsError, SkinModel, Stimulus};
+use meissner_skin::afferents::{Afferent, Class};
+use meissner_skin::membrane::{AfferentModel, POPULATION_NOISE_SD, Position, Rectify, population};
+use meissner_skin::{Finger, FingerError, Ramps, RampsError, Scene, simulate_ramps};
 use serde::{Deserialize, Serialize};
 
 /// The longest observed time, s; later bursts do not count.
@@ -145,27 +145,30 @@ pub fn predict_response(
 
     let target = Target::made_for(pattern);
     let seed = target.as_ref().map_or(0, Target::population_seed);
-    let answer = |finger: &Finger| -> Result<Vec<[Rates; 2]>, FingerError> {
-        let classes = finger.model().classes();
+    type Respond<'f> = &'f dyn Fn(&Ramps) -> Result<Vec<Vec<f64>>, FingerError>;
+    let answer = |afferents: &[Afferent], classes: &[Class], respond: Respond<'_>| {
         let of_class =
-            |class: &Class| ObservedFrames::new(target.as_ref(), pattern, observed_s, finger, *class);
+            |class: &Class| ObservedFrames::new(target.as_ref(), pattern, observed_s, afferents, *class);
         let frames: Vec<_> = classes.iter().map(of_class).collect();
         let rates = |ramps: &Ramps| -> Result<Vec<Rates>, FingerError> {
-            let spikes_s = finger.spikes_s(&Stimulus::of_ramps(ramps, observed_s, seed))?;
+            let spikes_s = respond(ramps)?;
             Ok(frames.iter().map(|frames| frames.rates(&spikes_s)).collect())
         };
-        Ok(rates(&designed)?
-            .into_iter()
-            .zip(rates(&played)?)
-            .map(|(designed, played)| [designed, played])
-            .collect())
+        let both = rates(&designed)?.into_iter().zip(rates(&played)?);
+        Ok::<Vec<[Rates; 2]>, FingerError>(both.map(|(designed, played)| [designed, played]).collect())
     };
     let default = AfferentModel::default_for(Rectify::default(), POPULATION_NOISE_SD);
     let membrane = target.as_ref().map_or(default, |target| *target.model());
-    let first = answer(&Finger::new(SkinModel::Membrane(membrane), seed))?;
+    let places = population(seed);
+    let rapid: Vec<_> = places.iter().map(|&at| Afferent { class: Class::Ra, row: 0, at }).collect();
+    let scene =
+        Scene::new(array, observed_s, seed, Vec::new(), places, membrane).map_err(FingerError::from)?;
+    let first = answer(&rapid, &[Class::Ra], &|ramps| Ok(simulate_ramps(&scene, ramps)?))?;
     let &[[designed_hz, played_hz]] = first.as_slice() else { unreachable!("the first model has one class") };
     let classes = if *by_class {
-        let rates = answer(&Finger::new(SkinModel::AFFERENTS, seed))?.into_iter();
+        let finger = Finger::new(seed);
+        let respond = |ramps: &Ramps| finger.spikes_s(ramps, observed_s, seed);
+        let rates = answer(finger.afferents(), &Class::ALL, &respond)?.into_iter();
         let response = |(&class, [designed_hz, played_hz]): (&Class, [Rates; 2])| ClassResponse {
             class,
             designed_hz,
@@ -210,11 +213,11 @@ impl ObservedFrames {
         target: Option<&Target>,
         pattern: &Pattern,
         observed_s: f64,
-        finger: &Finger,
+        all: &[Afferent],
         class: Class,
     ) -> Self {
-        let afferents: Vec<usize> = finger.of_class(class).collect();
-        let places: Vec<Position> = afferents.iter().map(|&number| finger.afferents()[number].at).collect();
+        let afferents: Vec<usize> = (0..all.len()).filter(|&number| all[number].class == class).collect();
+        let places: Vec<Position> = afferents.iter().map(|&number| all[number].at).collect();
         let repeat_s = pattern.duration_s();
         let frames = target.map_or(&[][..], Target::frames);
         let moves = target.is_some_and(Target::moves);

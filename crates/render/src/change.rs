@@ -6,7 +6,7 @@ use crate::judge::response_on;
 use meissner_array::pattern::Pattern;
 use meissner_array::per_motor::PerMotor;
 use meissner_array::random;
-use meissner_skin::{Finger, FingerError, SkinModel};
+use meissner_skin::{Finger, FingerError};
 use serde::Serialize;
 
 /// How far motors are off at most, as a share of what they are told.
@@ -37,14 +37,14 @@ impl Change {
 
     /// A finger under the pins.
     fn finger(self, seed: u64, finger: u64) -> Finger {
-        let pressed = |preindent_mm| Finger::new(SkinModel::Afferents { preindent_mm }, finger);
+        let pressed = |preindent_mm| Finger::new(finger).pressed(preindent_mm);
         match self {
-            Self::MotorsOff => Finger::new(SkinModel::AFFERENTS, finger),
+            Self::MotorsOff => Finger::new(finger),
             Self::FingerOff => {
                 let [turns, _] = random::uniform([seed, finger, 0, FINGER_WORD]);
                 let angle = std::f64::consts::TAU * turns;
                 let by_mm = [libm::cos(angle), libm::sin(angle)].map(|share| FINGER_OFF_MM * share);
-                Finger::new(SkinModel::AFFERENTS, finger).shifted(by_mm)
+                Finger::new(finger).shifted(by_mm)
             }
             Self::Light => pressed(0.3),
             Self::Firm => pressed(1.0),

@@ -9,7 +9,7 @@ use meissner_array::pattern::Pattern;
 use meissner_array::per_motor::PerMotor;
 use meissner_array::spec::Array;
 use meissner_render::{Change, Judge, Judged, Method, Rival, render, response_of, response_on};
-use meissner_skin::{Finger, SkinModel};
+use meissner_skin::Finger;
 use meissner_touch::{Contact, Object, Pose, Press, Scan, Shape, Touch, respond, surface_of};
 use std::fs;
 use std::path::Path;
@@ -61,7 +61,7 @@ fn means<const N: usize>(object: &Object, value: impl Fn(&Judged) -> [f64; N]) -
         let pattern = pattern.unwrap();
         let mut sum = [0.0; N];
         for seed in [9001, 9002] {
-            let finger = Finger::new(SkinModel::AFFERENTS, seed);
+            let finger = Finger::new(seed);
             let real = respond(&contact, object.touch(), finger.afferents(), Some(1), &|_| ());
             let felt = response_of(&finger, &pattern, seconds, 2).unwrap();
             let judged = value(&Judge::new(&finger, &real, seconds).compare(&felt));
@@ -127,7 +127,7 @@ fn motors_that_are_off_are_felt() {
         levels.pattern(Array::paper(), "test", Table::new()).unwrap()
     };
     let (full, half) = (pattern(1.0), pattern(0.5));
-    let finger = Finger::new(SkinModel::AFFERENTS, 9001);
+    let finger = Finger::new(9001);
     let spikes = |gain: f64, pattern| {
         let felt = response_on(&finger, pattern, &PerMotor::all(Array::paper(), gain), 0.3, 1).unwrap();
         felt.iter().map(Vec::len).sum::<usize>() as f64

@@ -11,7 +11,7 @@ use meissner_array::pattern::Pattern;
 use meissner_array::random;
 use meissner_array::spec::Array;
 use meissner_render::{Observer, Reads, response_of};
-use meissner_skin::{Finger, FingerError, SkinModel};
+use meissner_skin::{Finger, FingerError};
 use meissner_touch::{Contact, Object, respond};
 use serde::Serialize;
 use std::fmt::Write;
@@ -343,7 +343,7 @@ pub(super) fn run(asked: &Judge) -> Result<ExitCode> {
             if asked.spread_mm > 0.0 && index > 0 {
                 placed = place(seed)?;
             }
-            let finger = Finger::new(SkinModel::AFFERENTS, seed);
+            let finger = Finger::new(seed);
             let one = Asked { finger, objects: &objects, blur_mm: asked.blur_mm, seed: asked.seed };
             let progress = |share: f64| progress((index as f64 + share) / fingers.len() as f64);
             one.answer(&placed, &mut sums, &progress)?;
