@@ -12,15 +12,17 @@ use meissner_array::spec::Array;
 use meissner_array::strokes::{StrokeOptions, Strokes};
 use meissner_paper::{Play, predict_response};
 use meissner_skin::afferents;
-use meissner_skin::membrane::Position;
-use meissner_skin::{Evaluator, Integrator, Keep, Method, Options, SEARCH_MIN_WEIGHT, Scene, simulate};
+use meissner_skin::{
+    AnyScene, Evaluator, Integrator, Keep, Method, ModelName, Options, SEARCH_MIN_WEIGHT, Scene, simulate,
+};
 use rayon::{ThreadPool, ThreadPoolBuilder};
 use std::hint::black_box;
 use std::time::Duration;
 
+const SIXTY_HERTZ: &str = include_str!("../../library/scenes/sixty-hertz.toml");
+
 fn scene() -> Scene {
-    Scene::read(include_str!("../../library/scenes/sixty-hertz.toml"), "sixty-hertz.toml")
-        .expect("it is shipped")
+    Scene::read(SIXTY_HERTZ, "sixty-hertz.toml").expect("it is shipped")
 }
 
 fn threads(count: usize) -> ThreadPool {
@@ -73,16 +75,12 @@ fn sixty_four(criterion: &mut Criterion) {
 
 /// The second model on the standard second: 306 RA, 200 SA1 and 60 PC afferents with noise under 24 pins.
 fn afferents(criterion: &mut Criterion) {
-    let scene =
-        afferents::Scene::of_motors(&scene(), afferents::PREINDENT_MM, afferents::population(0), true)
-            .expect("the standard second is a scene of both models");
-    let silent = afferents::Scene::of_motors(
-        &self::scene().with_drives(Vec::new()).expect("no drives"),
-        afferents::PREINDENT_MM,
-        afferents::population(0),
-        false,
-    )
-    .expect("pins at rest are a scene, too");
+    let read = |text: &str, name: &str| match AnyScene::read(text, name, Some(ModelName::Afferents)) {
+        Ok(AnyScene::Afferents(scene)) => scene,
+        other => panic!("it is a scene of both models: {other:?}"),
+    };
+    let scene = read(SIXTY_HERTZ, "sixty-hertz.toml");
+    let silent = read("duration_s = 1\npopulation = {}\nnoise = false", "silent.toml");
     let answer = afferents::simulate(&scene, Keep::Spikes, &|_| ()).expect("the scene can be simulated");
     let mean = |class| answer.mean_hz(&scene, class).unwrap_or(0.0);
     let [sa1, ra, pc] = afferents::Class::ALL.map(mean);
@@ -101,32 +99,6 @@ fn afferents(criterion: &mut Criterion) {
                 });
             });
         }
-    }
-    group.finish();
-}
-
-/// All afferents lie near a pin, so none can be skipped: the search for skippable ones should cost next to nothing.
-fn nothing_to_skip(criterion: &mut Criterion) {
-    let standard = scene();
-    let place = |number: u32| {
-        let array = standard.array();
-        let [x_mm, y_mm] = array.position_mm((number as usize % array.motors()) as u8);
-        // Up to 0.6 mm beside the pin, in all directions.
-        let (turns, beside_mm) = (f64::from(number) * 0.618, 0.6 * f64::from(number) / 306.0);
-        let (sin, cos) = (turns * std::f64::consts::TAU).sin_cos();
-        Position { x_mm: x_mm + beside_mm * cos, y_mm: y_mm + beside_mm * sin }
-    };
-    let (array, receptors) = (standard.array(), (0..306).map(place).collect());
-    let scene = Scene::new(array, 1.0, 0, standard.drives().to_vec(), receptors, *standard.model())
-        .expect("it is one");
-    let mut group = criterion.benchmark_group("nothing_to_skip");
-    group.measurement_time(Duration::from_secs(8));
-    let pool = threads(1);
-    for (name, skip) in [("looked_for", true), ("not_looked_for", false)] {
-        let options = Options { skip, ..Options::spikes(Method::Exact) };
-        group.bench_function(name, |bencher| {
-            pool.install(|| bencher.iter(|| simulate(black_box(&scene), &options, &|_| ())));
-        });
     }
     group.finish();
 }
@@ -213,5 +185,5 @@ fn minute_played(criterion: &mut Criterion) {
     group.finish();
 }
 
-criterion_group!(benches, whole, sixty_four, afferents, nothing_to_skip, changed, minute_played);
+criterion_group!(benches, whole, sixty_four, afferents, changed, minute_played);
 criterion_main!(benches);

@@ -5,7 +5,7 @@ use crate::mean;
 use anyhow::{Context, Result};
 use meissner_array::spec::Array;
 use meissner_render::{Effort, Judge, Method, render_with, response_of};
-use meissner_skin::{Finger, SkinModel};
+use meissner_skin::Finger;
 use meissner_touch::{Contact, Object, Pose, Press, Scan, Shape, Touch, respond, surface_of};
 use serde::Serialize;
 use std::time::Instant;
@@ -76,7 +76,7 @@ fn of_object(object: &Object, fingers: u64) -> Result<Vec<RenderingRow>> {
     let real = contact(REAL_GRAIN_MM)?;
     let felt: Vec<(Finger, Vec<Vec<f64>>)> = (FIRST_FINGER..FIRST_FINGER + fingers)
         .map(|seed| {
-            let finger = Finger::new(SkinModel::AFFERENTS, seed);
+            let finger = Finger::new(seed);
             let spikes_s = respond(&real, touch, finger.afferents(), Some(0), &|_| ());
             (finger, spikes_s)
         })

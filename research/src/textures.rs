@@ -6,10 +6,10 @@ use anyhow::{Context, Result};
 use meissner_array::random::uniform;
 use meissner_array::spec::Array;
 use meissner_render::{Judge, Judged, Method, render, response_of};
+use meissner_skin::Finger;
 use meissner_skin::afferents::{
     Afferent, Class, ELASTICITY, POISSON, SAMPLES_PER_S, Stimuli, respond as spikes,
 };
-use meissner_skin::{Finger, SkinModel};
 use meissner_touch::{Contact, HeightMap, Object, Pose, Scan, Surface, Touch, displacements_mm, respond};
 use serde::Serialize;
 
@@ -100,7 +100,7 @@ fn of_speed(speed_mm_s: f64, fingers: u64) -> Result<Vec<TextureRow>> {
     let averaged = (averaged_s * SAMPLES_PER_S).round() as usize;
     let mut judged: [Vec<Judged>; 4] = Default::default();
     for seed in FIRST_FINGER..FIRST_FINGER + fingers {
-        let finger = Finger::new(SkinModel::AFFERENTS, seed);
+        let finger = Finger::new(seed);
         let real_s = respond(&contact, touch, finger.afferents(), Some(0), &|_| ());
         let judge = Judge::new(&finger, &real_s, seconds);
         judged[0].push(judge.compare(&respond(&contact, touch, finger.afferents(), Some(1), &|_| ())));

@@ -34,7 +34,7 @@ use meissner_array::strokes::{StrokeOptions, Surplus};
 use meissner_client::{Client, Events};
 use meissner_paper::{MOST_OBSERVED_S, Play, PredictedResponse, Rates, predict_response, shipped};
 use meissner_render::{Judge, Method, Rival, render, response_of};
-use meissner_skin::{Finger, SkinModel};
+use meissner_skin::Finger;
 use meissner_stream::device::Spec;
 use meissner_stream::queues::MeasuredBurst;
 use meissner_stream::{Gains, Settings, SimulatedPlay, simulate_play};
@@ -287,7 +287,7 @@ impl Edges {
 fn rendered(edges: &Edges) -> Result<RenderedReport> {
     let Edges { edge: Edge { object, contact }, vibrating, pressed } = edges;
     let touch = object.touch();
-    let finger = Finger::new(SkinModel::AFFERENTS, FINGER);
+    let finger = Finger::new(FINGER);
     let real_s = respond(contact, touch, finger.afferents(), Some(0), &|_| ());
     let seconds = touch.duration_s() + AFTER_S;
     let judge = Judge::new(&finger, &real_s, seconds);

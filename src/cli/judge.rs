@@ -15,7 +15,7 @@ use clap::Args;
 use meissner_array::pattern::Pattern;
 use meissner_array::spec::Array;
 use meissner_render::{Judge as Comparison, Judged, Method, Rival, TRACE_MM_S, render, response_of, trace};
-use meissner_skin::{Finger, SkinModel};
+use meissner_skin::Finger;
 use meissner_touch::{Contact, Object, respond};
 use serde::Serialize;
 use std::fmt::Write;
@@ -117,7 +117,7 @@ pub(super) fn run(asked: &Judge) -> Result<ExitCode> {
         let mut of_first = None;
         let mut by_line = vec![Vec::new(); patterns.len() + 1];
         for (index, &seed) in fingers.iter().enumerate() {
-            let finger = Finger::new(SkinModel::AFFERENTS, seed);
+            let finger = Finger::new(seed);
             let feel = |noise| {
                 respond(&contact, touch, finger.afferents(), Some(asked.seed.wrapping_add(noise)), &|_| ())
             };

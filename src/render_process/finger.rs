@@ -1,14 +1,14 @@
 //! The finger of renderings and previews, and its spikes as the API has them.
 
 use crate::rendering::FIRST_FINGER;
-use meissner_skin::{Finger, SkinModel};
+use meissner_skin::Finger;
 
 /// Added to the seed of the noise when the finger feels a pattern, as in `meissner judge`.
 pub(super) const OF_PATTERN: u64 = 2;
 
 /// The first finger of `meissner judge`.
 pub(super) fn finger() -> Finger {
-    Finger::new(SkinModel::AFFERENTS, FIRST_FINGER)
+    Finger::new(FIRST_FINGER)
 }
 
 /// The place of each afferent, mm, and the name of its class.

@@ -6,7 +6,7 @@ use meissner_api::{PatternPreview, PreviewSpikes};
 use meissner_array::displacement::Displacement;
 use meissner_array::pattern::Pattern;
 use meissner_array::strokes::{Fit, StrokeOptions, Strokes};
-use meissner_skin::{Ramps, Stimulus};
+use meissner_skin::Ramps;
 use serde::{Deserialize, Serialize};
 
 /// Heights per second.
@@ -33,7 +33,7 @@ impl Preview {
         let ramps =
             Ramps::of_strokes(strokes(&pattern, until_s)?, until_s).map_err(|error| error.to_string())?;
         let finger = finger();
-        let spikes_s = finger.spikes_s(&Stimulus::of_ramps(&ramps, until_s, OF_PATTERN));
+        let spikes_s = finger.spikes_s(&ramps, until_s, OF_PATTERN);
         let times_s = piece(&spikes_s.map_err(|error| error.to_string())?, self.from_s, until_s);
         let (places_mm, class) = afferents(&finger);
         Ok(PatternPreview {

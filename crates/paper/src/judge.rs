@@ -9,10 +9,10 @@
 use crate::partition::{Partition, Verdict};
 use crate::target::{LONGEST_S, Target};
 use meissner_array::pattern::{Drive, Pattern};
+use meissner_array::per_motor::PerMotor;
 use meissner_array::strokes::{StrokeOptions, Strokes, StrokesError};
-use meissner_skin::afferents::{Afferent, Class};
-use meissner_skin::membrane::{AfferentModel, Position, Rectify};
-use meissner_skin::{Finger, FingerError, MAX_ALPHA_PER_UM, MethodError, Moved, SkinModel, Stimulus};
+use meissner_skin::membrane::{AfferentModel, Position, Rectify, population};
+use meissner_skin::{MAX_ALPHA_PER_UM, Method, MethodError, Options, Scene, simulate};
 use serde::Serialize;
 use std::f64::consts::FRAC_1_SQRT_2;
 
@@ -80,15 +80,18 @@ pub fn judge(
     conditions: &Conditions,
 ) -> Result<Option<Verdict>, MethodError> {
     let frames = target.frames();
-    let skin = SkinModel::Membrane(model(target.model(), conditions.rectify));
-    let mut fingers: Vec<(Vec<Afferent>, Vec<Partition>)> = Vec::new();
+    let (array, model) = (target.array(), model(target.model(), conditions.rectify));
+    let [right_mm, up_mm] = conditions.shift_mm;
+    let mut fingers: Vec<(Vec<Position>, Vec<Partition>)> = Vec::new();
     for &seed in &conditions.populations {
-        let afferents = Finger::new(skin, seed).only(Class::Ra);
-        let places: Vec<Position> = afferents.afferents().iter().map(|afferent| afferent.at).collect();
+        let mut places = population(seed);
         let partition = |shape| Partition::of(shape, target.reach_mm(), &places);
         let partitions: Vec<_> = frames.iter().map(|frame| partition(&frame.shape)).collect();
         if partitions.iter().all(Partition::has_both) {
-            fingers.push((afferents.shifted(conditions.shift_mm).afferents().to_vec(), partitions));
+            for at in &mut places {
+                *at = Position { x_mm: at.x_mm + right_mm, y_mm: at.y_mm + up_mm };
+            }
+            fingers.push((places, partitions));
         }
     }
     if fingers.is_empty() {
@@ -99,24 +102,22 @@ pub fn judge(
         if target.moves() { (target.duration_s(), 1) } else { (STEADY_S, fingers.len()) };
     let (mut on_hz, mut off_hz, mut auc) = (0.0, 0.0, 0.0);
     for (number, fingers) in fingers.chunks(at_a_time).enumerate() {
-        let afferents = fingers.iter().flat_map(|(afferents, _)| afferents.iter().copied()).collect();
+        let places = fingers.iter().flat_map(|(places, _)| places.iter().copied()).collect();
         let noise_seed = conditions.noise_seed.wrapping_add(number as u64);
-        let finger = Finger::of_afferents(skin, afferents);
-        let moved = Moved::Drives { array: target.array(), drives, gain: conditions.gain };
-        let stimulus = Stimulus { moved, duration_s, noise_seed };
-        let spikes_s = if target.moves() { Some(played(finger.spikes_s(&stimulus))?) } else { None };
-        let whole_hz: Vec<f64> = match &spikes_s {
-            Some(_) => Vec::new(),
-            None => {
-                played(finger.counts(&stimulus))?.iter().map(|&count| count as f64 / duration_s).collect()
-            }
-        };
+        let scene = Scene::new(array, duration_s, noise_seed, drives.to_vec(), places, model)
+            .and_then(|scene| scene.with_gains(&PerMotor::all(array, conditions.gain)))
+            .expect("a target's afferents and a pattern's drives make a scene");
+        let exact = Method::Exact;
+        let options = if target.moves() { Options::spikes(exact) } else { Options::rates(exact) };
+        let answer = simulate(&scene, &options, &|_| ())?;
+        let whole_hz = answer.rates_hz(&scene);
         let mut first = 0;
-        for (afferents, partitions) in fingers {
-            let own = first..first + afferents.len();
+        for (places, partitions) in fingers {
+            let own = first..first + places.len();
             first = own.end;
             for (frame, partition) in frames.iter().zip(partitions) {
-                let in_frame = spikes_s.as_ref().and_then(|spikes_s| frame.rates_hz(&spikes_s[own.clone()]));
+                let in_frame =
+                    answer.spikes_s.as_ref().and_then(|spikes_s| frame.rates_hz(&spikes_s[own.clone()]));
                 let rates_hz = in_frame.unwrap_or_else(|| whole_hz[own.clone()].to_vec());
                 let verdict =
                     partition.verdict(&rates_hz).expect("populations without ON or OFF were left out");
@@ -201,15 +202,4 @@ fn model(of: &AfferentModel, rectify: Option<Rectify>) -> AfferentModel {
     let sensitivity = of.alpha_per_um / of.rectify.default_alpha_per_um();
     let alpha_per_um = (sensitivity * rectify.default_alpha_per_um()).min(MAX_ALPHA_PER_UM);
     AfferentModel { rectify, alpha_per_um, ..*of }
-}
-
-/// Converts the error of a finger's response: drives of a pattern on a target's afferents always make a scene.
-fn played<T>(answer: Result<T, FingerError>) -> Result<T, MethodError> {
-    answer.map_err(|error| match error {
-        FingerError::Method(error) => error,
-        FingerError::Scene(error) => {
-            unreachable!("a target's afferents and a pattern's drives make a scene: {error}")
-        }
-        FingerError::Ramps(error) => unreachable!("drives are not simulated burst by burst: {error}"),
-    })
 }

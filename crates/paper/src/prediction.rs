@@ -17,8 +17,8 @@ use meissner_array::pattern::Pattern;
 use meissner_array::strokes::Burst;
 use meissner_array::strokes::{StrokeOptions, Strokes, StrokesError};
 use meissner_array::units::TickRate;
-use meissner_skin::membrane::{AfferentModel, POPULATION_NOISE_SD, Position, Rectify};
-use meissner_skin::{Finger, FingerError, Ramps, RampsError, SkinModel, Stimulus};
+use meissner_skin::membrane::{AfferentModel, POPULATION_NOISE_SD, Position, Rectify, population};
+use meissner_skin::{FingerError, Ramps, RampsError, Scene, simulate_ramps};
 use serde::{Deserialize, Serialize};
 
 /// The longest observed time, s; later bursts do not count.
@@ -131,11 +131,12 @@ pub fn predict_response(
     let seed = target.as_ref().map_or(0, Target::population_seed);
     let default = AfferentModel::default_for(Rectify::default(), POPULATION_NOISE_SD);
     let membrane = target.as_ref().map_or(default, |target| *target.model());
-    let finger = Finger::new(SkinModel::Membrane(membrane), seed);
-    let frames = ObservedFrames::new(target.as_ref(), pattern, observed_s, &finger);
-    let rates = |ramps: &Ramps| -> Result<Rates, FingerError> {
-        Ok(frames.rates(&finger.spikes_s(&Stimulus::of_ramps(ramps, observed_s, seed))?))
-    };
+    let places = population(seed);
+    let frames = ObservedFrames::new(target.as_ref(), pattern, observed_s, &places);
+    let scene =
+        Scene::new(array, observed_s, seed, Vec::new(), places, membrane).map_err(FingerError::from)?;
+    let rates =
+        |ramps: &Ramps| -> Result<Rates, FingerError> { Ok(frames.rates(&simulate_ramps(&scene, ramps)?)) };
     let (designed_hz, played_hz) = (rates(&designed)?, rates(&played)?);
     let target = target.map(|target| target.name().to_owned());
     Ok(PredictedResponse { seconds: observed_s, target, population_seed: seed, designed_hz, played_hz })
@@ -160,8 +161,7 @@ struct Observed {
 }
 
 impl ObservedFrames {
-    fn new(target: Option<&Target>, pattern: &Pattern, observed_s: f64, finger: &Finger) -> Self {
-        let places: Vec<Position> = finger.afferents().iter().map(|afferent| afferent.at).collect();
+    fn new(target: Option<&Target>, pattern: &Pattern, observed_s: f64, places: &[Position]) -> Self {
         let repeat_s = pattern.duration_s();
         let frames = target.map_or(&[][..], Target::frames);
         let moves = target.is_some_and(Target::moves);
@@ -174,7 +174,7 @@ impl ObservedFrames {
             let repeats = if found.repeat_s.is_some() { u64::MAX } else { 1 };
             let times = (0..repeats).take_while(whole).count() as u64;
             let reach_mm = target.map_or(0.0, Target::reach_mm);
-            let partition = Partition::of(&frame.shape, reach_mm, &places);
+            let partition = Partition::of(&frame.shape, reach_mm, places);
             Observed { partition, start_s, stop_s, times }
         };
         // A pattern that was shortened by hand may end before its target does.

@@ -2,7 +2,6 @@ use firmware_protocol::stroke::Direction;
 use firmware_protocol::tick::Tick;
 use meissner_array::motor::Ramp;
 use meissner_array::pattern::Pattern;
-use meissner_array::per_motor::PerMotor;
 use meissner_array::simulated::SimulatedMotorsConfig;
 use meissner_array::spec::Array;
 use meissner_array::strokes::Burst;
@@ -11,75 +10,16 @@ use meissner_paper::{
     Conditions, Partition, Play, PredictedResponse, PredictionError, Target, judge, predict_response,
 };
 use meissner_skin::membrane::population;
-use meissner_skin::{Method, Options, Ramps, RampsError, Scene, simulate as solve, simulate_ramps};
+use meissner_skin::{Ramps, RampsError, Scene, simulate_ramps};
 use meissner_test_support::paper::{MOTORS, UM_PER_PULSE};
 use meissner_test_support::played::by_simulated_motors;
 use meissner_test_support::random::Random;
 use meissner_test_support::{both, oracle};
-use rayon::ThreadPoolBuilder;
 
 const ONSET: Tick = Tick(1_000_003);
 
-fn spikes_of(scene: &Scene) -> Vec<Vec<f64>> {
-    solve(scene, &Options::spikes(Method::Exact), &|_| ()).unwrap().spikes_s.unwrap()
-}
-
 fn spikes_of_ramps(scene: &Scene, ramps: impl IntoIterator<Item = (u8, Ramp)>) -> Vec<Vec<f64>> {
-    let mut spikes = vec![Vec::new(); scene.afferents().len()];
-    simulate_ramps(scene, &Ramps::new(scene.array(), ramps).unwrap(), &mut |afferent, train| {
-        spikes[afferent as usize] = train;
-    })
-    .unwrap();
-    spikes
-}
-
-/// The bursts of a scene whose drives last from beginning to end, each with `gain` times the model's travel.
-fn ramps(scene: &Scene, mut gain: impl FnMut(u8) -> f64) -> Vec<(u8, Ramp)> {
-    let mut ramps = Vec::new();
-    for drive in scene.drives() {
-        assert!(drive.start_s.is_none() && drive.stop_s.is_none());
-        let before = |tick: u64| (tick as f64) < scene.duration_s() * 85_000.0;
-        for stroke in drive.wave(scene.array()).unwrap().excursions().take_while(|stroke| before(stroke.up)) {
-            for (start, sign) in [(stroke.up, 1.0), (stroke.down, -1.0)] {
-                let travel_um = sign * gain(drive.motor) * (f64::from(stroke.pulses) * UM_PER_PULSE);
-                ramps.push((drive.motor, Ramp::travelled(Tick(start), stroke.pulses, travel_um)));
-            }
-        }
-    }
-    ramps
-}
-
-/// The division of each travel by its pulses rounds, but no spike changes.
-#[test]
-fn bursts_that_travel_as_designed_give_the_spikes_of_the_drives() {
-    let mut count = 0;
-    for seed in 0..24 {
-        let scene = Random::new(seed).scene(0.3);
-        let (drives, played) = (spikes_of(&scene), spikes_of_ramps(&scene, ramps(&scene, |_| 1.0)));
-        assert!(drives == played, "seed {seed}");
-        count += drives.iter().map(Vec::len).sum::<usize>();
-    }
-    assert!(count > 10_000, "{count}");
-}
-
-#[test]
-fn bursts_of_one_gain_give_the_spikes_of_a_motor_of_that_gain() {
-    let mut count = 0;
-    for seed in 0..24 {
-        let mut random = Random::new(seed);
-        let scene = random.scene(0.2);
-        let gains = PerMotor::from_fn(Array::paper(), |_| random.between(0.3, 3.0));
-        let gained = spikes_of(&scene.with_gains(&gains).unwrap());
-        // Ramps replace the drives, so the scene's gains do not matter.
-        let played = ramps(&scene, |motor| gains[usize::from(motor)]);
-        let played = spikes_of_ramps(&scene.with_gains(&PerMotor::all(Array::paper(), 0.5)).unwrap(), played);
-        for (gained, played) in gained.iter().zip(&played) {
-            assert_eq!(gained.len(), played.len(), "seed {seed}");
-            assert!(gained.iter().zip(played).all(|(a, b)| (a - b).abs() < 1e-9), "seed {seed}");
-            count += gained.len();
-        }
-    }
-    assert!(count > 10_000, "{count}");
+    simulate_ramps(scene, &Ramps::new(scene.array(), ramps).unwrap()).unwrap()
 }
 
 /// Among them are bursts that move nothing, or in the wrong direction.
@@ -290,25 +230,5 @@ fn a_burst_that_meets_a_distant_stop_may_count_as_a_slower_one() {
         });
         println!("stops at {end_stop_um} um: contrast {real:.2}, with slower bursts {slower:.2} impulses/s");
         assert!(too_low_hz.contains(&(real - slower)), "{end_stop_um}: {slower} {real}");
-    }
-}
-
-#[test]
-fn the_response_is_the_same_on_any_number_of_threads() {
-    for name in ["edge-45-paper", "moving-edge-paper"] {
-        let pattern = pattern(name);
-        let play = play(&pattern, 3.3);
-        let bursts = by_simulated_motors(
-            SimulatedMotorsConfig { seed: 7, ..SimulatedMotorsConfig::default() },
-            &play,
-            u16::MAX,
-        );
-        let of = |threads| {
-            let pool = ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-            pool.install(|| predict_response(&play, bursts.iter().copied()).unwrap())
-        };
-        let one = of(1);
-        assert_ne!(one.played_hz, one.designed_hz);
-        assert!(one == of(2) && one == of(3) && one == of(1), "{name}");
     }
 }

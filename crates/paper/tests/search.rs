@@ -22,7 +22,7 @@ use std::time::Instant;
 const COARSE: Fidelity = Fidelity { duration_s: 0.25, step_us: Some(500), min_weight: 1e-2 };
 /// The fidelity with which a search ends.
 const FINE: Fidelity = Fidelity { duration_s: 1.0, step_us: Some(500), min_weight: 1e-3 };
-/// A fifth of the work of three sweeps of a coordinate search; asserted below.
+/// A fifth of the work of a coordinate search: three sweeps over the motors, with 24 frequencies each.
 const FIFTH: Limit = Limit::AfferentSeconds(14_000.0);
 /// Every search converges within this number of evaluations: four times those of the yardstick.
 const MOST: u64 = 20_000;
@@ -84,46 +84,6 @@ fn motors_near_the_edge_come_to_the_afferents_best_frequency() {
         assert!((75.0..=125.0).contains(&weak_hz), "seed {seed}: {weak_hz} Hz at 30 um");
         assert!(weak_hz > strong_hz);
     }
-}
-
-/// Three sweeps over the motors with 24 frequencies each, and their work in afferent-seconds.
-fn by_coordinates(target: &Target, seed: u64, start: Point, space: &Space) -> (Point, f64) {
-    let fidelity = Fidelity { duration_s: 1.0, step_us: Some(100), min_weight: 1e-3 };
-    let objective = Objective::new(target, &target.frames()[0], &[seed], 0, fidelity);
-    let mut incumbent = objective.at(start).unwrap();
-    let mut afferent_s = objective.afferents() as f64;
-    for motor in (0..3).flat_map(|_| 0..MOTORS) {
-        let here = *incumbent.point();
-        let candidate = |number: i32| {
-            let mut point = here;
-            let hz = space.frequency_hz(f64::from(number) / 23.0);
-            point.0[motor] = Some(space.vibration(hz, 0.0));
-            point
-        };
-        let tried = incumbent.try_all((0..24).map(candidate).collect());
-        afferent_s += tried.iter().map(|tried| tried.afferents as f64).sum::<f64>();
-        let cost = |score: Score| score.cost_hz();
-        let best = tried.into_iter().max_by(|a, b| cost(a.score).total_cmp(&cost(b.score))).unwrap();
-        if cost(best.score) > cost(incumbent.score()) {
-            incumbent.move_to(best);
-        }
-    }
-    (*incumbent.point(), afferent_s)
-}
-
-#[test]
-fn a_fifth_of_the_work_of_a_coordinate_search_finds_the_same_contrast() {
-    let target = yardstick();
-    let space = Space { phases: false, ..Setting::AlwaysOn.space(Array::paper()) };
-    let ratios = [2, 6].map(|seed| {
-        let start = space.random(seed);
-        let (theirs, afferent_s) = by_coordinates(&target, seed, start, &space);
-        let ours = found(&target, &space, seed, start, FIFTH);
-        assert!(ours.spent.afferent_s < afferent_s / 5.0, "{:?} of {afferent_s}", ours.spent);
-        exact_hz(&target, seed, ours.point) / exact_hz(&target, seed, theirs)
-    });
-    assert!(ratios.iter().all(|ratio| *ratio >= 0.97), "{ratios:?}");
-    assert!(ratios.iter().sum::<f64>() / ratios.len() as f64 >= 0.99, "{ratios:?}");
 }
 
 #[track_caller]
@@ -249,15 +209,6 @@ fn a_search_without_amplitude_ends() {
     }
 }
 
-#[test]
-fn a_search_in_which_no_afferent_fires_ends() {
-    let weak = yardstick().with_amplitude_um(0.05).unwrap();
-    let space = Space { phases: false, ..Setting::AlwaysOn.space(Array::paper()) };
-    let found = converged(&weak, &space, everywhere(600));
-    assert!(found.trace.iter().all(|step| step.score == Score::default()));
-    assert_eq!(found.point, everywhere(600));
-}
-
 /// At the null of the motor model small steps change nothing, but larger ones do.
 #[test]
 fn a_search_leaves_the_null_and_a_ridge() {
@@ -369,28 +320,6 @@ proptest! {
             }
         }
         assert_rises(&found.trace);
-    }
-
-    #[test]
-    fn the_score_of_a_tried_point_is_that_of_a_whole_simulation(
-        (space, mut points) in spaces().prop_flat_map(|space| {
-            (Just(space.clone()), prop::collection::vec(point_of(space).prop_map(|(_, point)| point), 2..4))
-        }),
-        populations in prop::collection::vec(0_u64..100, 1..3),
-    ) {
-        let target = yardstick();
-        let objective = Objective::new(&target, &target.frames()[0], &populations, 1, COARSE);
-        let mut incumbent = objective.at(points.pop().unwrap()).unwrap();
-        // One more point, which differs in a single motor.
-        let mut near = *incumbent.point();
-        near.0[11] = Some(space.vibration(60.0, 0.3));
-        points.push(near);
-        for (tried, point) in incumbent.try_all(points.clone()).into_iter().zip(points) {
-            let afresh = objective.at(point).unwrap().score();
-            prop_assert_eq!((tried.point, tried.score), (point, afresh));
-            incumbent.move_to(tried);
-            prop_assert_eq!((*incumbent.point(), incumbent.score()), (point, afresh));
-        }
     }
 
     #[test]

@@ -6,7 +6,7 @@ use crate::blurred::{Blurred, counts};
 use meissner_array::pattern::Pattern;
 use meissner_array::strokes::{StrokeOptions, Strokes};
 use meissner_skin::afferents::Class;
-use meissner_skin::{Finger, FingerError, Ramps, Stimulus};
+use meissner_skin::{Finger, FingerError, Ramps};
 use serde::Serialize;
 
 /// Bins of all classes together, s.
@@ -50,7 +50,7 @@ pub fn response_of(
     let strokes =
         Strokes::new(pattern, &StrokeOptions::lasting(once_s)).map_err(meissner_skin::RampsError::from)?;
     let ramps = Ramps::of_strokes(strokes, seconds)?;
-    finger.spikes_s(&Stimulus::of_ramps(&ramps, seconds, noise_seed))
+    finger.spikes_s(&ramps, seconds, noise_seed)
 }
 
 /// The correlation of two responses, and the size of their difference over that of the second; NaN if the second is nothing.

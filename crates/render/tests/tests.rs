@@ -8,7 +8,7 @@ mod poses;
 use meissner_array::pattern::Pattern;
 use meissner_array::spec::Array;
 use meissner_render::{Judge, Judged, Method, Rival, render, response_of};
-use meissner_skin::{Finger, SkinModel};
+use meissner_skin::Finger;
 use meissner_touch::{Contact, Object, Pose, Press, Scan, Shape, Touch, respond, surface_of};
 use std::fs;
 use std::path::Path;
@@ -60,7 +60,7 @@ fn means<const N: usize>(object: &Object, value: impl Fn(&Judged) -> [f64; N]) -
         let pattern = pattern.unwrap();
         let mut sum = [0.0; N];
         for seed in [9001, 9002] {
-            let finger = Finger::new(SkinModel::AFFERENTS, seed);
+            let finger = Finger::new(seed);
             let real = respond(&contact, object.touch(), finger.afferents(), Some(1), &|_| ());
             let felt = response_of(&finger, &pattern, seconds, 2).unwrap();
             let judged = value(&Judge::new(&finger, &real, seconds).compare(&felt));

@@ -59,15 +59,6 @@ impl AnyScene {
             Self::Afferents(scene) => scene.array(),
         }
     }
-
-    /// Duration, s.
-    #[must_use]
-    pub const fn duration_s(&self) -> f64 {
-        match self {
-            Self::Membrane(scene) => scene.duration_s(),
-            Self::Afferents(scene) => scene.duration_s(),
-        }
-    }
 }
 
 /// The key that decides how to read the others.

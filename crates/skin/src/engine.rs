@@ -48,20 +48,9 @@ pub(crate) type Train = (u32, u64, Vec<f64>);
 /// Receives the spike train of an afferent. As a trait object, so that the simulation is compiled only once.
 pub(crate) type Give<'g> = dyn FnMut(Train) + 'g;
 
-/// Simulates some of a scene's afferents. `give` is called with the spike train of each, in no particular order.
+/// Simulates some of a scene's afferents with the vectors of an architecture. `give` is called with the spike
+/// train of each, in no particular order.
 pub(crate) fn run(
-    scene: &Scene,
-    tracks: &Tracks,
-    numbers: &[u32],
-    options: &Options,
-    progress: &(dyn Fn(f64) + Sync),
-    give: &mut Give<'_>,
-) -> Result<Skipped, MethodError> {
-    run_on(Arch::new(), scene, tracks, numbers, options, progress, give)
-}
-
-/// The same with the vectors of a given architecture.
-pub(crate) fn run_on(
     arch: Arch,
     scene: &Scene,
     tracks: &Tracks,

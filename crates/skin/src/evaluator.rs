@@ -74,16 +74,13 @@ impl Evaluator {
         Ok(self.candidate(self.scene.with_drives(drives.to_vec())?))
     }
 
-    /// Makes a candidate's scene the scene. A candidate that was made from an earlier scene is simulated again.
+    /// Makes a candidate's scene the scene.
+    ///
+    /// # Panics
+    /// If the candidate was made from another scene.
     pub fn accept(&mut self, candidate: Candidate) {
-        let candidate = if Arc::ptr_eq(&candidate.from, &self.counts) {
-            candidate
-        } else {
-            // The candidate's drives were checked, and the check depends only on the drives.
-            let drives = candidate.scene.drives().to_vec();
-            self.candidate(self.scene.with_drives(drives).expect("the drives were checked"))
-        };
-        let Candidate { scene, from, tracks, changed, .. } = candidate;
+        let Candidate { scene, from, tracks, changed } = candidate;
+        assert!(Arc::ptr_eq(&from, &self.counts), "a candidate is accepted before the scene changes");
         self.scene = scene;
         tracks.into_iter().for_each(|(motor, track)| self.tracks[usize::from(motor)] = track);
         // Drop the second owner, so that `make_mut` copies nothing.
@@ -98,7 +95,11 @@ impl Evaluator {
             let of_motor = |drive: &&Drive| drive.motor == *motor;
             !self.scene.drives().iter().filter(of_motor).eq(scene.drives().iter().filter(of_motor))
         };
-        let track = |motor| (motor, Track::new(&scene, self.options.method, motor).map(Arc::new));
+        let of_motor = |motor| {
+            let (array, duration_s) = (scene.array(), scene.duration_s());
+            Track::of_drives(array, motor, scene.drives(), duration_s, self.options.method).map(Arc::new)
+        };
+        let track = |motor| (motor, of_motor(motor));
         let tracks: Vec<_> = scene.array().numbers().filter(differs).map(track).collect();
         let differing = tracks.iter().fold(0, |motors, (motor, _)| motors | 1_u64 << motor);
         let reached = self.afferents.order.iter().filter(|(_, motors)| motors & differing != 0);
@@ -140,28 +141,17 @@ impl Afferents {
 }
 
 impl Candidate {
-    /// Its drives.
-    #[must_use]
-    pub fn drives(&self) -> &[Drive] {
-        self.scene.drives()
-    }
-
     /// The number of afferents that were simulated.
     #[must_use]
     pub fn simulated(&self) -> usize {
         self.changed.len()
     }
 
-    /// The numbers and counts of the simulated afferents, in no particular order. Some counts may be as before.
-    pub fn changed(&self) -> impl Iterator<Item = (u32, u64)> {
-        self.changed.iter().copied()
-    }
-
     /// Each afferent's number of spikes, simulated or not.
     #[must_use]
     pub fn counts(&self) -> Vec<u64> {
         let mut counts = Vec::clone(&self.from);
-        self.changed().for_each(|(number, count)| counts[number as usize] = count);
+        self.changed.iter().for_each(|&(number, count)| counts[number as usize] = count);
         counts
     }
 }

@@ -18,7 +18,7 @@
 //! bursts of motors ([`Ramps`]) instead of drives.
 //!
 //! The above is the model `membrane`. [`afferents`] is a second model with modules of its own: skin mechanics, and SA1, RA and PC afferents. An [`AnyScene`] is a
-//! scene of either model, and reads the files. A [`Finger`] of either model responds to drives and to ramps: begin with it if you need both models.
+//! scene of either model, and reads the files. A [`Finger`] of the second model responds to ramps.
 //! [`validate`] compares both models with published figures.
 //!
 //! Both methods use the same noise, so they can be compared spike by spike. Work is skipped only if the answer is known without it
@@ -95,7 +95,7 @@ mod track;
 pub use any_scene::{AnyScene, MAX_JSON_BYTES, MAX_TOML_BYTES};
 pub use engine::Skipped;
 pub use evaluator::{Candidate, Evaluator};
-pub use finger::{Finger, FingerError, Moved, SkinModel, Stimulus};
+pub use finger::{Finger, FingerError};
 pub use meissner_input::document::{CommonProblem, Place};
 pub use method::{
     Integrator, Keep, MAX_SPIKES, Method, MethodError, Options, SEARCH_MIN_WEIGHT, STEP_US, Stepping,

@@ -23,12 +23,13 @@ use meissner_array::motor::Ramp;
 use meissner_array::per_motor::PerMotor;
 use meissner_array::spec::Array;
 use meissner_array::strokes::{Strokes, StrokesError};
+use pulp::Arch;
 use std::sync::Arc;
 
 /// The most ramps of strokes and moves that are taken at once: 200 MB, ten minutes of 12 000 moves a second.
 pub const MAX_RAMPS: usize = 8 << 20;
 
-/// Afferents whose spikes are in memory at a time. A minute at 1 000 impulses/s takes 46 MB; at 200, 9 MB.
+/// Afferents whose spikes are in memory twice. A minute at 1 000 impulses/s takes 46 MB; at 200, 9 MB.
 const AT_A_TIME: usize = 32;
 
 /// The ramps of each motor of an array.
@@ -172,29 +173,24 @@ fn gain(array: Array) -> impl Fn(f64) -> f64 {
     move |um_per_tick| parts.round(um_per_tick.abs() / um_per_pulse)
 }
 
-/// Simulates a scene by the finest method, moved by `ramps`; its drives and gains are ignored. `give` is called with each afferent's
-/// number and spikes, s, in no particular order.
-///
-/// Besides the ramps it takes 16 MB for breakpoints, and the memory for the spikes of 32 afferents.
+/// Simulates a scene by the finest method, moved by `ramps`; its drives and gains are ignored. The answer is each afferent's spikes, s.
 ///
 /// # Errors
 /// If there are more than [`MAX_SPIKES`](crate::MAX_SPIKES) spikes to keep.
 ///
 /// # Panics
 /// If scene and ramps are for different arrays.
-pub fn simulate_ramps(
-    scene: &Scene,
-    ramps: &Ramps,
-    give: &mut dyn FnMut(u32, Vec<f64>),
-) -> Result<(), MethodError> {
+pub fn simulate_ramps(scene: &Scene, ramps: &Ramps) -> Result<Vec<Vec<f64>>, MethodError> {
     assert_eq!(scene.array(), ramps.array(), "the ramps are those of the scene's motors");
     let gains = ramps.gains();
     let (scene, tracks) = (scene.without_drives(gains), ramps.tracks(&gains, scene.duration_s()));
     let all: Vec<u32> = (0..scene.afferents().len() as u32).collect();
+    let mut spikes_s = vec![Vec::new(); all.len()];
+    let mut give = |(number, _, half_ticks): Train| {
+        spikes_s[number as usize] = in_seconds(half_ticks, scene.array().rate());
+    };
     for some in by_place(&scene, &all).chunks(AT_A_TIME) {
-        let mut give =
-            |(number, _, half_ticks): Train| give(number, in_seconds(half_ticks, scene.array().rate()));
-        run(&scene, &tracks, some, &Options::spikes(Method::Exact), &|_| (), &mut give)?;
+        run(Arch::new(), &scene, &tracks, some, &Options::spikes(Method::Exact), &|_| (), &mut give)?;
     }
-    Ok(())
+    Ok(spikes_s)
 }

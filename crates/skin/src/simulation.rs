@@ -5,6 +5,7 @@ use crate::method::{Keep, MethodError, Options};
 use crate::scene::Scene;
 use crate::time::in_seconds;
 use crate::track;
+use pulp::Arch;
 
 /// The answer to a scene.
 #[derive(Clone, Debug, PartialEq)]
@@ -45,7 +46,7 @@ pub fn simulate(
             *spikes = in_seconds(half_ticks, scene.array().rate());
         }
     };
-    let skipped = engine::run(scene, &tracks, &numbers, options, progress, &mut give)?;
+    let skipped = engine::run(Arch::new(), scene, &tracks, &numbers, options, progress, &mut give)?;
     let spikes_s = (options.keep == Keep::Spikes).then_some(spikes);
     Ok(Answer { counts, spikes_s, skipped })
 }

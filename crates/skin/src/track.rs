@@ -51,22 +51,33 @@ enum MovedBy {
 
 /// The tracks of a scene.
 pub(crate) fn of_scene(scene: &Scene, method: Method) -> Tracks {
-    scene.array().numbers().map(|motor| Track::new(scene, method, motor).map(Arc::new)).collect()
+    of_drives(scene.array(), scene.drives(), scene.duration_s(), method)
+}
+
+/// The tracks of an array whose motors have these drives.
+pub(crate) fn of_drives(array: Array, drives: &[Drive], duration_s: f64, method: Method) -> Tracks {
+    let track = |motor| Track::of_drives(array, motor, drives, duration_s, method).map(Arc::new);
+    array.numbers().map(track).collect()
 }
 
 impl Track {
     /// A motor's track, if it moves.
-    pub(crate) fn new(scene: &Scene, method: Method, motor: u8) -> Option<Self> {
-        let array = scene.array();
+    pub(crate) fn of_drives(
+        array: Array,
+        motor: u8,
+        drives: &[Drive],
+        duration_s: f64,
+        method: Method,
+    ) -> Option<Self> {
         let moves = |drive: &&Drive| drive.wave(array).is_ok_and(|wave| wave.moves());
-        let of_motor = scene.drives().iter().filter(|drive| drive.motor == motor);
+        let of_motor = drives.iter().filter(|drive| drive.motor == motor);
         let mut drives: Vec<_> = of_motor.filter(moves).copied().collect();
         drives.sort_by(|a, b| a.start().total_cmp(&b.start()));
         // A motor's drives do not overlap, so the fastest gives the bound.
         let breakpoints_per_s = drives.iter().map(|drive| 8.0 * drive.frequency_hz).fold(0.0, f64::max);
         let moved_by = MovedBy::Drives(drives);
         (breakpoints_per_s > 0.0)
-            .then(|| Self::moved(array, motor, moved_by, breakpoints_per_s, scene.duration_s(), method))
+            .then(|| Self::moved(array, motor, moved_by, breakpoints_per_s, duration_s, method))
     }
 
     /// The track of a motor that made some ramps.

@@ -82,21 +82,17 @@ fn a_candidate_has_the_answer_of_a_fresh_simulation_and_changes_nothing() {
             assert_eq!((evaluator.scene(), evaluator.counts()), (&scene, &counts[..]));
             for (candidate, drives) in evaluated.iter().zip(&candidates) {
                 let expected = afresh(&scene.with_drives(drives.clone()).unwrap(), &options);
-                assert_eq!(candidate.drives(), drives);
                 assert_eq!(candidate.counts(), expected, "seed {seed}");
-                assert!(candidate.changed().all(|(number, count)| expected[number as usize] == count));
-                assert_eq!(candidate.changed().count(), candidate.simulated());
                 spared |= (1..counts.len()).contains(&candidate.simulated());
             }
-            let accepted = evaluated.swap_remove(random.below(4));
-            let (drives, counts) = (accepted.drives().to_vec(), accepted.counts());
+            let number = random.below(4);
+            let accepted = evaluated.swap_remove(number);
+            let counts = accepted.counts();
             evaluator.accept(accepted);
-            assert_eq!((evaluator.scene().drives(), evaluator.counts()), (&drives[..], &counts[..]));
-            // A candidate of the earlier scene is simulated again.
-            let late = evaluated.swap_remove(0);
-            let drives = late.drives().to_vec();
-            evaluator.accept(late);
-            assert_eq!(evaluator.counts(), afresh(&scene.with_drives(drives).unwrap(), &options));
+            assert_eq!(
+                (evaluator.scene().drives(), evaluator.counts()),
+                (&candidates[number][..], &counts[..])
+            );
         }
         assert!(spared || evaluator.counts().len() < 30, "seed {seed}");
     }

@@ -8,8 +8,6 @@
 mod afferents;
 mod drives;
 mod events;
-mod refusals;
-mod regressions;
 mod sizes;
 
 use meissner_array::pattern::Drive;

@@ -52,28 +52,6 @@ fn the_same_gain_of_all_motors_is_alpha() {
     }
 }
 
-#[test]
-fn a_gain_of_0_is_a_motor_left_out_and_of_1_none() {
-    for seed in 0..12 {
-        let mut random = Random::new(seed);
-        let scene = random.scene(0.5);
-        let motor = scene.drives()[random.below(scene.drives().len())].motor;
-        let mut gains = PerMotor::all(Array::paper(), 1.0);
-        for method in METHODS {
-            let plain = answer(&scene, method);
-            assert_eq!(answer(&scene.with_gains(&gains).unwrap(), method), plain);
-        }
-        gains[usize::from(motor)] = 0.0;
-        let others = scene.drives().iter().filter(|drive| drive.motor != motor).copied().collect();
-        let (without, silenced) = (scene.with_drives(others).unwrap(), scene.with_gains(&gains).unwrap());
-        for method in METHODS {
-            let (without, silenced) = (answer(&without, method), answer(&silenced, method));
-            assert_eq!(without.counts, silenced.counts, "seed {seed}, {method:?}");
-            assert_eq!(without.spikes_s, silenced.spikes_s, "seed {seed}, {method:?}");
-        }
-    }
-}
-
 /// With gains from 0 to 10, neither skipping nor an evaluator changes the answer.
 #[test]
 fn skipping_takes_gains_into_account() {

@@ -4,7 +4,6 @@ use meissner_array::pattern::Drive;
 use meissner_array::spec::Array;
 use meissner_skin::membrane::{AfferentModel, Position, Rectify, population};
 use meissner_skin::{Answer, Integrator, Keep, Method, Options, Scene, Skipped, simulate as solve};
-use meissner_test_support::patterns::drive;
 use meissner_test_support::random::Random;
 use meissner_test_support::{both, oracle};
 use std::sync::LazyLock;
@@ -82,20 +81,6 @@ fn threads_change_nothing() {
 }
 
 #[test]
-fn the_order_of_afferents_changes_nothing() {
-    for (index, (scene, answers)) in WITHOUT_NOISE.iter().enumerate() {
-        let order = Random::new(index as u64).shuffled(scene.afferents().len());
-        let shuffled = with_afferents(scene, order.iter().map(|&number| scene.afferents()[number]).collect());
-        for (method, in_order) in answers {
-            let found = bits(&spikes(&shuffled, *method));
-            for (place, &number) in order.iter().enumerate() {
-                assert_eq!(found[place], in_order[number], "scene {index}, afferent {number}, {method:?}");
-            }
-        }
-    }
-}
-
-#[test]
 fn an_afferent_alone_has_the_same_answer_as_among_others() {
     for (index, (scene, answers)) in WITHOUT_NOISE.iter().enumerate() {
         for (method, together) in answers {
@@ -105,50 +90,6 @@ fn an_afferent_alone_has_the_same_answer_as_among_others() {
                 assert_eq!(alone[0], together[number], "scene {index}, afferent {number}, {method:?}");
             }
         }
-    }
-}
-
-/// The length of a block depends on the number of breakpoints, whether or not they reach an afferent.
-#[test]
-fn the_length_of_blocks_changes_nothing() {
-    let near = Drive { phase: 0.3, ..drive(0, 61.3, 80.0) };
-    let afferents: Vec<_> = (0..9)
-        .map(|i| Position { x_mm: -4.35 + 0.2 * f64::from(i), y_mm: 7.25 - 0.1 * f64::from(i) })
-        .collect();
-    for noise_sd in [0.0, 0.05] {
-        let scene = |drives| {
-            let model = AfferentModel::default_for(Rectify::Half, noise_sd);
-            Scene::new(Array::paper(), 3.0, 1, drives, afferents.clone(), model).unwrap()
-        };
-        let expected = bits(&spikes(&scene(vec![near]), Method::Exact));
-        assert!(expected.iter().all(|(count, _)| *count > 100));
-        for frequency_hz in [300.0, 4321.0, 42_500.0] {
-            let far = Drive { motor: 23, frequency_hz, ..near };
-            let answer = spikes(&scene(vec![near, far]), Method::Exact);
-            assert_eq!(bits(&answer), expected);
-            assert_eq!(answer.skipped.motors_out_of_reach, 1);
-        }
-    }
-}
-
-/// Breakpoints and samples of a whole scene are kept if they are few; the same scene of a longer duration has too many.
-#[test]
-fn kept_breakpoints_and_samples_change_nothing() {
-    let drives = [(9, 61.3), (10, 4321.0), (13, 170.0)];
-    let drives = drives.map(|(motor, hz)| Drive { phase: 0.3, ..drive(motor, hz, 80.0) }).to_vec();
-    let afferents: Vec<_> =
-        (0..20).map(|i| Position { x_mm: -1.5 + 0.1 * f64::from(i), y_mm: 1.0 }).collect();
-    for method in [Method::Exact, Method::stepped(10, Integrator::Propagator)] {
-        let until = |duration_s| {
-            let model = AfferentModel::default_for(Rectify::Half, 0.05);
-            let scene =
-                Scene::new(Array::paper(), duration_s, 3, drives.clone(), afferents.clone(), model).unwrap();
-            let trains = spikes(&scene, method).spikes_s.unwrap().into_iter();
-            trains.map(|train| train.into_iter().filter(|&t| t < 0.7).collect()).collect()
-        };
-        let (kept, made): (Vec<Vec<f64>>, Vec<Vec<f64>>) = (until(0.7), until(2.5));
-        assert!(kept.iter().all(|train| train.len() > 10));
-        assert_eq!(kept, made, "{method:?}");
     }
 }
 

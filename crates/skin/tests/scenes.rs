@@ -117,7 +117,7 @@ seed = 5 => seed = 5.0 => 2: `seed` is floating point `5.0`…a whole number
 seed = 5 => population.seed = 5 => `afferents` and `population` are both…leave one out
 seed = 5 => population = 5 => 2: `population` is integer `5`…a table
 seed = 5 => population.seeds = 5 => 2: `population`: unknown key `seeds`…`seed`?
-[[afferents]]⏎x_mm = 5.354⏎y_mm = -1.901 =>  => neither `afferents` nor `population` is there: add one
+[[afferents]]⏎x_mm = 5.354⏎y_mm = -1.901 =>  => neither `afferents` nor `population` is there: add one of them
 motor = 3 => motor = 24 => 7: `drives[0].motor` is 24…must be 0 to 23
 seed = 5⏎spikes_s = [[1, 2], "whatever"]⏎promised_spikes = 3⏎⏎[[drives]]⏎motor = 3 => array = "tula35-2x3"⏎[[drives]]⏎motor = 6 => 4: `drives[0].motor` is 6…must be 0 to 5
 motor = 3 => motor = -1 => 7: `drives[0].motor` is -1…must be 0 to 23

@@ -10,7 +10,7 @@ use anyhow::Result;
 use meissner_array::pattern::Pattern;
 use meissner_array::spec::Array;
 use meissner_render::{BLUR_MM, Observer, Reads, response_of};
-use meissner_skin::{Finger, FingerError, SkinModel};
+use meissner_skin::{Finger, FingerError};
 use meissner_touch::{Contact, Object, respond};
 use serde::Serialize;
 use std::fmt::Write;
@@ -224,7 +224,7 @@ pub(super) fn run(asked: &Judge) -> Result<ExitCode> {
         let sums: Sums = [none.clone(), none];
         let mut sums = vec![[sums.clone(), sums]; placed.ways.len() + 1];
         for (index, &seed) in fingers.iter().enumerate() {
-            let finger = Finger::new(SkinModel::AFFERENTS, seed);
+            let finger = Finger::new(seed);
             let one = Asked { finger, objects: &objects, seed: asked.seed };
             let progress = |share: f64| progress((index as f64 + share) / fingers.len() as f64);
             one.answer(&placed, &mut sums, &progress)?;

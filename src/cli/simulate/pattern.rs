@@ -9,13 +9,13 @@ use crate::cli::pattern_file::{self, Found};
 use crate::cli::{files, progress, text};
 use crate::receipts::fit;
 use crate::store::Store;
-use anyhow::{Result, anyhow, bail};
+use anyhow::{Result, bail};
 use clap::error::ErrorKind;
 use meissner_array::pattern::Pattern;
 use meissner_array::strokes::{StrokeOptions, Strokes};
-use meissner_skin::afferents::Class;
-use meissner_skin::membrane::{AfferentModel, POPULATION_NOISE_SD, Rectify};
-use meissner_skin::{Finger, ModelName, Ramps, SkinModel, Stimulus};
+use meissner_skin::afferents::{Afferent, Class};
+use meissner_skin::membrane::{AfferentModel, POPULATION_NOISE_SD, Rectify, population};
+use meissner_skin::{Finger, ModelName, Ramps, Scene, simulate_ramps};
 use serde::Serialize;
 use std::fs::File;
 use std::io::Read;
@@ -87,25 +87,40 @@ pub(super) fn run(asked: &Simulate, pattern: &Pattern) -> Result<ExitCode> {
     };
     let seconds = pattern.array().rate().ticks_to_seconds(end);
     let model = asked.model.unwrap_or(ModelName::Membrane);
-    let membrane = AfferentModel::default_for(Rectify::default(), POPULATION_NOISE_SD);
-    let finger = Finger::new(SkinModel::of(model, membrane), asked.seed);
-    let spikes_s = progress::waiting("simulating", || -> Result<_> {
+    let (afferents, classes, spikes_s) = progress::waiting("simulating", || -> Result<_> {
         let ramps = Ramps::of_strokes(strokes, seconds)?;
-        finger.spikes_s(&Stimulus::of_ramps(&ramps, seconds, asked.seed)).map_err(|error| anyhow!("{error}"))
+        Ok(match model {
+            ModelName::Membrane => {
+                let (places, membrane) = (
+                    population(asked.seed),
+                    AfferentModel::default_for(Rectify::default(), POPULATION_NOISE_SD),
+                );
+                let rapid = |&at| Afferent { class: Class::Ra, row: 0, at };
+                let afferents: Vec<_> = places.iter().map(rapid).collect();
+                let scene = Scene::new(pattern.array(), seconds, asked.seed, Vec::new(), places, membrane)?;
+                (afferents, &Class::ALL[1..2], simulate_ramps(&scene, &ramps)?)
+            }
+            ModelName::Afferents => {
+                let finger = Finger::new(asked.seed);
+                let spikes_s = finger.spikes_s(&ramps, seconds, asked.seed)?;
+                (finger.afferents().to_vec(), &Class::ALL[..], spikes_s)
+            }
+        })
     })?;
     let counts: Vec<u64> = spikes_s.iter().map(|train| train.len() as u64).collect();
     let rates_hz: Vec<f64> =
         counts.iter().map(|&count| count as f64 / seconds.max(f64::MIN_POSITIVE)).collect();
     if asked.csv {
-        let afferents = finger.afferents().iter().map(|of| (of.class.name(), Some(of.row), of.at));
+        let afferents = afferents.iter().map(|of| (of.class.name(), Some(of.row), of.at));
         return print_csv(afferents, &counts, &rates_hz);
     }
     let of_class = |&class: &Class| {
-        let rates: Vec<f64> = finger.of_class(class).map(|number| rates_hz[number]).collect();
+        let of_class = afferents.iter().zip(&rates_hz).filter(|(of, _)| of.class == class);
+        let rates: Vec<f64> = of_class.map(|(_, &rate_hz)| rate_hz).collect();
         let mean_hz = rates.iter().sum::<f64>() / rates.len().max(1) as f64;
         OfClass { class, afferents: rates.len(), mean_hz, per_cm2: None }
     };
-    let classes = finger.model().classes().iter().map(of_class).collect();
+    let classes = classes.iter().map(of_class).collect();
     let document = Document {
         model,
         pattern: pattern.name(),
@@ -115,7 +130,7 @@ pub(super) fn run(asked: &Simulate, pattern: &Pattern) -> Result<ExitCode> {
         motions: pattern.motions().len(),
         spikes_s: (!asked.rates_only).then_some(&spikes_s[..]),
         rates_hz,
-        afferents: finger.afferents().iter().map(Placed::of).collect(),
+        afferents: afferents.iter().map(Placed::of).collect(),
         classes,
         wall_s: begun.elapsed().as_secs_f64(),
     };

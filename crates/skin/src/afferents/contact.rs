@@ -15,30 +15,10 @@ const MAX_KEPT: usize = 1024;
 /// A smaller pivot, in units of a pin's own flexibility, is a rounding error: the loads of two pins cannot be told apart.
 const SMALLEST_PIVOT: f64 = 1e-9;
 
-/// A place on the skin.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Place {
-    pub(super) x_mm: f64,
-    pub(super) y_mm: f64,
-}
-
-impl Place {
-    pub(super) fn distance_mm(self, to: Self) -> f64 {
-        let (x, y) = (self.x_mm - to.x_mm, self.y_mm - to.y_mm);
-        (x * x + y * y).sqrt()
-    }
-}
-
-impl From<Position> for Place {
-    fn from(at: Position) -> Self {
-        Self { x_mm: at.x_mm, y_mm: at.y_mm }
-    }
-}
-
 /// Flat round pins, all alike.
 #[derive(Clone, Debug)]
 pub(super) struct FlatPins {
-    pub(super) places: Vec<Place>,
+    pub(super) places: Vec<Position>,
     pub(super) punch: Punch,
 }
 
@@ -169,23 +149,23 @@ mod tests {
     use super::*;
     use meissner_array::spec::Array;
 
-    fn array() -> Vec<Place> {
-        Array::paper().positions_mm().iter().map(|&[x_mm, y_mm]| Place { x_mm, y_mm }).collect()
+    fn array() -> Vec<Position> {
+        Array::paper().positions_mm().iter().map(|&[x_mm, y_mm]| Position { x_mm, y_mm }).collect()
     }
 
-    fn pins(places: &[Place]) -> FlatPins {
+    fn pins(places: &[Position]) -> FlatPins {
         FlatPins { places: places.to_vec(), punch: Punch { radius_mm: 0.5 } }
     }
 
-    fn loads(places: &[Place], indentations_mm: &[f64]) -> Vec<f64> {
+    fn loads(places: &[Position], indentations_mm: &[f64]) -> Vec<f64> {
         let mut loads = vec![Vec::new(); places.len()];
         let columns: Vec<_> = indentations_mm.iter().map(|&mm| vec![mm]).collect();
         Contact::new(&pins(places)).unwrap().loads(&columns, &mut loads);
         loads.into_iter().map(|load| load[0]).collect()
     }
 
-    fn profile_mm(places: &[Place], loads: &[f64]) -> Vec<f64> {
-        let under = |at: &Place| {
+    fn profile_mm(places: &[Position], loads: &[f64]) -> Vec<f64> {
+        let under = |at: &Position| {
             places
                 .iter()
                 .zip(loads)
@@ -237,7 +217,7 @@ mod tests {
 
     #[test]
     fn two_pins_at_one_place_are_refused() {
-        let at = |x_mm| Place { x_mm, y_mm: 0.0 };
+        let at = |x_mm| Position { x_mm, y_mm: 0.0 };
         assert!(Contact::new(&pins(&[at(0.0), at(0.4)])).is_none());
         assert!(Contact::new(&pins(&[at(0.0), at(0.6)])).is_some());
     }

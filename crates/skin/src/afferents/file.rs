@@ -7,8 +7,8 @@
 use super::afferent::Class;
 use super::population::{drawn, population};
 use super::scene::{PREINDENT_MM, Pins, Scene, SinePin};
-use crate::membrane::{AfferentModel, Position, Rectify};
-use crate::scene::{self, ModelName, Problem, RawDrive, RawPopulation, Scene as MembraneScene};
+use crate::membrane::Position;
+use crate::scene::{self, ModelName, Problem, RawDrive, RawPopulation};
 use meissner_input::document::{self, Table};
 use serde::Deserialize;
 use serde::de::IgnoredAny;
@@ -119,15 +119,7 @@ pub(crate) fn read(raw: RawScene) -> Result<Scene, KeyError> {
                     return Err(KeyError::key(key, Problem::PinsOnly));
                 }
             }
-            let drives = scene::drives(array, drives.unwrap_or_default())?;
-            let model = AfferentModel::default_for(Rectify::default(), 0.0);
-            Pins::Motors(Box::new(MembraneScene::without_afferents_from(
-                array,
-                raw.duration_s,
-                raw.seed,
-                drives,
-                model,
-            )?))
+            Pins::Drives(scene::drives(array, drives.unwrap_or_default())?)
         }
     };
     let scene = Scene {

@@ -10,7 +10,7 @@ use super::{SAMPLE_US, SAMPLES_PER_S};
 use crate::breakpoints::velocity_per_d;
 use crate::method::{Integrator, Method, Stepping};
 use crate::sampler::Sampler;
-use crate::track::{Track, Tracks, of_scene};
+use crate::track::{Track, Tracks, of_drives};
 use meissner_array::per_motor::PerMotor;
 use meissner_array::spec::ArraySpec;
 use std::f64::consts::TAU;
@@ -18,7 +18,6 @@ use std::sync::Arc;
 
 /// The mean velocity over a sample.
 const STEPS: Stepping = Stepping { step_us: SAMPLE_US, integrator: Integrator::Propagator };
-const MEANS: Method = Method::Stepped(STEPS);
 /// Converts the mean D over a sample, half pulses, to the path of a pin, mm.
 fn mm_per_mean(array: &ArraySpec) -> f64 {
     velocity_per_d(1e-3, array.motor()) * (array.rate().half_ticks_per_s() / SAMPLES_PER_S)
@@ -48,7 +47,7 @@ struct Motor<'s> {
 pub(super) fn tracks(scene: &Scene) -> Tracks {
     match scene.pins() {
         Pins::Sines { .. } => Vec::new(),
-        Pins::Motors(motors) => of_scene(motors, MEANS),
+        Pins::Drives(drives) => of_drives(scene.array(), drives, scene.duration_s(), Method::Exact),
         Pins::Ramps(ramps) => ramps.tracks(&ramps.gains(), scene.duration_s()),
     }
 }
@@ -67,7 +66,7 @@ impl<'s> Motion<'s> {
             Pins::Sines { pins, ramp_s, begin_s } => {
                 MovedBy::Sines { pins, ramp_s: *ramp_s, begin_s: *begin_s }
             }
-            Pins::Motors(of) => motors(of.gains()),
+            Pins::Drives(_) => motors(&PerMotor::all(scene.array(), 1.0)),
             // The full speed is that of the fastest ramp.
             Pins::Ramps(ramps) => motors(&ramps.gains()),
         };

@@ -1,7 +1,8 @@
 //! How the skin moves with one pin of an array, while all pins touch it.
 
-use super::contact::{Contact, FlatPins, Place};
+use super::contact::{Contact, FlatPins};
 use super::punch::Punch;
+use crate::membrane::Position;
 use meissner_array::spec::Array;
 
 /// How far the skin moves per distance that one pin of an array moves while the others stay, by place and then by motor. Places are
@@ -9,11 +10,11 @@ use meissner_array::spec::Array;
 #[must_use]
 #[expect(clippy::missing_panics_doc, reason = "it does not happen")]
 pub fn pin_shapes(array: Array, places_mm: &[[f64; 2]]) -> Vec<Vec<f64>> {
-    let places = array.positions_mm().iter().map(|&[x_mm, y_mm]| Place { x_mm, y_mm }).collect();
+    let places = array.positions_mm().iter().map(|&[x_mm, y_mm]| Position { x_mm, y_mm }).collect();
     let pins = FlatPins { places, punch: Punch { radius_mm: array.pin_radius_mm() } };
     let contact = Contact::new(&pins).expect("the pins of an array are told apart");
     let shape = |&[x_mm, y_mm]: &[f64; 2]| {
-        let at = Place { x_mm, y_mm };
+        let at = Position { x_mm, y_mm };
         let flexibility: Vec<f64> =
             pins.places.iter().map(|pin| pins.punch.flexibility(at.distance_mm(*pin))).collect();
         let of = |motor| {

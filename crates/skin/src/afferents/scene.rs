@@ -5,10 +5,11 @@
 
 use super::SAMPLES_PER_S;
 use super::afferent::Afferent;
-use super::contact::{Contact, FlatPins, Place};
+use super::contact::{Contact, FlatPins};
 use super::punch::Punch;
+use crate::membrane::Position;
 use crate::ramps::Ramps;
-use crate::scene::{Problem, Scene as MembraneScene};
+use crate::scene::{Problem, check_drives};
 use meissner_array::pattern::Drive;
 use meissner_array::spec::Array;
 use meissner_input::document::{self, in_range};
@@ -45,10 +46,10 @@ pub struct Scene {
 pub(super) enum Pins {
     /// Pins that are pressed in during `ramp_s`, and vibrate by a formula from `begin_s` on.
     Sines { pins: Vec<SinePin>, ramp_s: f64, begin_s: f64 },
-    /// All pins of the array, pressed in long before. The motors of a scene without afferents move them.
-    Motors(Box<MembraneScene>),
+    /// All pins of the array, pressed in long before. Motors with these drives move them.
+    Drives(Vec<Drive>),
     /// All pins of the array, pressed in long before. The bursts that motors made move them.
-    Ramps(Box<Ramps>),
+    Ramps(Ramps),
 }
 
 /// A pin that moves by a formula: its height above the pressed-in position is `amplitude/2 · (cos 2πφ − cos 2π(f·t + φ))`.
@@ -67,43 +68,6 @@ pub struct SinePin {
 }
 
 impl Scene {
-    /// A scene whose motors move the pins of the array. `motors` is a scene of the first model: its duration, seed, drives
-    /// and gains count, its afferents do not. With `noise` each sample of an afferent's current has noise.
-    ///
-    /// # Errors
-    /// The first thing that is wrong with it, by the key it would have in a file.
-    pub fn of_motors(
-        motors: &MembraneScene,
-        preindent_mm: f64,
-        afferents: Vec<Afferent>,
-        noise: bool,
-    ) -> Result<Self, document::DocumentError<Problem>> {
-        Self {
-            array: motors.array(),
-            duration_s: motors.duration_s(),
-            seed: motors.seed(),
-            preindent_mm,
-            noise,
-            pins: Pins::Motors(Box::new(motors.without_afferents())),
-            afferents: Arc::new(afferents),
-            population: false,
-        }
-        .checked()
-        .map_err(|fault| fault.in_file(None))
-    }
-
-    /// The scene with other drives, for motors of the array. Only the drives are checked, and the afferents are shared.
-    ///
-    /// # Errors
-    /// The first thing that is wrong with them, by the key it would have in a file.
-    ///
-    /// # Panics
-    /// If something else moves the pins.
-    pub fn with_drives(&self, drives: Vec<Drive>) -> Result<Self, document::DocumentError<Problem>> {
-        let Pins::Motors(motors) = &self.pins else { panic!("the pins of this scene have no drives") };
-        Ok(Self { pins: Pins::Motors(Box::new(motors.with_drives(drives)?)), ..self.clone() })
-    }
-
     /// The scene with other afferents. Their numbers key the noise.
     ///
     /// # Errors
@@ -122,22 +86,7 @@ impl Scene {
         Self { preindent_mm, ..self.clone() }.checked().map_err(|fault| fault.in_file(None))
     }
 
-    /// The seed of the noise.
-    #[must_use]
-    pub const fn seed(&self) -> u64 {
-        self.seed
-    }
-
-    /// The drives of the motors; none if something else moves the pins.
-    #[must_use]
-    pub fn drives(&self) -> Option<&[Drive]> {
-        match &self.pins {
-            Pins::Motors(motors) => Some(motors.drives()),
-            Pins::Sines { .. } | Pins::Ramps(_) => None,
-        }
-    }
-
-    /// A scene of the measured bursts of motors, for their first `duration_s`. `seed` is that of the noise.
+    /// A scene of the bursts of motors, for their first `duration_s`, with noise. `seed` is that of the noise.
     ///
     /// # Errors
     /// The first thing that is wrong with it, by the key it would have in a file.
@@ -147,17 +96,15 @@ impl Scene {
         seed: u64,
         preindent_mm: f64,
         afferents: Vec<Afferent>,
-        noise: bool,
     ) -> Result<Self, document::DocumentError<Problem>> {
-        let (pins, afferents) = (Pins::Ramps(Box::new(ramps.clone())), Arc::new(afferents));
         Self {
             array: ramps.array(),
             duration_s,
             seed,
             preindent_mm,
-            noise,
-            pins,
-            afferents,
+            noise: true,
+            pins: Pins::Ramps(ramps.clone()),
+            afferents: Arc::new(afferents),
             population: false,
         }
         .checked()
@@ -214,10 +161,10 @@ impl Scene {
     pub(super) fn flat_pins(&self) -> FlatPins {
         let places = match &self.pins {
             Pins::Sines { pins, .. } => {
-                pins.iter().map(|pin| Place { x_mm: pin.x_mm, y_mm: pin.y_mm }).collect()
+                pins.iter().map(|pin| Position { x_mm: pin.x_mm, y_mm: pin.y_mm }).collect()
             }
-            Pins::Motors(_) | Pins::Ramps(_) => {
-                self.array.positions_mm().iter().map(|&[x_mm, y_mm]| Place { x_mm, y_mm }).collect()
+            Pins::Drives(_) | Pins::Ramps(_) => {
+                self.array.positions_mm().iter().map(|&[x_mm, y_mm]| Position { x_mm, y_mm }).collect()
             }
         };
         FlatPins { places, punch: Punch { radius_mm: self.array.pin_radius_mm() } }
@@ -238,6 +185,9 @@ impl Scene {
         range("duration_s", self.duration_s, MAX_DURATION_S, "0 to 100000 s with the model afferents")?;
         let pressed = (-10.0..=10.0).contains(&self.preindent_mm);
         in_range("preindent_mm", self.preindent_mm, pressed, "-10 to 10 mm")?;
+        if let Pins::Drives(drives) = &self.pins {
+            check_drives(self.array, drives)?;
+        }
         if let Pins::Sines { pins, ramp_s, begin_s } = &self.pins {
             range("ramp_s", *ramp_s, MAX_DURATION_S, "0 to 100000 s")?;
             range("begin_s", *begin_s, MAX_DURATION_S, "0 to 100000 s")?;
@@ -289,7 +239,7 @@ fn check_place(x_mm: f64, y_mm: f64) -> Result<(), KeyError> {
 fn check_apart(pins: &FlatPins) -> Result<(), KeyError> {
     let FlatPins { places, punch: Punch { radius_mm } } = pins;
     for (second, at) in places.iter().enumerate() {
-        let near = |other: &Place| other.distance_mm(*at) <= *radius_mm;
+        let near = |other: &Position| other.distance_mm(*at) <= *radius_mm;
         if let Some(first) = places[..second].iter().position(near) {
             let problem = Problem::SamePlace { first, radius_mm: *radius_mm };
             return Err(KeyError::key(&format!("pins[{second}]"), problem));

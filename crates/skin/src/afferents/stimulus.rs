@@ -10,7 +10,7 @@
 //! Invariant: terms are added in the order of the pins, each with one rounding.
 
 use super::afferent::{Afferent, Class};
-use super::contact::{FlatPins, Place};
+use super::contact::FlatPins;
 use crate::simd::LANES;
 use pulp::Simd;
 
@@ -32,7 +32,7 @@ pub(super) struct Field {
 
 impl Field {
     pub(super) fn new(afferent: &Afferent, pins: &FlatPins) -> Self {
-        let at = Place::from(afferent.at);
+        let at = afferent.at;
         let depth_mm = afferent.class.depth_mm();
         let distances = || pins.places.iter().map(|pin| at.distance_mm(*pin));
         let punch = pins.punch;

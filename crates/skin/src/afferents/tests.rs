@@ -1,10 +1,9 @@
 //! Tests with private items that answers of the second model do not depend on how they are computed.
 
-use super::scene::Scene;
+use super::scene::{Pins, Scene};
 use super::simulation::simulate_on;
 use super::{motion, population};
 use crate::method::Keep;
-use crate::scene::Scene as MembraneScene;
 use meissner_array::motor::{HalfTick, Shaft};
 use meissner_array::pattern::Drive;
 use meissner_array::spec::Array;
@@ -19,9 +18,18 @@ fn scene() -> Scene {
         Drive { start_s: Some(0.1), ..drive(14, 150.0, 80.0) },
         drive(0, 10.0, 300.0),
     ];
-    let model = crate::membrane::AfferentModel::default_for(crate::membrane::Rectify::Half, 0.0);
-    let motors = MembraneScene::new(Array::paper(), 0.3, 5, drives, Vec::new(), model).unwrap();
-    Scene::of_motors(&motors, 0.05, population(2), true).unwrap()
+    let afferents = population(2).into();
+    let pins = Pins::Drives(drives);
+    Scene {
+        array: Array::paper(),
+        duration_s: 0.3,
+        seed: 5,
+        preindent_mm: 0.05,
+        noise: true,
+        pins,
+        afferents,
+        population: true,
+    }
 }
 
 #[test]
@@ -56,9 +64,9 @@ fn a_motors_samples_are_its_shafts_displacements() {
     for samples in [1, 63, 1000, 436] {
         motion.extend(samples, &mut columns);
     }
-    let super::scene::Pins::Motors(motors) = scene.pins() else { unreachable!("drives are motors") };
-    for of in motors.drives() {
-        let array = motors.array();
+    let Pins::Drives(drives) = scene.pins() else { unreachable!("it has drives") };
+    for of in drives {
+        let array = scene.array();
         let (mut shaft, um_per_pulse) = (Shaft::new(array.motor()), array.motor().um_per_pulse);
         let mut ramps =
             DriveStrokes::of(array, of).unwrap().flat_map(|stroke| stroke.ramps(um_per_pulse)).peekable();

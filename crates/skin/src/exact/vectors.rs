@@ -27,15 +27,10 @@ impl WithSimd for Pass<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        // The slope changes of drives are whole and need no rounding.
-        let shares = self.breakpoints.iter().any(|found| found.slope_change.abs() != 1.0);
-        match (self.membrane.rectify, shares) {
-            (Rectify::Half, false) => self.rectified::<S, HALF, false>(simd),
-            (Rectify::Full, false) => self.rectified::<S, FULL, false>(simd),
-            (Rectify::Signed, false) => self.rectified::<S, SIGNED, false>(simd),
-            (Rectify::Half, true) => self.rectified::<S, HALF, true>(simd),
-            (Rectify::Full, true) => self.rectified::<S, FULL, true>(simd),
-            (Rectify::Signed, true) => self.rectified::<S, SIGNED, true>(simd),
+        match self.membrane.rectify {
+            Rectify::Half => self.rectified::<S, HALF>(simd),
+            Rectify::Full => self.rectified::<S, FULL>(simd),
+            Rectify::Signed => self.rectified::<S, SIGNED>(simd),
         }
     }
 }
@@ -46,7 +41,7 @@ const SIGNED: u8 = 2;
 
 impl Pass<'_> {
     #[inline(always)]
-    fn rectified<S: Simd, const RECTIFY: u8, const SHARES: bool>(self, simd: S) {
+    fn rectified<S: Simd, const RECTIFY: u8>(self, simd: S) {
         let width = S::F64_LANES.min(LANES);
         // Out of the group, so that they stay where they are while it changes.
         let (motors, weights) = (self.group.motors, std::mem::take(&mut self.group.weights));
@@ -68,14 +63,10 @@ impl Pass<'_> {
                     let weight = load::<S>(&weights[usize::from(found.motor)], first);
                     let mine = simd.greater_than_f64s(weight, simd.splat_f64s(0.0));
                     vectors.advance(self.group, found.at, mine, self.keep);
-                    let slope_change = simd.splat_f64s(found.slope_change);
-                    vectors.k = if SHARES {
-                        let rounds = simd.splat_f64s(ROUNDS);
-                        let whole = simd.sub_f64s(simd.mul_add_f64s(weight, slope_change, rounds), rounds);
-                        simd.add_f64s(vectors.k, whole)
-                    } else {
-                        simd.mul_add_f64s(weight, slope_change, vectors.k)
-                    };
+                    let (slope_change, rounds) =
+                        (simd.splat_f64s(found.slope_change), simd.splat_f64s(ROUNDS));
+                    let whole = simd.sub_f64s(simd.mul_add_f64s(weight, slope_change, rounds), rounds);
+                    vectors.k = simd.add_f64s(vectors.k, whole);
                 }
             }
             if let Some(until) = self.until {

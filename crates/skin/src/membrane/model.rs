@@ -15,6 +15,13 @@ pub struct Position {
     pub y_mm: f64,
 }
 
+impl Position {
+    pub(crate) fn distance_mm(self, to: Self) -> f64 {
+        let (x, y) = (self.x_mm - to.x_mm, self.y_mm - to.y_mm);
+        (x * x + y * y).sqrt()
+    }
+}
+
 /// The part of the skin's velocity that depolarises an afferent.
 ///
 /// The paper does not say which. Half is the default (C). Half and full rectification reproduce the paper's Fig. 4, in which the

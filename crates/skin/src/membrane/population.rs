@@ -98,11 +98,4 @@ mod tests {
             assert_eq!(population(seed)[number], Position { x_mm, y_mm });
         }
     }
-
-    #[test]
-    fn another_seed_gives_another_population() {
-        let (a, b) = (population(1), population(2));
-        assert!(a.iter().zip(&b).all(|(a, b)| a != b));
-        assert_eq!(a, population(1));
-    }
 }

@@ -112,23 +112,6 @@ impl Scene {
         Self { drives: Vec::new(), gains, ..self.clone() }
     }
 
-    /// The scene without its afferents.
-    pub(crate) fn without_afferents(&self) -> Self {
-        Self { afferents: Arc::default(), ..self.clone() }
-    }
-
-    /// A scene of drives alone.
-    pub(crate) fn without_afferents_from(
-        array: Array,
-        duration_s: f64,
-        seed: u64,
-        drives: Vec<Drive>,
-        model: AfferentModel,
-    ) -> Result<Self, KeyError> {
-        let (afferents, gains) = (Arc::default(), ideal(array));
-        Self { array, duration_s, seed, drives, afferents, model, gains }.checked()
-    }
-
     /// The gain of each motor's travel.
     pub(crate) const fn gains(&self) -> &PerMotor<f64> {
         &self.gains
@@ -153,7 +136,8 @@ pub(super) fn ideal(array: Array) -> PerMotor<f64> {
     PerMotor::all(array, 1.0)
 }
 
-fn check_drives(array: Array, drives: &[Drive]) -> Result<(), KeyError> {
+/// Checks drives of motors of an array.
+pub(crate) fn check_drives(array: Array, drives: &[Drive]) -> Result<(), KeyError> {
     for (index, drive) in drives.iter().enumerate() {
         check_drive(array, drive).map_err(|fault| fault.within(&format!("drives[{index}]")))?;
     }

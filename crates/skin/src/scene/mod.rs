@@ -15,8 +15,8 @@ mod file;
 mod names;
 
 pub use afferent::{MAX_ALPHA_PER_UM, RawAfferent, check_model};
-pub(crate) use checked::MAX_GAIN;
 pub use checked::Scene;
+pub(crate) use checked::{MAX_GAIN, check_drives};
 pub(crate) use error::KeyError;
 pub use error::{Problem, SceneError};
 pub(crate) use file::{RawDrive, RawPopulation, RawScene, array, drives};

@@ -2,7 +2,7 @@
 
 mod silence;
 
-use crate::engine::run_on;
+use crate::engine::run;
 use crate::membrane::{AfferentModel, Rectify, population};
 use crate::track::{Track, Tracks, of_scene};
 use crate::{Integrator, Method, Options, Ramps, Scene};
@@ -12,7 +12,6 @@ use meissner_array::motor::{HalfTick, Ramp, Shaft};
 use meissner_array::pattern::Drive;
 use meissner_array::random::uniform;
 use meissner_array::spec::{Array, ArraySpec, names};
-use meissner_test_support::patterns::drive;
 use pulp::Arch;
 use std::sync::Arc;
 
@@ -63,7 +62,7 @@ fn bits(arch: Arch, scene: &Scene, tracks: &Tracks, method: Method) -> Vec<(u32,
     let all: Vec<u32> = (0..scene.afferents().len() as u32).collect();
     let options = Options::spikes(method);
     let mut trains = Vec::new();
-    run_on(arch, scene, tracks, &all, &options, &|_| (), &mut |(number, count, half_ticks)| {
+    run(arch, scene, tracks, &all, &options, &|_| (), &mut |(number, count, half_ticks)| {
         trains.push((number, count, half_ticks.into_iter().map(f64::to_bits).collect()));
     })
     .unwrap();
@@ -223,25 +222,6 @@ fn the_mean_velocity_times_the_step_is_the_shaft_s_motion() {
                 assert!((mean * um - (y - before)).abs() < 1e-9, "{drive:?}, step {index}: {mean} {y}");
                 before = y;
             }
-        }
-    }
-}
-
-/// Two strokes in the first 0.12 s of a second.
-#[test]
-fn samples_at_rest_are_zero() {
-    let drive = Drive { phase: 0.123, start_s: Some(0.01), stop_s: Some(0.13), ..drive(5, 17.3, 33.0) };
-    let model = AfferentModel::default_for(Rectify::Half, 0.0);
-    let scene = Scene::new(Array::paper(), 1.0, 0, vec![drive], vec![], model).unwrap();
-    for integrator in [Integrator::Euler, Integrator::Propagator] {
-        for step_us in [80, 500, 590] {
-            let steps = 1_000_000 / step_us as usize;
-            let rows = samples(&scene, Method::stepped(step_us, integrator), steps, 64);
-            let at = |s: f64| (s * 1e6 / f64::from(step_us)) as usize;
-            assert!(rows[5][..at(0.01)].iter().all(|&d| d == 0.0), "{integrator:?}, {step_us}");
-            assert!(rows[5][at(0.01)..at(0.13)].iter().any(|&d| d != 0.0));
-            assert!(rows[5][at(0.15)..].iter().all(|&d| d == 0.0), "{integrator:?}, {step_us}");
-            assert!(rows.iter().enumerate().all(|(motor, row)| motor == 5 || row.iter().all(|&d| d == 0.0)));
         }
     }
 }

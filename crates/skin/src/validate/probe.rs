@@ -113,10 +113,7 @@ fn membrane(ramps: Vec<Ramp>, duration_s: f64, afferents: &[Placed]) -> Vec<Vec<
         Scene::new(array, duration_s, 0, Vec::new(), places, model).expect("a scene of validate is valid");
     let ramps = Ramps::new(array, ramps.into_iter().map(|ramp| (MOTOR, ramp)))
         .expect("amplitudes of validate are within the gains");
-    let mut spikes_s = vec![Vec::new(); afferents.len()];
-    simulate_ramps(&scene, &ramps, &mut |number, train| spikes_s[number as usize] = train)
-        .expect("scenes of validate are short");
-    spikes_s
+    simulate_ramps(&scene, &ramps).expect("scenes of validate are short")
 }
 
 /// Whether a probe can make this vibration: ramps are at most ten times as fast as a motor's.

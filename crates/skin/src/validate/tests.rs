@@ -17,14 +17,6 @@ fn a_verdict_is_the_comparison_with_the_tolerance() {
     assert_eq!((about.verdict(None), about.verdict(Some(f64::NAN))), (Nothing, Nothing));
     assert_eq!([0.9, 1.0].map(|value| Published::AtLeast(1.0).verdict(Some(value))), [Low, Agrees]);
     assert_eq!([1.0, 1.1].map(|value| Published::AtMost(1.0).verdict(Some(value))), [Agrees, High]);
-    for case in &FOUND.cases {
-        for finding in [case.membrane, case.afferents] {
-            if finding.verdict != ValidationVerdict::NotModelled {
-                assert_eq!(finding.verdict, case.published.verdict(finding.value), "{}", case.name);
-                assert_eq!(finding.says.is_empty(), finding.verdict == Agrees, "{}", case.name);
-            }
-        }
-    }
 }
 
 #[test]
@@ -50,10 +42,4 @@ fn the_first_model_fires_several_times_per_cycle_and_the_second_once_at_most() {
     assert!(agree > 0 && agree < of && of == FOUND.cases.len() - 1, "{agree} of {of}: not its own spikes");
     let fitted = FOUND.cases.iter().filter(|case| case.made_from == Some(ModelName::Membrane));
     assert!(fitted.clone().count() == 2 && fitted.clone().all(|case| case.name.starts_with("RA: area")));
-}
-
-#[test]
-fn numbers_do_not_depend_on_threads() {
-    let one = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
-    assert_eq!(one.install(|| validate(&|_| ())), *FOUND);
 }

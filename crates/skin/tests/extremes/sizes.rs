@@ -97,6 +97,13 @@ fn a_scene_that_ends_in_mid_burst_is_the_beginning_of_a_longer_one() {
     }
 }
 
+/// The last step ends after the scene, and the proof of silence must cover it.
+#[test]
+fn a_scene_that_ends_within_a_step_is_the_same_with_and_without_skipping() {
+    let model = AfferentModel { alpha_per_um: 0.3, ..model(Rectify::Half) };
+    spikes(&scene(0.001_51, &[drive(9, 0.001, 80.0)], &[under(9)], model), propagator(1_000));
+}
+
 const MONTH_S: f64 = 30.0 * 86_400.0;
 
 #[test]
