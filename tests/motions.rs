@@ -198,7 +198,7 @@ fn motions_count_for_the_limits_of_participants() {
     assert!(receipt.all_played());
     // The daemon notes the end after the receipt.
     let used = |client: &mut Client| {
-        client.get::<meissner_api::Status>("/v1/status").unwrap().participant.unwrap().day_used_s
+        client.get::<meissner_api::Status>("/v1/status").unwrap().participant.day_used_s
     };
     wait_until(|| (used(&mut client) - 0.3).abs() < 0.02);
     let long = json!({"ramp": [{"motor": 9, "to_um": 50.0, "rise_s": 0.3, "hold_s": 0.4}]});

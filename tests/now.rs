@@ -1,11 +1,10 @@
 //! What `GET /v1/status` says of the present: what each pin does, whatever the play, and who asks.
 
-use crate::harness::{Daemon, TIMEOUT, wait_until};
+use crate::harness::{Daemon, wait_until};
+use crate::live::Updates;
 use meissner_api::{LiveAccepted, MotorStatus, PinMovement, SessionStarted, Status};
 use meissner_client::Client;
 use serde_json::{Value, json};
-use std::io::{BufRead, BufReader, Write};
-use std::os::unix::net::UnixStream;
 
 const STILL: PinMovement = PinMovement { height_um: 0.0, swing_um: 0.0, hz: 0.0 };
 
@@ -65,9 +64,9 @@ fn every_kind_of_play_shows_what_its_pins_do_and_a_stop_that_they_rest() {
 
     let live: LiveAccepted =
         client.post("/v1/live", &json!({"timeout_ms": 20_000, "max_frequency_hz": 100})).unwrap();
-    let mut lines = upgraded(&daemon, &live.path);
+    let mut lines = Updates::open(&daemon, &live.path);
     let update = json!({"seq": 1, "drives": [{"motor": 11, "frequency_hz": 100.0, "amplitude_um": 50.0}]});
-    lines.write_all(format!("{update}\n").as_bytes()).unwrap();
+    lines.send(&update);
     wait_for(&mut client, 11, PinMovement { height_um: 25.0, swing_um: 50.0, hz: 100.0 });
     stop(&mut client);
 
@@ -85,20 +84,6 @@ fn every_kind_of_play_shows_what_its_pins_do_and_a_stop_that_they_rest() {
     wait_for(&mut client, 7, PinMovement { height_um: 200.0, swing_um: 0.0, hz: 0.0 });
     let _: Status = client.post("/v1/reset", &json!({})).unwrap();
     wait_until(|| are_still(&mut client));
-}
-
-/// A live connection in lines of JSON.
-fn upgraded(daemon: &Daemon, path: &str) -> UnixStream {
-    let mut stream = UnixStream::connect(daemon.socket()).unwrap();
-    stream.set_read_timeout(Some(TIMEOUT)).unwrap();
-    let head = format!(
-        "GET {path} HTTP/1.1\r\nhost: meissner\r\nconnection: upgrade\r\nupgrade: meissner-live\r\n\r\n"
-    );
-    stream.write_all(head.as_bytes()).unwrap();
-    let mut line = String::new();
-    BufReader::new(&stream).read_line(&mut line).unwrap();
-    assert!(line.starts_with("HTTP/1.1 101 "), "{line}");
-    stream
 }
 
 #[test]

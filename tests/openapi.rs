@@ -117,7 +117,7 @@ fn no_answer_and_no_event_has_a_key_twice() {
 
 #[test]
 fn ranges_are_those_that_the_daemon_checks() {
-    use meissner_array::pattern::{FREQUENCY_HZ, MAX_DRIVES, MAX_SECONDS};
+    use meissner_array::pattern::{FREQUENCY_HZ, MAX_SECONDS};
     use meissner_stream::calibrate::{MAX_GROUPS, pulses_range};
     let document = openapi::document();
     // A schema that flattens another is written as `allOf`; its own keys are in one of the parts.
@@ -132,16 +132,14 @@ fn ranges_are_those_that_the_daemon_checks() {
             .unwrap_or_default()
     };
     let range = |value: &Value| (value["minimum"].as_f64().unwrap(), value["maximum"].as_f64().unwrap());
-    let drive = |key| range(&property("PatternDrive", key));
+    let drive = |key| range(&property("LiveDrive", key));
     assert_eq!(drive("frequency_hz"), (*FREQUENCY_HZ.start(), *FREQUENCY_HZ.end()));
     assert_eq!(drive("amplitude_um"), (0.0, 5000.0));
     assert_eq!(drive("motor"), (0.0, (MAX_MOTORS - 1) as f64));
-    assert_eq!(drive("stop_s"), (0.0, MAX_SECONDS));
     assert_eq!(range(&property("PlayRequest", "seconds")), (0.0, MAX_SECONDS));
     assert_eq!(range(&property("PlayRequest", "at_ms")), (0.0, meissner_api::MAX_AT_MS));
     assert_eq!(property("SequenceRequest", "items")["maxItems"], meissner_api::MAX_SEQUENCE_ITEMS);
     assert_eq!(meissner_api::MAX_SEQUENCE_ITEMS, meissner_array::strokes::MAX_ITEMS);
-    assert_eq!(property("PatternFile", "drive")["maxItems"], MAX_DRIVES);
     let pulses = property("CalibrateRequest", "pulses");
     let most = meissner_array::spec::names()
         .into_iter()

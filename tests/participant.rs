@@ -3,7 +3,7 @@
 use crate::harness::{
     Daemon, PATIENT, complaint, document, ended, printed, problem, refusal, wait_until, write_pattern,
 };
-use crate::live::{Lines, start};
+use crate::live::{Updates, start};
 use meissner_api::{DoctorReport, EndCause, PlayState, Status};
 use rustix::process::Signal;
 use serde_json::{Value, json};
@@ -59,7 +59,7 @@ fn a_play_without_end_is_stopped_before_the_limit_and_the_queue_with_it() {
     assert_eq!((receipt.id, receipt.state), (id.as_u64().unwrap(), PlayState::Stopped));
     assert_eq!(receipt.cause.as_ref(), Some(&EndCause::ParticipantLimit));
     let status: Status = client.get("/v1/status").unwrap();
-    let limits = status.participant.unwrap();
+    let limits = status.participant;
     assert!(
         (1.5..=2.0).contains(&limits.day_used_s) && limits.day_left_s == 3.0 - limits.day_used_s,
         "{limits:?}"
@@ -73,7 +73,7 @@ fn a_play_without_end_is_stopped_before_the_limit_and_the_queue_with_it() {
         "{refused:?}"
     );
     // A finite play that fits into the rest begins after a pause, and is played whole.
-    wait_until(|| client.get::<Status>("/v1/status").unwrap().participant.unwrap().continuous_used_s == 0.0);
+    wait_until(|| client.get::<Status>("/v1/status").unwrap().participant.continuous_used_s == 0.0);
     let _: Value = client.post("/v1/play", &json!({"pattern": "pin-60", "seconds": 0.1})).unwrap();
     assert_eq!(ended(&mut events).state, PlayState::Done);
 }
@@ -96,7 +96,7 @@ fn the_limits_hold_for_all_clients_together() {
 
 /// Waits for a pause.
 fn paused(daemon: &Daemon) {
-    let used = || daemon.client().get::<Status>("/v1/status").unwrap().participant.unwrap().continuous_used_s;
+    let used = || daemon.client().get::<Status>("/v1/status").unwrap().participant.continuous_used_s;
     wait_until(|| used() == 0.0);
 }
 
@@ -197,7 +197,7 @@ fn plays_at_times_of_their_own_pass_no_limit_by() {
         }
     }
     assert_eq!(accepted, 1);
-    let limits = client.get::<Status>("/v1/status").unwrap().participant.unwrap();
+    let limits = client.get::<Status>("/v1/status").unwrap().participant;
     assert!(limits.continuous_used_s < 0.5 && limits.day_used_s < 0.5, "{limits:?}");
     // A pause fits before this one.
     let _: Value =
@@ -236,10 +236,10 @@ fn short_ramps_rare_strokes_and_live_levels_count_as_long_as_the_lines_move() {
     // The way back after a live play is closed counts, too.
     let mut events = client.events().unwrap();
     for _ in 0..3 {
-        let used = || daemon.client().get::<Status>("/v1/status").unwrap().participant.unwrap().day_used_s;
+        let used = || daemon.client().get::<Status>("/v1/status").unwrap().participant.day_used_s;
         let before = used();
         let accepted = start(&daemon, json!({"levels": true}));
-        let mut lines = Lines::open(&daemon, &accepted.path);
+        let mut lines = Updates::open(&daemon, &accepted.path);
         lines.send(&json!({"seq": 1, "um": {"9": 200.0}, "glide_ms": 20}));
         let goes_up = lines.applied(1).ticks[9].unwrap();
         // Until the pin is on its way.
@@ -286,7 +286,7 @@ fn kills_until_refused() -> Option<u32> {
         let command = std::process::Command::new(crate::harness::PROGRAM);
         let mut daemon = Daemon::launch(std::sync::Arc::clone(&dir), "mock", &config, log, command);
         daemon.wait_for_device();
-        let used = daemon.client().get::<Status>("/v1/status").unwrap().participant.unwrap().day_used_s;
+        let used = daemon.client().get::<Status>("/v1/status").unwrap().participant.day_used_s;
         // What comes before the next play may count, too.
         let most = f64::from(kills) * 9.0 + 1e-6;
         assert!((f64::from(kills) * 8.0 - 1e-6..=most).contains(&used), "after {kills} kills: {used}");
@@ -318,7 +318,7 @@ fn spaces_that_nobody_sees_make_no_other_participant() {
     let mut client = daemon.client();
     for (name, used) in [("P1", 0.0), ("P1 ", 0.4), (" P1", 0.4), ("p1", 0.4)] {
         let mut session: Value = client.post("/v1/sessions", &json!({"participant": name})).unwrap();
-        let limits = client.get::<Status>("/v1/status").unwrap().participant.unwrap();
+        let limits = client.get::<Status>("/v1/status").unwrap().participant;
         assert!((limits.day_used_s - used).abs() < 0.01, "{name:?}: {limits:?}");
         assert_eq!(limits.participant.as_deref(), Some(name.trim()));
         if name == "P1" {

@@ -419,7 +419,7 @@ fn a_session_has_a_limit_of_its_own_and_participants_have_their_days() {
         refused.detail
     );
     let status: Status = client.get("/v1/status").unwrap();
-    let limits = status.participant.unwrap();
+    let limits = status.participant;
     assert_eq!(limits.participant.as_deref(), Some("P07"));
     // It ends with the last pulse.
     let used_s = limits.session_used_s.unwrap();

@@ -168,9 +168,7 @@ pub(super) fn warn_incomplete(exported: &SessionPlays) {
 
 /// The missing parts, in one line; none if the record has the whole session.
 fn lacks(exported: &SessionPlays) -> Option<String> {
-    let unknown = || "the daemon is an older one, and does not say what is missing".to_owned();
-    let missing = || if exported.missing.is_empty() { unknown() } else { exported.missing.join("; ") };
-    (!exported.complete).then(missing)
+    (!exported.complete).then(|| exported.missing.join("; "))
 }
 
 /// All plays of a session, answer by answer.

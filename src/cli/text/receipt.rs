@@ -76,10 +76,6 @@ pub(in crate::cli) fn receipt(receipt: &Receipt) -> String {
     }
     if let Some(errors) = &receipt.rest_errors {
         lines.extend(rest_error(errors).map(|text| ("rest error", text)));
-    } else if let Some(errors) = &receipt.rest_error_um {
-        // An older daemon does not say which pins were driven.
-        let worst = errors.iter().fold(0.0_f32, |worst, error| worst.max(error.abs()));
-        lines.push(("rest error", format!("largest offset from rest: {worst:.2} um (estimated)")));
     }
     lines.extend(receipt.warnings.iter().map(|warning| ("warning", warning.clone())));
     pairs(&lines)
@@ -173,7 +169,7 @@ pub(in crate::cli) fn pulse_counts(ordered: Option<&OrderedCounts>, pulses: &Pul
 pub(in crate::cli) fn accepted(accepted: &PlayAccepted, pattern: &str) -> String {
     let PlayAccepted { id, ordered_ms, compiled_ms, .. } = accepted;
     let duration = DurationRecord { ordered: *ordered_ms, compiled: *compiled_ms, played: None };
-    // An older daemon sends no duration, and an endless play has none.
+    // An endless play has none.
     let told = ordered_ms.map_or_else(String::new, |_| format!(", {}", self::duration(&duration)));
     format!("play {id}: {pattern}{told}")
 }
