@@ -1,13 +1,14 @@
-//! Live plays on a real daemon: lines of JSON over the Unix socket, a WebSocket over TCP, and clients that vanish.
+//! Live plays on a real daemon: updates over the Unix socket and TCP, and clients that vanish.
 
 use crate::harness::{Daemon, PATIENT, TIMEOUT, assert_accounts, ended, problem};
 use meissner_api::{EndCause, LiveAccepted, LiveAnswer, LiveApplied, Status};
 use serde_json::{Value, json};
-use std::io::{BufRead, BufReader, Write};
+use std::io::{Read, Write};
 use std::net::TcpStream;
 use std::os::unix::net::UnixStream;
 use std::thread;
 use std::time::Duration;
+use tungstenite::protocol::Role;
 use tungstenite::{Message, WebSocket};
 
 /// A client timeout that a stall of a busy machine does not reach.
@@ -19,35 +20,29 @@ pub(crate) fn start(daemon: &Daemon, request: Value) -> LiveAccepted {
     daemon.client().post("/v1/live", &request).unwrap()
 }
 
-/// A connection in lines of JSON.
-pub(crate) struct Lines(BufReader<UnixStream>);
+/// The connection of a live play.
+pub(crate) struct Updates<S = UnixStream>(WebSocket<S>);
 
-impl Lines {
+impl Updates {
     pub(crate) fn open(daemon: &Daemon, path: &str) -> Self {
-        let mut stream = UnixStream::connect(daemon.socket()).unwrap();
+        let stream = UnixStream::connect(daemon.socket()).unwrap();
         stream.set_read_timeout(Some(TIMEOUT)).unwrap();
-        let head = format!(
-            "GET {path} HTTP/1.1\r\nhost: meissner\r\nconnection: upgrade\r\nupgrade: meissner-live\r\n\r\n"
-        );
-        stream.write_all(head.as_bytes()).unwrap();
-        let mut lines = Self(BufReader::new(stream));
-        assert!(lines.line().starts_with("HTTP/1.1 101 "));
-        while !lines.line().trim().is_empty() {}
-        lines
+        Self::over(stream, path)
     }
+}
 
-    fn line(&mut self) -> String {
-        let mut line = String::new();
-        self.0.read_line(&mut line).unwrap();
-        line
+impl<S: Read + Write> Updates<S> {
+    fn over(stream: S, path: &str) -> Self {
+        let opened = tungstenite::client(format!("ws://localhost{path}"), stream);
+        Self(opened.unwrap_or_else(|error| panic!("{error}")).0)
     }
 
     pub(crate) fn send(&mut self, message: &Value) {
-        self.0.get_mut().write_all(format!("{message}\n").as_bytes()).unwrap();
+        self.0.send(Message::text(message.to_string())).unwrap();
     }
 
     fn answer(&mut self) -> LiveAnswer {
-        serde_json::from_str(&self.line()).unwrap()
+        serde_json::from_str(self.0.read().unwrap().to_text().unwrap()).unwrap()
     }
 
     pub(crate) fn applied(&mut self, seq: u64) -> LiveApplied {
@@ -67,7 +62,7 @@ fn updates_over_the_socket_are_applied_and_counted() {
     let mut client = daemon.armed();
     let mut events = daemon.client().events().unwrap();
     let accepted = start(&daemon, json!({"drives": [drive(9, 80.0)], "labels": {"what": "knob"}}));
-    let mut lines = Lines::open(&daemon, &accepted.path);
+    let mut lines = Updates::open(&daemon, &accepted.path);
     let mut last = 0;
     for seq in 1..=50 {
         lines.send(&json!({"seq": seq, "drives": [drive(9, seq as f64), drive(10, 40.0)]}));
@@ -85,7 +80,7 @@ fn updates_over_the_socket_are_applied_and_counted() {
     assert_eq!(lines.applied(52).ticks, vec![None; 24]);
     lines.send(&json!({"seq": 53, "end": true}));
     assert_eq!(lines.answer().ended.as_ref().map(EndCause::text), Some("stop"));
-    assert_eq!(lines.line(), "", "the daemon closes the connection");
+    assert!(lines.0.read().is_err(), "the daemon closes the connection");
     let receipt = ended(&mut events);
     let live = receipt.live.unwrap();
     assert_eq!((receipt.id, live.updates, live.applied, live.merged), (accepted.id, 52, 52, 0));
@@ -104,7 +99,7 @@ fn pins_follow_levels_and_are_at_rest_when_the_client_ends() {
     daemon.armed();
     let mut events = daemon.client().events().unwrap();
     let accepted = start(&daemon, json!({"levels": true, "open_loop": true}));
-    let mut lines = Lines::open(&daemon, &accepted.path);
+    let mut lines = Updates::open(&daemon, &accepted.path);
     lines.send(&json!({"seq": 1, "um": {"9": 100.0, "10": 50.0}}));
     assert_eq!(lines.applied(1).ticks.iter().flatten().count(), 2);
     // Another pin's level leaves these as they are; a drive takes the place of a level.
@@ -130,7 +125,7 @@ fn pins_follow_levels_and_are_at_rest_when_the_client_ends() {
     assert_eq!((pins, receipt.bursts.unwrap().late), (vec![9, 10, 11], 0));
     // A play that was not started for levels takes none.
     let accepted = start(&daemon, json!({"drives": [drive(9, 80.0)]}));
-    let mut lines = Lines::open(&daemon, &accepted.path);
+    let mut lines = Updates::open(&daemon, &accepted.path);
     lines.send(&json!({"seq": 1, "um": {"9": 100.0}}));
     assert!(lines.answer().problem.unwrap().detail.contains("start it with `levels`"));
 }
@@ -150,7 +145,7 @@ fn pins_follow_an_object() {
     daemon.armed();
     let mut events = daemon.client().events().unwrap();
     let accepted = start(&daemon, json!({"object": bar(), "open_loop": true}));
-    let mut lines = Lines::open(&daemon, &accepted.path);
+    let mut lines = Updates::open(&daemon, &accepted.path);
     let poses = [
         json!({"y_mm": -4.35}),
         json!({"y_mm": 4.35, "angle_deg": 20}),
@@ -195,14 +190,14 @@ fn a_bad_object_or_pose_is_refused_in_a_line() {
         assert!(refused.detail.contains(says) && !refused.detail.contains('\n'), "{request}: {refused:?}");
     }
     let accepted = start(&daemon, json!({"object": "edge-45", "open_loop": true}));
-    let mut lines = Lines::open(&daemon, &accepted.path);
+    let mut lines = Updates::open(&daemon, &accepted.path);
     for (message, says) in [
         (r#"{"seq":1,"pose":{"x_mm":NaN}}"#, "JSON"),
         (r#"{"seq":1,"pose":{"depth_um":2001}}"#, "`pose.depth_um` is 2001: must be 0 to 2000 um"),
         (r#"{"seq":1,"pose":{"x_mm":20,"y_mm":20}}"#, "28.3 mm from the array's middle"),
         (r#"{"seq":1,"um":{"9":100}}"#, "this live play has an object, whose poses decide"),
     ] {
-        lines.0.get_mut().write_all(format!("{message}\n").as_bytes()).unwrap();
+        lines.0.send(Message::text(message)).unwrap();
         let problem = lines.answer().problem.unwrap();
         assert!(problem.detail.contains(says) && !problem.detail.contains('\n'), "{message}: {problem:?}");
     }
@@ -216,11 +211,11 @@ fn a_client_that_vanishes_ends_the_play() {
     let request = || json!({"drives": [drive(9, 80.0)], "timeout_ms": 300});
     // The client closes the connection.
     let accepted = start(&daemon, json!({"drives": [drive(9, 80.0)]}));
-    drop(Lines::open(&daemon, &accepted.path));
+    drop(Updates::open(&daemon, &accepted.path));
     assert_eq!(ended(&mut events).cause.as_ref(), Some(&EndCause::Stop));
     // The client sends nothing more.
     let accepted = start(&daemon, request());
-    let mut lines = Lines::open(&daemon, &accepted.path);
+    let mut lines = Updates::open(&daemon, &accepted.path);
     lines.send(&json!({"seq": 1}));
     lines.applied(1);
     assert_eq!(ended(&mut events).cause.as_ref(), Some(&EndCause::ClientSilent));
@@ -244,9 +239,10 @@ fn bad_messages_change_nothing_and_say_why() {
         daemon.raw(format!("GET {path} HTTP/1.1\r\nhost: x\r\n{headers}connection: close\r\n\r\n").as_bytes())
     };
     assert!(get(&accepted.path, "").contains("must be upgraded"));
-    let upgrade = "upgrade: meissner-live\r\n";
+    let upgrade = "connection: upgrade\r\nupgrade: websocket\r\nsec-websocket-version: 13\r\n\
+                   sec-websocket-key: dGhlIHNhbXBsZSBub25jZQ==\r\n";
     assert!(get("/v1/live/0123", upgrade).contains("no live play has this key"));
-    let mut lines = Lines::open(&daemon, &accepted.path);
+    let mut lines = Updates::open(&daemon, &accepted.path);
     assert!(get(&accepted.path, upgrade).contains("it takes one"));
     for (message, says) in [
         (json!({"seq": 1, "drives": [drive(9, 120.0)]}), "`participant.max_amplitude_um` is 100 um"),
@@ -275,7 +271,7 @@ fn bad_messages_change_nothing_and_say_why() {
 }
 
 #[test]
-fn updates_over_tcp_come_through_a_websocket() {
+fn updates_come_over_tcp() {
     let daemon = Daemon::with("mock", &format!("{PATIENT}listen = \"127.0.0.1:0\"\n"));
     daemon.armed();
     let mut events = daemon.client().events().unwrap();
@@ -283,37 +279,34 @@ fn updates_over_tcp_come_through_a_websocket() {
     let accepted = start(&daemon, json!({"drives": [drive(9, 80.0)]}));
     let stream = TcpStream::connect(&address).unwrap();
     stream.set_read_timeout(Some(TIMEOUT)).unwrap();
-    let (mut socket, _) = tungstenite::client(format!("ws://{address}{}", accepted.path), stream).unwrap();
-    let answer = |socket: &mut WebSocket<TcpStream>| -> LiveAnswer {
-        serde_json::from_str(socket.read().unwrap().to_text().unwrap()).unwrap()
-    };
+    let mut updates = Updates::over(stream, &accepted.path);
     for seq in 1..=20 {
-        socket
-            .send(Message::text(json!({"seq": seq, "drives": [drive(9, seq as f64)]}).to_string()))
-            .unwrap();
-        let answer = answer(&mut socket);
-        assert!(answer.applied.is_some() && answer.seq == Some(seq), "{answer:?}");
+        updates.send(&json!({"seq": seq, "drives": [drive(9, seq as f64)]}));
+        updates.applied(seq);
     }
-    socket.send(Message::text("{")).unwrap();
-    assert_eq!(answer(&mut socket).problem.unwrap().code, "bad-request");
+    let mut socket = updates.0;
     socket.close(None).unwrap();
     while socket.read().is_ok() {}
     let receipt = ended(&mut events);
     assert_eq!((receipt.cause.as_ref(), receipt.live.unwrap().applied), (Some(&EndCause::Stop), 20));
 }
 
-/// Thousands of lines in one write: each is answered or the connection ends, and other clients are served meanwhile.
+/// Thousands of messages at once: each is answered or the connection ends, and other clients are served meanwhile.
 #[test]
-fn a_flood_of_lines_keeps_nobody_waiting() {
+fn a_flood_of_messages_keeps_nobody_waiting() {
     let daemon = Daemon::start();
     let mut client = daemon.armed();
     let mut events = daemon.client().events().unwrap();
     let accepted = start(&daemon, json!({"drives": [drive(9, 80.0)]}));
-    let mut lines = Lines::open(&daemon, &accepted.path);
-    let flood: String =
-        (1..=5_000).map(|seq| format!("{}\n", json!({"seq": seq, "drives": [drive(9, 40.0)]}))).collect();
-    let mut writer = lines.0.get_ref().try_clone().unwrap();
-    let writing = thread::spawn(move || writer.write_all(flood.as_bytes()));
+    let mut lines = Updates::open(&daemon, &accepted.path);
+    let writer = lines.0.get_ref().try_clone().unwrap();
+    let mut writer = Updates(WebSocket::from_raw_socket(writer, Role::Client, None));
+    let flood = (1..=5_000).map(|seq| json!({"seq": seq, "drives": [drive(9, 40.0)]}).to_string());
+    let flood: Vec<_> = flood.collect();
+    let writing = thread::spawn(move || {
+        flood.into_iter().for_each(|text| writer.0.write(Message::text(text)).unwrap());
+        writer.0.flush().unwrap();
+    });
     let (mut applied, mut merged, mut busy, mut last, mut answers) = (0, 0, 0, 0, 0);
     while last < 5_000 {
         let answer = lines.answer();
@@ -336,7 +329,7 @@ fn a_flood_of_lines_keeps_nobody_waiting() {
             assert_eq!(client.get::<Status>("/v1/status").unwrap().state, "armed");
         }
     }
-    writing.join().unwrap().unwrap();
+    writing.join().unwrap();
     lines.send(&json!({"seq": 6_000, "end": true}));
     while lines.answer().ended.is_none() {}
     let receipt = ended(&mut events);
@@ -349,7 +342,7 @@ fn an_emergency_stop_and_the_end_of_the_daemon_end_it() {
     let mut daemon = Daemon::start();
     daemon.armed();
     let accepted = start(&daemon, json!({"drives": [drive(9, 80.0)]}));
-    let mut lines = Lines::open(&daemon, &accepted.path);
+    let mut lines = Updates::open(&daemon, &accepted.path);
     lines.send(&json!({"seq": 1}));
     lines.applied(1);
     let _: Status = daemon.client().post("/v1/estop", &json!({})).unwrap();
@@ -357,7 +350,7 @@ fn an_emergency_stop_and_the_end_of_the_daemon_end_it() {
     let _: Status = daemon.client().post("/v1/reset", &json!({})).unwrap();
     daemon.armed();
     let accepted = start(&daemon, json!({"drives": [drive(9, 80.0)]}));
-    let mut lines = Lines::open(&daemon, &accepted.path);
+    let mut lines = Updates::open(&daemon, &accepted.path);
     lines.send(&json!({"seq": 1}));
     lines.applied(1);
     let reader = thread::spawn(move || lines.answer());

@@ -1,7 +1,7 @@
 //! What `GET /v1/status` says of the present: what each pin does, whatever the play, and who asks.
 
 use crate::harness::{Daemon, wait_until};
-use crate::live::{Lines, start};
+use crate::live::{Updates, start};
 use meissner_api::{MotorStatus, PinMovement, SessionStarted, Status};
 use meissner_client::Client;
 use serde_json::{Value, json};
@@ -63,7 +63,7 @@ fn every_kind_of_play_shows_what_its_pins_do_and_a_stop_that_they_rest() {
     stop(&mut client);
 
     let live = start(&daemon, json!({"max_frequency_hz": 100}));
-    let mut lines = Lines::open(&daemon, &live.path);
+    let mut lines = Updates::open(&daemon, &live.path);
     lines.send(&json!({"seq": 1, "drives": [{"motor": 11, "frequency_hz": 100.0, "amplitude_um": 50.0}]}));
     wait_for(&mut client, 11, PinMovement { height_um: 25.0, swing_um: 50.0, hz: 100.0 });
     stop(&mut client);

@@ -1,7 +1,7 @@
 //! Limits for participants: amplitude, vibration without a pause and per day, plays without end.
 
 use crate::harness::{Daemon, PATIENT, complaint, document, ended, printed, problem, refusal, wait_until};
-use crate::live::{Lines, start};
+use crate::live::{Updates, start};
 use meissner_api::{DoctorReport, EndCause, PlayState, Status};
 use rustix::process::Signal;
 use serde_json::{Value, json};
@@ -59,7 +59,7 @@ fn a_play_without_end_is_stopped_before_the_limit_and_the_queue_with_it() {
     assert_eq!((play["id"].as_u64(), receipt.state), (Some(receipt.id), PlayState::Stopped));
     assert_eq!(receipt.cause.as_ref(), Some(&EndCause::ParticipantLimit));
     let status: Status = client.get("/v1/status").unwrap();
-    let limits = status.participant.unwrap();
+    let limits = status.participant;
     assert!((1.5..=2.0).contains(&limits.day_used_s), "{limits:?}");
     assert!(printed(daemon.meissner().arg("status")).contains(" of 3 s today"));
     // A play longer than the rest of the day's limit.
@@ -77,7 +77,7 @@ fn a_play_without_end_is_stopped_before_the_limit_and_the_queue_with_it() {
 
 /// Waits for a pause.
 fn paused(daemon: &Daemon) {
-    let used = || daemon.client().get::<Status>("/v1/status").unwrap().participant.unwrap().continuous_used_s;
+    let used = || daemon.client().get::<Status>("/v1/status").unwrap().participant.continuous_used_s;
     wait_until(|| used() == 0.0);
 }
 
@@ -164,7 +164,7 @@ fn plays_at_times_of_their_own_pass_no_limit_by() {
         }
     }
     assert_eq!(accepted, 1);
-    let limits = client.get::<Status>("/v1/status").unwrap().participant.unwrap();
+    let limits = client.get::<Status>("/v1/status").unwrap().participant;
     assert!(limits.continuous_used_s < 0.5 && limits.day_used_s < 0.5, "{limits:?}");
     // A pause fits before this one.
     let _: Value =
@@ -201,10 +201,10 @@ fn short_ramps_rare_strokes_and_live_levels_count_as_long_as_the_lines_move() {
 
     // The way back after a live play is closed counts, too.
     let mut events = client.events().unwrap();
-    let used = || daemon.client().get::<Status>("/v1/status").unwrap().participant.unwrap().day_used_s;
+    let used = || daemon.client().get::<Status>("/v1/status").unwrap().participant.day_used_s;
     let before = used();
     let accepted = start(&daemon, json!({"levels": true}));
-    let mut lines = Lines::open(&daemon, &accepted.path);
+    let mut lines = Updates::open(&daemon, &accepted.path);
     lines.send(&json!({"seq": 1, "um": {"9": 200.0}, "glide_ms": 20}));
     let goes_up = lines.applied(1).ticks[9].unwrap();
     // Until the pin is on its way.
@@ -247,7 +247,7 @@ fn kills_until_refused() -> Option<u32> {
     loop {
         let mut daemon = Daemon::in_dir(&dir, &config);
         daemon.wait_for_device();
-        let used = daemon.client().get::<Status>("/v1/status").unwrap().participant.unwrap().day_used_s;
+        let used = daemon.client().get::<Status>("/v1/status").unwrap().participant.day_used_s;
         // What comes before the next play may count, too.
         let most = f64::from(kills) * 9.0 + 1e-6;
         assert!((f64::from(kills) * 8.0 - 1e-6..=most).contains(&used), "after {kills} kills: {used}");

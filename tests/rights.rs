@@ -15,6 +15,7 @@ use std::os::unix::net::UnixStream;
 use std::process::Command;
 use std::thread;
 use std::time::Duration;
+use tungstenite::{Message, WebSocket};
 
 fn listening(more: &str) -> Daemon {
     Daemon::with("mock", &format!("{PATIENT}listen = \"127.0.0.1:0\"\n{more}"))
@@ -213,7 +214,7 @@ fn every_route_asks_for_its_right() {
 struct Live {
     id: u64,
     path: String,
-    lines: BufReader<TcpStream>,
+    socket: WebSocket<TcpStream>,
     seq: u64,
 }
 
@@ -236,11 +237,17 @@ impl Live {
             line.clear();
             lines.read_line(&mut line).unwrap();
         }
-        Self { id, path, lines, seq: 0 }
+        // The daemon says nothing more by itself.
+        let socket =
+            WebSocket::from_raw_socket(lines.into_inner(), tungstenite::protocol::Role::Client, None);
+        Self { id, path, socket, seq: 0 }
     }
 
     fn open(address: &str, path: &str, headers: &str) -> BufReader<TcpStream> {
-        let upgrade = format!("connection: upgrade\r\nupgrade: meissner-live\r\n{headers}");
+        let upgrade = format!(
+            "connection: upgrade\r\nupgrade: websocket\r\nsec-websocket-version: 13\r\n\
+             sec-websocket-key: dGhlIHNhbXBsZSBub25jZQ==\r\n{headers}"
+        );
         send(address, &format!("GET {path}"), &upgrade, "")
     }
 
@@ -248,13 +255,12 @@ impl Live {
         self.seq += 1;
         let message = json!({"seq": self.seq, "scale": 0.5});
         // The daemon may have closed the connection.
-        let _ = self.lines.get_mut().write_all(format!("{message}\n").as_bytes());
+        let _ = self.socket.send(Message::text(message.to_string()));
     }
 
     fn answer(&mut self) -> Option<LiveAnswer> {
-        let mut line = String::new();
-        self.lines.read_line(&mut line).ok().filter(|length| *length > 0)?;
-        Some(serde_json::from_str(&line).unwrap())
+        let message = self.socket.read().ok().filter(Message::is_text)?;
+        Some(serde_json::from_str(message.to_text().unwrap()).unwrap())
     }
 
     /// Sends updates without a pause; returns how many the device has had, and how the play ended.

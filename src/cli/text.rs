@@ -142,7 +142,7 @@ pub(super) fn status(status: &Status) -> String {
     lines.extend(offset(status).map(|offset| ("offset", offset)));
     lines.extend(drift(status).map(|drift| ("drift", drift)));
     lines.extend(sensor_faults(status).map(|faults| ("sensor faults", faults)));
-    if status.realtime.is_some_and(|has| !has.fifo) {
+    if !status.realtime.fifo {
         lines.push(("emergency stop", format!("{SLOW_ESTOP}; see `meissner doctor`")));
     }
     if status.logbook_problem.is_some() || status.logbook_lost > 0 {
@@ -158,9 +158,7 @@ pub(super) fn status(status: &Status) -> String {
         let closed = if session.is_closed_to_others() { ", exclusive" } else { "" };
         lines.push(("session", format!("{}{closed}", session_name(session))));
     }
-    if let Some(limits) = &status.participant {
-        lines.extend(participant(limits));
-    }
+    lines.extend(participant(&status.participant));
     if let (Some(tick), Some(uncertainty_us)) = (status.tick, status.clock_uncertainty_us) {
         lines.push(("clock", format!("synchronised to +-{uncertainty_us:.1} us, at tick {tick}")));
     }
@@ -176,9 +174,7 @@ pub(super) fn status(status: &Status) -> String {
             format!("{} messages of the device cannot be true; see the log", status.contradictions),
         ));
     }
-    if !status.socket.is_empty() {
-        lines.push(("daemon", format!("{}, pid {}", status.socket, status.pid)));
-    }
+    lines.push(("daemon", format!("{}, pid {}", status.socket, status.pid)));
     lines.push(("lead", format!("{} ms, host watchdog timeout {} ms", status.lead_ms, status.lease_ms)));
     pairs(&lines)
 }

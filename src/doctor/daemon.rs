@@ -13,7 +13,7 @@ pub(crate) fn findings(root: &Path, status: &Status, units: &Units) -> Vec<Findi
     let same = status.version == env!("CARGO_PKG_VERSION");
     let advice = "restart the daemon: this program has another version";
     let mut findings = vec![Finding::check("daemon", same, found, advice)];
-    findings.extend(rights::of_daemon(status.realtime, Limits::of(root, status.pid), units.runs(status.pid)));
+    findings.push(rights::of_daemon(status.realtime, Limits::of(root, status.pid), units.runs(status.pid)));
     findings.extend(estop(status.realtime));
     if let Some(problem) = &status.logbook_problem {
         let advice = "free space there, or let the daemon write there: see docs/lab-pc.md, \"Configuration\"; `meissner session list` shows \
@@ -29,10 +29,10 @@ pub(crate) fn findings(root: &Path, status: &Status, units: &Units) -> Vec<Findi
 }
 
 /// Says that an emergency stop may be late, if the daemon has no real-time rights.
-fn estop(realtime: Option<Realtime>) -> Option<Finding> {
+fn estop(has: Realtime) -> Option<Finding> {
     let advice =
         "give the daemon SCHED_FIFO, as \"daemon rights\" says, and keep the supply switch within reach";
-    realtime.is_some_and(|has| !has.fifo).then(|| Finding::warn("emergency stop", SLOW_ESTOP, advice))
+    (!has.fifo).then(|| Finding::warn("emergency stop", SLOW_ESTOP, advice))
 }
 
 /// The finding about the network clients that can reach the daemon.
@@ -77,8 +77,8 @@ mod tests {
 
     #[test]
     fn the_doctor_says_how_late_an_emergency_stop_may_be_without_real_time_rights() {
-        let of = |fifo| estop(Some(Realtime { fifo, mlock: true }));
-        assert_eq!((of(true), estop(None)), (None, None));
+        let of = |fifo| estop(Realtime { fifo, mlock: true });
+        assert_eq!(of(true), None);
         let line = fake::line(&of(false).unwrap());
         assert!(
             line.starts_with("Warn emergency stop: without SCHED_FIFO") && line.contains("110 ms"),

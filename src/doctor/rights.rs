@@ -48,17 +48,12 @@ impl Limits {
     }
 }
 
-/// The rights of a daemon; `None` if neither the daemon nor the kernel reports them.
-pub(super) fn of_daemon(
-    realtime: Option<Realtime>,
-    limits: Option<Limits>,
-    service: bool,
-) -> Option<Finding> {
+/// The rights of a daemon.
+pub(super) fn of_daemon(has: Realtime, limits: Option<Limits>, service: bool) -> Finding {
     const WHAT: &str = "daemon rights";
     let may = limits.as_ref().map(|limits| Realtime { fifo: limits.fifo(), mlock: limits.mlock() });
-    let has = realtime.or(may)?;
     if has.fifo && has.mlock {
-        return Some(Finding::ok(WHAT, "the daemon has SCHED_FIFO and locked memory"));
+        return Finding::ok(WHAT, "the daemon has SCHED_FIFO and locked memory");
     }
     let missing: Vec<&str> = [(has.fifo, "SCHED_FIFO"), (has.mlock, "locked memory")]
         .into_iter()
@@ -88,7 +83,7 @@ pub(super) fn of_daemon(
         }
         (false, true) => "its limits would allow it: start the daemon again, unless this is a container".to_owned(),
     };
-    Some(Finding::warn(WHAT, found, advice))
+    Finding::warn(WHAT, found, advice)
 }
 
 #[cfg(test)]
@@ -114,12 +109,10 @@ mod tests {
 
     #[test]
     fn a_daemon_without_rights_gets_advice() {
-        let line = |has, limits, service| of_daemon(has, limits, service).map(|finding| fake::line(&finding));
-        let good = Some("Ok daemon rights: the daemon has SCHED_FIFO and locked memory -> ".to_owned());
-        assert_eq!(line(Some(ALL), None, true), good);
-        assert_eq!(line(None, limits("60", "unlimited"), true), good, "an older daemon, by its limits");
-        assert_eq!(line(None, None, true), None);
-        let bad = line(Some(NONE), limits("0", "8388608"), true).unwrap();
+        let line = |has, limits, service| fake::line(&of_daemon(has, limits, service));
+        let good = "Ok daemon rights: the daemon has SCHED_FIFO and locked memory -> ";
+        assert_eq!(line(ALL, None, true), good);
+        let bad = line(NONE, limits("0", "8388608"), true);
         assert!(
             bad.starts_with(
                 "Warn daemon rights: the daemon lacks SCHED_FIFO and locked memory (its limits: rtprio 0, memlock \
@@ -127,19 +120,15 @@ mod tests {
             ) && bad.contains("`sudo systemctl edit meissner`"),
             "{bad}"
         );
-        let half = line(Some(Realtime { fifo: true, mlock: false }), limits("60", "8388608"), true).unwrap();
+        let half = line(Realtime { fifo: true, mlock: false }, limits("60", "8388608"), true);
         assert!(
             half.contains("the daemon lacks locked memory (") && half.contains("LimitMEMLOCK=infinity"),
             "{half}"
         );
-        let own = line(Some(NONE), limits("0", "8388608"), false).unwrap();
+        let own = line(NONE, limits("0", "8388608"), false);
         assert!(own.contains("limits.d") && !own.contains("systemctl"), "{own}");
-        let refused = line(Some(NONE), limits("60", "unlimited"), true).unwrap();
+        let refused = line(NONE, limits("60", "unlimited"), true);
         assert!(refused.contains("-p RestrictRealtime"), "{refused}");
-        assert!(
-            line(Some(NONE), limits("60", "unlimited"), false)
-                .unwrap()
-                .contains("start the daemon again, unless")
-        );
+        assert!(line(NONE, limits("60", "unlimited"), false).contains("start the daemon again, unless"));
     }
 }

@@ -1,8 +1,7 @@
 //! Reads the lines of a record in the order of their numbers, independent of the dates of their files.
 //!
 //! If a clock is set back, the daemon continues in an earlier file. Each file grows in order, so the files are merged by the number
-//! of their next lines. Lines of older daemons have no number: they come first, by the date of their file. A line that occurs
-//! twice, in a copy of a file, is read once.
+//! of their next lines. A line that occurs twice, in a copy of a file, is read once.
 //!
 //! A line may be any JSON, also of another program. For speed, a line in the daemon's own format is parsed only up to its `event`.
 //!
@@ -36,27 +35,24 @@ pub struct RecordError {
 /// The place and kind of a line.
 #[derive(Debug, Deserialize, PartialEq, Eq)]
 pub(super) struct Head<'a> {
-    /// None: an older daemon wrote it.
-    #[serde(default)]
-    pub(super) number: Option<u64>,
+    pub(super) number: u64,
     #[serde(borrow)]
     pub(super) event: Cow<'a, str>,
 }
 
 /// The head of a line; none if it is not an entry.
 pub(super) fn head(line: &[u8]) -> Option<Head<'_>> {
-    let head = written(line).or_else(|| serde_json::from_slice(line).ok())?;
-    Some(Head { number: head.number.filter(|&number| number <= MAX_NUMBER), ..head })
+    written(line).or_else(|| serde_json::from_slice(line).ok()).filter(|head| head.number <= MAX_NUMBER)
 }
 
-/// The number of the first entry that a line is or reports as missing; none if it has no number.
-pub(super) fn first_number(head: &Head<'_>, line: &[u8]) -> Option<u64> {
+/// The number of the first entry that a line is or reports as missing.
+pub(super) fn first_number(head: &Head<'_>, line: &[u8]) -> u64 {
     #[derive(Deserialize)]
     struct Lost {
         entries: u64,
     }
     let lost = (head.event == "lost").then(|| serde_json::from_slice::<Lost>(line).ok()).flatten();
-    Some((head.number? + 1).saturating_sub(lost.map_or(1, |lost| lost.entries.max(1))))
+    (head.number + 1).saturating_sub(lost.map_or(1, |lost| lost.entries.max(1)))
 }
 
 /// The head of a line in the daemon's own format.
@@ -64,10 +60,7 @@ fn written(line: &[u8]) -> Option<Head<'_>> {
     let rest = line.strip_suffix(b"}")?.strip_prefix(b"{\"time\":\"")?;
     let rest = rest.get(memchr::memchr(b'"', rest)?..)?.strip_prefix(b"\",\"monotonic_ns\":")?;
     let (_, rest) = digits(rest)?;
-    let (number, rest) = match rest.strip_prefix(b",\"number\":") {
-        Some(rest) => digits(rest).map(|(number, rest)| (Some(number), rest))?,
-        None => (None, rest),
-    };
+    let (number, rest) = digits(rest.strip_prefix(b",\"number\":")?)?;
     let rest = rest.strip_prefix(b",\"event\":\"")?;
     let event = str::from_utf8(rest.get(..memchr::memchr(b'"', rest)?)?).ok()?;
     (!event.contains('\\')).then_some(Head { number, event: event.into() })
@@ -118,7 +111,7 @@ pub(super) struct Source {
     file: Option<BufReader<File>>,
     line: Vec<u8>,
     line_number: usize,
-    /// The number of its current line, or of the last line before it that has one.
+    /// The number of its current line.
     key: u64,
 }
 
@@ -140,7 +133,7 @@ impl Source {
             match read_line(&mut file, &mut self.line) {
                 Ok(None) => return false,
                 Ok(Some(true)) if let Some(head) = head(&self.line) => {
-                    self.key = head.number.unwrap_or(self.key);
+                    self.key = head.number;
                     self.file = Some(file);
                     return true;
                 }
@@ -212,13 +205,13 @@ pub(super) fn each(
         next.push(Reverse((source.key, source.day, index)));
     }
     let mut unreadable = Unreadable::default();
-    let mut last: (Option<u64>, Vec<u8>) = (None, Vec::new());
+    let mut last = (0, Vec::new());
     while let Some(Reverse((.., index))) = next.pop() {
         let Some(source) = sources.get_mut(index) else { continue };
         if source.file.is_some()
             && let Some(head) = head(&source.line)
         {
-            let is_copy = head.number.is_some() && head.number == last.0 && source.line == last.1;
+            let is_copy = head.number == last.0 && source.line == last.1;
             if !is_copy {
                 last.0 = head.number;
                 last.1.clone_from(&source.line);
@@ -266,13 +259,13 @@ mod tests {
     fn a_head_is_read_from_any_json() {
         let of =
             |line: &'static str| head(line.as_bytes()).map(|head| (head.number, head.event.into_owned()));
-        let ended = |number| Some((number, "ended".to_owned()));
+        let ended = Some((7, "ended".to_owned()));
         for (line, wanted) in [
-            (r#"{"time":"x","monotonic_ns":1,"number":7,"event":"ended","a":[1]}"#, ended(Some(7))),
-            (r#"{"time":"x","monotonic_ns":1,"event":"ended"}"#, ended(None)),
-            (r#"{ "event" : "ended", "number" : 7, "time": "x", "monotonic_ns": 1 }"#, ended(Some(7))),
-            ("  {\"number\":null,\"event\":\"\\u0065nded\"}\r", ended(None)),
-            (r#"{"time":"x","monotonic_ns":1,"number":9007199254740993,"event":"ended"}"#, ended(None)),
+            (r#"{"time":"x","monotonic_ns":1,"number":7,"event":"ended","a":[1]}"#, ended.clone()),
+            (r#"{"time":"x","monotonic_ns":1,"event":"ended"}"#, None),
+            (r#"{ "event" : "ended", "number" : 7, "time": "x", "monotonic_ns": 1 }"#, ended.clone()),
+            ("  {\"number\":7,\"event\":\"\\u0065nded\"}\r", ended),
+            (r#"{"time":"x","monotonic_ns":1,"number":9007199254740993,"event":"ended"}"#, None),
             (r#"{"time":"x","monotonic_ns":1,"number":7,"event":"ended""#, None),
             (r#"{"number":"7","event":"ended"}"#, None),
             (r#"{"number":7}"#, None),
@@ -286,15 +279,13 @@ mod tests {
     fn files_are_merged_by_number_and_copies_are_seen_once() {
         let dir = tempfile::tempdir().unwrap();
         let line = |number: u64| format!("{{\"event\":\"e{number}\",\"number\":{number}}}\n");
-        let old = "{\"event\":\"old1\"}\n{\"event\":\"old2\"}\n";
         let today = format!("{}{}no line\n{}", line(1), line(2), line(6));
         for (day, text) in [
-            ("2026-11-21", old.to_owned()),
             ("2026-11-22", today.clone()),
             // The clock was set back by days, by years, and forwards again.
             ("2026-11-20", line(3) + &line(4)),
             ("1970-01-01", line(5)),
-            ("2026-11-23", line(7) + "{\"event\":\"an older daemon\"}\n" + &line(8)),
+            ("2026-11-23", line(7) + "{\"event\":\"without a number\"}\n" + &line(8)),
             ("2027-01-01", today),
         ] {
             fs::write(dir.path().join(format!("{day}.jsonl")), text).unwrap();
@@ -311,12 +302,9 @@ mod tests {
                 true
             },
         );
-        assert_eq!(
-            events,
-            ["old1", "old2", "e1", "e2", "e3", "e4", "e5", "e6", "e7", "an older daemon", "e8"]
-        );
+        assert_eq!(events, ["e1", "e2", "e3", "e4", "e5", "e6", "e7", "e8"]);
         let unreadable = unreadable.unwrap();
-        assert_eq!((wrong, unreadable.count), (2, 2));
+        assert_eq!((wrong, unreadable.count), (3, 3));
         let lines = unreadable.lines();
         assert!(lines[0].ends_with("2026-11-22.jsonl:3: not a line of JSON"), "{lines:?}");
     }

@@ -3,7 +3,6 @@
 //! A reader orders lines by their numbers, and a gap shows how many entries are missing. The newest number is also in the file
 //! [`FILE`], which the daemon overwrites in place, so that it works on a full disk. So a daemon knows of entries that the one
 //! before it lost at its end. The file's second line is the number up to which old files were removed: gaps above it are losses.
-//! Lines of older daemons have no number.
 //!
 //! Invariant: a directory's next number is above those of all lines in it, and above the one in the file.
 
@@ -110,7 +109,7 @@ fn stretches(path: &Path) -> io::Result<Vec<(u64, u64)>> {
     let mut stretches: Vec<(u64, u64)> = Vec::new();
     while let Some(is_whole) = lines::read_line(&mut file, &mut line)? {
         let head = lines::head(&line).filter(|_| is_whole);
-        let numbers = head.and_then(|head| lines::first_number(&head, &line).zip(head.number));
+        let numbers = head.map(|head| (lines::first_number(&head, &line), head.number));
         match (numbers, stretches.last_mut()) {
             (Some((first, last)), Some((_, end))) if first <= *end + 1 => *end = last.max(*end),
             (numbers, _) => stretches.extend(numbers),
@@ -119,7 +118,7 @@ fn stretches(path: &Path) -> io::Result<Vec<(u64, u64)>> {
     Ok(stretches)
 }
 
-/// The number of the first entry that a file's numbered lines hold or report as missing; none if they have no numbers.
+/// The number of the first entry that a file's lines hold or report as missing; none if it has none.
 fn first(path: &Path) -> io::Result<Option<u64>> {
     let mut number = None;
     for most in [END, 2 * MAX_LINE as u64] {
@@ -127,7 +126,7 @@ fn first(path: &Path) -> io::Result<Option<u64>> {
         open_regular(path)?.take(most).read_to_end(&mut start)?;
         number = start
             .split(|&byte| byte == b'\n')
-            .find_map(|line| lines::first_number(&lines::head(line)?, line));
+            .find_map(|line| Some(lines::first_number(&lines::head(line)?, line)));
         if number.is_some() {
             break;
         }
@@ -135,7 +134,7 @@ fn first(path: &Path) -> io::Result<Option<u64>> {
     Ok(number)
 }
 
-/// The number of a file's last numbered line; none if its lines have no numbers.
+/// The number of a file's last line; none if it has none.
 ///
 /// # Errors
 /// If it cannot be read.
@@ -143,7 +142,7 @@ pub(super) fn last(path: &Path) -> io::Result<Option<u64>> {
     let file = open_regular(path)?;
     for most in [END, 2 * MAX_LINE as u64] {
         let end = days::last_lines(&file, most)?;
-        let number = end.rsplit(|&byte| byte == b'\n').find_map(|line| lines::head(line)?.number);
+        let number = end.rsplit(|&byte| byte == b'\n').find_map(|line| Some(lines::head(line)?.number));
         if number.is_some() || file.metadata()?.len() <= most {
             return Ok(number);
         }

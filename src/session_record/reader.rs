@@ -9,8 +9,7 @@ use super::ledger::SessionLosses;
 use super::lines::{self, Head, RecordError, Seen, Source};
 use super::numbers;
 use crate::receipts::largest_um;
-use jiff::civil::Date;
-use jiff::{Timestamp, ToSpan};
+use jiff::Timestamp;
 use meissner_api::{
     ItemRecord, ItemState, MAX_LISTED, MAX_ROWS, MAX_SEQUENCE_ITEMS, PlayAnswer, Receipt, RecordedPlay,
     Session, SessionPlays,
@@ -71,8 +70,6 @@ pub struct Recorded {
     lost: u64,
     /// Entries that were left out during the session.
     left_out: u64,
-    /// Unreadable lines of older daemons, which have no numbers to show what is missing.
-    unreadable: u64,
     /// The number of its first line; none if unknown.
     first: Option<u64>,
 }
@@ -167,10 +164,10 @@ impl Scan {
     }
 
     /// Takes a session from a line that contains it whole.
-    fn set(&mut self, session: Session, is_start: bool, number: Option<u64>) {
+    fn set(&mut self, session: Session, is_start: bool, number: u64) {
         let Some(recorded) = self.enter(&session.id) else { return };
         if is_start && !recorded.is_started {
-            (recorded.is_started, recorded.first) = (true, number);
+            (recorded.is_started, recorded.first) = (true, Some(number));
         }
         recorded.session = Session { lost: 0, plays_lost: 0, release_in_s: None, ..session };
     }
@@ -188,7 +185,7 @@ impl Scan {
 
     /// Takes a line. Returns whether it can be read.
     fn see(&mut self, head: &Head<'_>, line: &[u8]) -> bool {
-        let step = self.last.zip(head.number).map_or(1, |(last, now)| now.saturating_sub(last));
+        let step = self.last.map_or(1, |last| head.number.saturating_sub(last));
         let is_read = match &*head.event {
             "lost" => return self.see_lost(head, line, step),
             "session-started" | "session-ended" => {
@@ -211,7 +208,7 @@ impl Scan {
             }
         };
         if is_read.is_some() {
-            self.last = head.number.or(self.last);
+            self.last = Some(head.number);
         }
         is_read.is_some()
     }
@@ -231,7 +228,7 @@ impl Scan {
         let of_none = of.iter().filter(|row| row.session.is_none()).flat_map(|row| row.kinds.values()).sum();
         // Unnamed missing entries belong to the session in which they are missing.
         self.miss(entries.max(step).saturating_sub(named).saturating_sub(of_none));
-        let first = head.number.map(|number| number.saturating_sub(entries));
+        let first = head.number.saturating_sub(entries);
         for session in sessions {
             self.set(session, true, first);
         }
@@ -241,7 +238,7 @@ impl Scan {
                 recorded.ends_lost += row.kinds.get("ended").copied().unwrap_or(0);
             }
         }
-        self.last = head.number.or(self.last);
+        self.last = Some(head.number);
         true
     }
 
@@ -299,19 +296,10 @@ pub fn sessions(
         |_| true,
         |seen| match seen {
             Seen::Line(head, line) => {
-                if let Some((first, last)) = lines::first_number(&head, line).zip(head.number) {
-                    scan.follow(first, last);
-                }
+                scan.follow(lines::first_number(&head, line), head.number);
                 scan.see(&head, line)
             }
-            Seen::Unreadable => {
-                if scan.last.is_none()
-                    && let Some(open) = scan.open()
-                {
-                    open.unreadable += 1;
-                }
-                true
-            }
+            Seen::Unreadable => true,
         },
     )?;
     scan.follow(counted + 1, counted);
@@ -350,20 +338,14 @@ pub fn plays(dir: &Path, recorded: Recorded, from: usize) -> Result<SessionPlays
     let id = recorded.session.id.clone();
     let mut rows = Rows { from, ..Rows::default() };
     let (mut open, mut ended) = (BTreeMap::<u64, RecordedPlay>::new(), VecDeque::new());
-    let mut boot = None;
     let mut items: (u64, Vec<(u64, ItemRecord)>) = (0, Vec::new());
     let mut answers = BTreeMap::<u64, PlayAnswer>::new();
     let mut read = |event: &str, line: &[u8]| {
-        if event != "connected"
-            && !(matches!(event, "command" | "items" | "ended" | "answered") && has(line, &id))
-        {
+        if !(matches!(event, "command" | "items" | "ended" | "answered") && has(line, &id)) {
             return true;
         }
         let Ok(mut entry) = serde_json::from_slice::<Value>(line) else { return false };
         match event {
-            "connected" => {
-                boot = entry["device"]["boot"].as_u64().and_then(|boot| u32::try_from(boot).ok());
-            }
             "command" => {
                 let is_play = matches!(entry["command"].as_str(), Some("play" | "sequence"));
                 let play =
@@ -400,9 +382,7 @@ pub fn plays(dir: &Path, recorded: Recorded, from: usize) -> Result<SessionPlays
                     }
                     let (of, items) = std::mem::take(&mut items);
                     let items = if of == receipt.id { items } else { Vec::new() };
-                    // Older daemons recorded the boot only when the device connected.
-                    let boot = receipt.boot.or(boot);
-                    let whole = RecordedPlay { boot, items: items.len() as u64, ..played(&entry, receipt) };
+                    let whole = RecordedPlay { items: items.len() as u64, ..played(&entry, receipt) };
                     let parts: Vec<_> =
                         items.iter().map(|(number, item)| part(&whole, *number, item)).collect();
                     rows.ends += 1;
@@ -446,22 +426,16 @@ pub fn plays(dir: &Path, recorded: Recorded, from: usize) -> Result<SessionPlays
     })
 }
 
-/// Whether a file may have lines of a session: by their numbers, or by its date if an older daemon wrote them.
+/// Whether a file may have lines of a session.
 fn is_wanted(recorded: &Recorded, source: &Source) -> bool {
     // If the file cannot be read, it must be reported.
-    let Ok(last) = numbers::last(&source.path) else { return true };
-    if let Some(last) = last {
-        return recorded.first.is_none_or(|first| first <= last);
-    }
-    // A session's id begins with its date in UTC; files have local dates.
-    let day = recorded.session.id.get(..8).and_then(|day| Date::strptime("%Y%m%d", day).ok());
-    let day = day.and_then(|day| day.checked_sub(1.day()).ok());
-    day.is_none_or(|day| source.day >= day)
+    let Ok(Some(last)) = numbers::last(&source.path) else { return true };
+    recorded.first.is_none_or(|first| first <= last)
 }
 
 /// The missing parts of a session, one line each.
 fn missing(recorded: &Recorded, plays: u64, plays_missing: u64, short: Vec<String>) -> Vec<String> {
-    let Recorded { session, is_started, lost, unreadable, .. } = recorded;
+    let Recorded { session, is_started, lost, .. } = recorded;
     let mut missing = Vec::new();
     match session.reason.as_deref() {
         None => missing.push("the session still runs: end it first".to_owned()),
@@ -480,9 +454,6 @@ fn missing(recorded: &Recorded, plays: u64, plays_missing: u64, short: Vec<Strin
     }
     if *lost > 0 {
         missing.push(format!("the record lost {lost} entries during the session"));
-    }
-    if *unreadable > 0 {
-        missing.push(format!("{unreadable} of its lines cannot be read"));
     }
     missing.extend(short);
     missing.truncate(MAX_LISTED);
@@ -587,7 +558,7 @@ fn played(entry: &Value, receipt: Receipt) -> RecordedPlay {
         planned_onset_ticks: None,
         late_strokes: Some(late.host + late.link + late.device),
         refused_strokes: None,
-        boot: None,
+        boot: receipt.boot,
         pattern_kept: false,
         first_pulse_tick: receipt.pins.iter().flatten().map(|pin| pin.first_pulse_tick).min(),
         start_edge: receipt.start_edge,

@@ -488,10 +488,14 @@ fn session_of(lines: &[Value]) -> (tempfile::TempDir, meissner_api::Session) {
     let dir = tempfile::tempdir().unwrap();
     let session = json!({
         "id": "20261122T083000Z-9f3c", "participant": "P07", "experiment": null, "labels": {}, "seed": null, "exclusive": false,
-        "owner": null, "started": "2026-11-22T09:30:00+01:00", "ended": null, "reason": "unknown", "plays": 1, "vibration_s": 0.0
+        "owner": null, "started": "2026-11-22T09:30:00+01:00", "ended": null, "reason": "unknown", "plays": 1, "vibration_s": 0.0,
+        "released": false, "release_in_s": null, "lost": 0, "plays_lost": 0
     });
-    let mut text = format!("{}\n", json!({"event": "session-started", "session": session}));
-    for line in lines {
+    let mut text = String::new();
+    let started = json!({"event": "session-started", "session": session});
+    for (number, line) in (1..).zip([&started].into_iter().chain(lines)) {
+        let mut line = line.clone();
+        line["number"] = u64::into(number);
         text += &format!("{line}\n");
     }
     fs::write(dir.path().join("2026-11-22.jsonl"), text).unwrap();

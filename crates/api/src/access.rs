@@ -3,7 +3,8 @@
 //! The daemon's gate asks [`Route::find`] and [`Route::access`] before every request, and again whenever a long answer continues,
 //! for example a stream of events.
 //!
-//! Invariant: every route has its row; a request that no route takes reads nothing and changes nothing.
+//! Invariant: a route that is not named here reads with GET, and else changes something; a request that no route takes reads nothing and
+//! changes nothing.
 
 use crate::route::{Method, Route};
 use crate::token::Role;
@@ -35,6 +36,10 @@ impl Access {
     const CHANGES: Self = Self { role: Role::Operate, local: false, session: SessionRule::Owner };
     const MAKES_SAFE: Self = Self { session: SessionRule::Open, ..Self::CHANGES };
 
+    const fn of_method(method: Method) -> Self {
+        if matches!(method, Method::Get) { Self::READS } else { Self::CHANGES }
+    }
+
     /// Of a request that no route takes.
     #[must_use]
     pub fn without_route(method: &str) -> Self {
@@ -53,39 +58,10 @@ impl Route {
             Self::SessionStart => Access { session: SessionRule::Starts, ..Access::CHANGES },
             Self::Tokens => Access { local: true, ..Access::MAKES_SAFE },
             Self::TokenCreate | Self::TokenRevoke => Access { local: true, ..Access::CHANGES },
-            Self::Play
-            | Self::Sequence
-            | Self::Live
-            | Self::LiveConnection
-            | Self::Withdraw
-            | Self::Reset
-            | Self::Arm
-            | Self::Home
-            | Self::Edge
-            | Self::Import
-            | Self::Remove
-            | Self::RenderingStart
-            | Self::RenderingCancel
-            | Self::Calibrate
-            | Self::StoreCalibration
-            | Self::SessionEnd
-            | Self::PlayAnswer => Access::CHANGES,
-            Self::SequenceCheck
-            | Self::Status
-            | Self::Array
-            | Self::Doctor
-            | Self::Receipt
-            | Self::Events
-            | Self::Patterns
-            | Self::Pattern
-            | Self::Preview
-            | Self::RenderingShow
-            | Self::Calibration
-            | Self::Sessions
-            | Self::SessionShow
-            | Self::SessionPlays
-            | Self::Metrics
-            | Self::OpenApi => Access::READS,
+            // It opens what orders motion.
+            Self::LiveConnection => Access::CHANGES,
+            Self::SequenceCheck => Access::READS,
+            _ => Access::of_method(self.method()),
         }
     }
 

@@ -24,7 +24,6 @@ pub struct ArrayDetails {
     #[schema(min_items = 1, max_items = 64)]
     pub positions_mm: Vec<[f64; 2]>,
     /// The rows and columns, if the pins stand in such: a motor's number is `columns` × row + column. Null: they stand elsewhere.
-    #[schema(required)]
     pub grid: Option<ArrayGrid>,
     /// Smallest distance of two pins, mm.
     #[schema(minimum = 0.0)]

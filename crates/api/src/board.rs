@@ -16,19 +16,16 @@ pub struct BoardStatus {
     pub uptime_s: u32,
     /// Least time left to render since then, ticks; null: nothing was rendered while armed, or it is not measured. A board
     /// has at most 45; at 0 it turns its lines off.
-    #[schema(required)]
     pub slack_ticks: Option<u8>,
     /// Times that the firmware's tasks stood still for too long; null: not measured.
-    #[schema(required)]
     pub stalls: Option<u32>,
     /// Times that the device set up its hung USB controller again; null: not measured.
-    #[schema(required)]
     pub usb_recoveries: Option<u32>,
     /// Times that its outputs failed and it turned its lines off (causes `starved` and `output`).
     pub output_faults: u32,
     /// Outputs that were high at its start, before anything drove them: motors by number, 64 for the trigger, 65 for the driver enable.
     /// Null: not measured. A sound board has none.
-    #[schema(required, max_items = 66)]
+    #[schema(max_items = 66)]
     pub high_at_boot: Option<Vec<u8>>,
 }
 
@@ -36,13 +33,10 @@ pub struct BoardStatus {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 pub struct BoardRecord {
     /// Least time left to render, ticks; null: not measured.
-    #[schema(required)]
     pub slack_ticks: Option<u8>,
     /// Times that the firmware's tasks stood still for too long; null: not measured.
-    #[schema(required)]
     pub stalls: Option<u32>,
     /// Times that the device set up its hung USB controller again; null: not measured.
-    #[schema(required)]
     pub usb_recoveries: Option<u32>,
     /// Times that its outputs failed.
     pub output_faults: u32,

@@ -90,12 +90,8 @@ pub struct CalibratedMotor {
     #[schema(minimum = 0.0)]
     pub relative_sd_down: f64,
     /// The line upwards, and the points that it goes through.
-    #[serde(default)]
-    #[schema(required)]
     pub up: FittedLine,
     /// The line downwards, and the points that it goes through.
-    #[serde(default)]
-    #[schema(required)]
     pub down: FittedLine,
 }
 
@@ -129,7 +125,6 @@ pub struct CalibrationReport {
     /// Whether the daemon corrects bursts with these gains.
     pub used: bool,
     /// Why the daemon does not use the calibration; null if it does.
-    #[schema(required)]
     pub unused: Option<String>,
     /// The calibrated motors; a motor that is missing here has a gain of 1.
     #[schema(max_items = 64)]

@@ -33,7 +33,6 @@ pub enum Event {
         /// The device's clock, ticks; 0 without a device.
         tick: u64,
         /// The running play; null without one.
-        #[schema(required)]
         play: Option<RunningPlay>,
     },
     /// A device has completed the handshake.
@@ -62,7 +61,7 @@ pub enum Event {
         /// The pattern's name.
         pattern: String,
         /// Requested duration, s; null: as long as the pattern lasts.
-        #[schema(required, minimum = 0.0, maximum = 1e8)]
+        #[schema(minimum = 0.0, maximum = 1e8)]
         seconds: Option<f64>,
     },
     /// A play has begun.
@@ -111,7 +110,6 @@ pub enum Event {
         #[serde(flatten)]
         edge: EdgeRecord,
         /// The play that it starts or stops, or that ran when it came; null without one.
-        #[schema(required)]
         play: Option<u64>,
         /// What it does.
         effect: EdgeEffect,
@@ -132,7 +130,6 @@ pub enum Event {
         /// The play's id.
         id: u64,
         /// The session that it belongs to; null without one.
-        #[schema(required)]
         session: Option<String>,
         /// The number of the first one here, from 0.
         #[schema(minimum = 0)]
@@ -154,7 +151,6 @@ pub enum Event {
         /// The motors that were measured.
         motors: Vec<u8>,
         /// Why nothing was stored; null if it was.
-        #[schema(required)]
         problem: Option<String>,
     },
     /// The daemon does not trust the telemetry of a motor: the motor plays in open loop until the next `arm`.
@@ -241,7 +237,6 @@ pub enum Event {
     })))]
     RecordProblem {
         /// Why it cannot be written, or what is missing there; null if all is well.
-        #[schema(required)]
         problem: Option<String>,
         /// Entries that it lost since the daemon started.
         #[schema(minimum = 0)]
@@ -264,7 +259,6 @@ pub enum Event {
         #[schema(minimum = 0.0)]
         seconds: f64,
         /// Why it failed, in one line; null if it did not.
-        #[schema(required)]
         problem: Option<String>,
     },
     /// The daemon was too slow for its streamer: events are missing. The receipts' counts are right.

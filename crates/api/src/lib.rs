@@ -73,8 +73,8 @@ pub use doctor::{DoctorReport, Finding, Level};
 pub use end_cause::EndCause;
 pub use event::{EdgeEffect, Event, MAX_ITEMS_LISTED};
 pub use live::{
-    LIVE_GLIDE_MS, LIVE_TIMEOUT_MS, LIVE_UPDATES_HZ, LIVE_UPGRADE, LiveAccepted, LiveAnswer, LiveApplied,
-    LiveDrive, LiveMessage, LivePose, LiveRequest, MAX_LIVE_MESSAGE,
+    LIVE_GLIDE_MS, LIVE_TIMEOUT_MS, LIVE_UPDATES_HZ, LiveAccepted, LiveAnswer, LiveApplied, LiveDrive,
+    LiveMessage, LivePose, LiveRequest, MAX_LIVE_MESSAGE,
 };
 pub use live_record::{LiveRecord, UpdateTimes};
 pub use pattern::{

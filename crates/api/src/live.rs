@@ -1,6 +1,6 @@
 //! Live plays: the request that starts one, and the messages of its connection in both directions.
 //!
-//! [`LiveRequest::parse`] reads a body, [`LiveMessage::parse`] a line or a WebSocket's text. The daemon answers each message with one
+//! [`LiveRequest::parse`] reads a body, [`LiveMessage::parse`] a WebSocket's text. The daemon answers each message with one
 //! [`LiveAnswer`], not always in their order.
 
 use crate::body::{bad, check_labels, check_scale, check_trigger, null_as_default, problem, read};
@@ -15,8 +15,6 @@ use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};
 use utoipa::ToSchema;
 
-/// What an `Upgrade` of the connection must name to speak in lines of JSON.
-pub const LIVE_UPGRADE: &str = "meissner-live";
 /// How long a client of a live play may be silent, ms, without `timeout_ms`.
 pub const LIVE_TIMEOUT_MS: f64 = 500.0;
 /// The rate of updates that the line must carry, Hz, without `updates_hz`.
@@ -180,8 +178,6 @@ pub struct LiveApplied {
     pub repeats: u32,
     /// Moves of the play that the device has refused since the answer before: they are not on the pins. The events `refused` say which, and
     /// why.
-    #[serde(default)]
-    #[schema(required)]
     pub refused: u64,
 }
 
@@ -190,7 +186,6 @@ pub struct LiveApplied {
 #[schema(examples(json!({"seq": 5, "merged_into": 7})))]
 pub struct LiveAnswer {
     /// The message's number; null: the answer is about the play, or the number cannot be read.
-    #[schema(required)]
     pub seq: Option<u64>,
     /// It is on the device.
     #[serde(default, skip_serializing_if = "Option::is_none")]

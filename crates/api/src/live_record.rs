@@ -29,12 +29,9 @@ pub struct LiveRecord {
     /// How often an update came too late for some motor, and was sent again.
     pub repeats: u64,
     /// To the tick from which strokes are replaced; null without updates. The rest is the period that runs.
-    #[schema(required)]
     pub decided: Option<UpdateTimes>,
     /// To the first motor's first new stroke; null without updates.
-    #[schema(required)]
     pub first_motor: Option<UpdateTimes>,
     /// To the last motor's first new stroke; null without updates.
-    #[schema(required)]
     pub last_motor: Option<UpdateTimes>,
 }

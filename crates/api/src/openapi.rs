@@ -91,7 +91,11 @@ pub fn document() -> Value {
     let mut schemas = serde_json::to_value(Schemas::openapi().components).unwrap_or_default();
     schemas["schemas"]["Problem"]["properties"]["code"]["enum"] =
         Code::ALL.iter().map(|code| code.parts().0).collect::<Vec<_>>().into();
-    for schema in schemas["schemas"].as_object_mut().into_iter().flat_map(Map::values_mut) {
+    for (name, schema) in schemas["schemas"].as_object_mut().into_iter().flatten() {
+        // An answer to a message has one of its keys.
+        if name != "LiveAnswer" {
+            require_all(schema);
+        }
         refuse_null(schema);
     }
     let example = |schema: &str| schemas["schemas"][schema]["examples"][0].clone();
@@ -127,6 +131,18 @@ fn refuse_null(schema: &mut Value) {
         if is_number && !required.iter().any(|name| name == key) {
             property["type"] = kinds[0].clone();
         }
+    }
+}
+
+/// The daemon writes every key of its answers, without a value as null; only `mine` of a session is in the status alone. The types of requests
+/// refuse unknown keys.
+fn require_all(schema: &mut Value) {
+    for parts in ["oneOf", "allOf"] {
+        schema.get_mut(parts).and_then(Value::as_array_mut).into_iter().flatten().for_each(require_all);
+    }
+    let Some(properties) = schema.get("properties").and_then(Value::as_object) else { return };
+    if schema.get("additionalProperties").is_none() {
+        schema["required"] = properties.keys().filter(|key| *key != "mine").cloned().collect();
     }
 }
 

@@ -29,10 +29,9 @@ pub struct PlanCheck {
     /// Whether the estimate uses the calibration of the connected device.
     pub calibrated: bool,
     /// Where the plan would stop; null: it comes to its end.
-    #[schema(required)]
     pub stopped_at: Option<PlanStop>,
     /// How far the estimate was followed, ms, if the plan is longer than the daemon follows; else null.
-    #[schema(required, minimum = 0.0)]
+    #[schema(minimum = 0.0)]
     pub followed_ms: Option<f64>,
 }
 

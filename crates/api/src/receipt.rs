@@ -27,10 +27,11 @@ pub const MAX_WARNINGS_LISTED: usize = 8;
 
 /// Where a play stands: `queued`, `running`, or ended as `done` (it came to its end), `stopped` (by a stop, replace, disarm,
 /// e-stop, lost link or participant's limit) or `aborted` (by late strokes, or because its onset could not be kept).
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum PlayState {
     /// The play waits for those before it.
+    #[default]
     Queued,
     /// The play runs.
     Running,
@@ -106,7 +107,6 @@ pub struct OrderedCounts {
     /// Number of bursts; a stroke has two.
     pub bursts: u64,
     /// Number of their pulses; null if it would take too long to count: over two minutes of 24 saturated drives at 300 Hz.
-    #[schema(required)]
     pub pulses: Option<u64>,
 }
 
@@ -114,13 +114,13 @@ pub struct OrderedCounts {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct DurationRecord {
     /// As ordered, by the request or else by the pattern, ms; null: without end.
-    #[schema(required, minimum = 0.0)]
+    #[schema(minimum = 0.0)]
     pub ordered: Option<f64>,
     /// As compiled, to the end of the last whole stroke, ms; null: without end.
-    #[schema(required, minimum = 0.0)]
+    #[schema(minimum = 0.0)]
     pub compiled: Option<f64>,
     /// As played, from the onset to the offset, ms; null until the play is over, or without an offset.
-    #[schema(required, minimum = 0.0)]
+    #[schema(minimum = 0.0)]
     pub played: Option<f64>,
 }
 
@@ -160,10 +160,8 @@ pub struct MotorRestError {
     #[schema(minimum = 0, maximum = 63)]
     pub motor: u8,
     /// At the play's onset, µm; null if it never began.
-    #[schema(required)]
     pub onset_um: Option<f32>,
     /// Where `onset_um` comes from; null if the play never began.
-    #[schema(required)]
     pub onset_source: Option<ErrorSource>,
     /// At the play's offset, µm.
     pub offset_um: f32,
@@ -270,12 +268,10 @@ pub struct BurstCounts {
     /// Number of bursts the device refused, because of a limit.
     pub refused: u64,
     /// Number of bursts of which an update of a live play took the place before they began.
-    #[serde(default)]
     pub replaced: u64,
     /// Number of bursts played with a pulse count that feedback corrected.
     pub amended: u64,
     /// Number of bursts played, but cut short by the motor's next move: the pin went on from where it was.
-    #[serde(default)]
     pub shortened: u64,
 }
 
@@ -332,7 +328,7 @@ pub struct LinkTraffic {
     /// Size of all frames, bytes.
     pub bytes_to_device: u64,
     /// Size of all frames per planned burst, bytes; null without bursts.
-    #[schema(required, minimum = 0.0)]
+    #[schema(minimum = 0.0)]
     pub bytes_per_burst: Option<f64>,
 }
 
@@ -347,7 +343,7 @@ impl LinkTraffic {
 }
 
 /// The result of a play.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 #[schema(examples(json!({
     "id": 7, "pattern": "edge-45",
     "pattern_sha256": "9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08", "array": "tula35-6x4", "tick_hz": 85000,
@@ -396,113 +392,76 @@ pub struct Receipt {
     /// SHA-256 of the pattern's file, in hexadecimal.
     pub pattern_sha256: String,
     /// The array that was driven.
-    #[serde(default = "paper_array")]
-    #[schema(required)]
     pub array: String,
     /// Rate of its device's ticks, Hz: the receipt's ticks count in them.
-    #[serde(default = "paper_tick_hz")]
-    #[schema(required, minimum = 20000, maximum = 200_000)]
+    #[schema(minimum = 20000, maximum = 200_000)]
     pub tick_hz: u32,
     /// Requested duration, s; null: as long as the pattern lasts.
-    #[schema(required, minimum = 0.0, maximum = 1e8)]
+    #[schema(minimum = 0.0, maximum = 1e8)]
     pub seconds: Option<f64>,
     /// Which strokes were to be played at the end.
-    #[serde(default)]
-    #[schema(required)]
     pub fit: Fit,
     /// The session that the play belongs to; null without one.
-    #[serde(default)]
-    #[schema(required)]
     pub session: Option<String>,
     /// The trial's number; null if none was given.
-    #[serde(default)]
-    #[schema(required, minimum = 0)]
+    #[schema(minimum = 0)]
     pub trial: Option<u64>,
     /// The trial's labels.
-    #[serde(default)]
-    #[schema(required)]
     pub labels: BTreeMap<String, String>,
     /// The factor of the amplitudes; null for a sequence, whose items have one each.
-    #[serde(default)]
-    #[schema(required, minimum = 0.0, maximum = 1.0)]
+    #[schema(minimum = 0.0, maximum = 1.0)]
     pub scale: Option<f64>,
     /// What was to happen to late strokes.
-    #[serde(default)]
-    #[schema(required)]
     pub late_policy: LatePolicy,
     /// Whether it was to play without corrections from telemetry.
-    #[serde(default)]
-    #[schema(required)]
     pub open_loop: bool,
     /// Where the play stands.
     pub state: PlayState,
     /// Why the play ended; null if it is not over or came to its end.
-    #[schema(required, value_type = Option<String>)]
+    #[schema(value_type = Option<String>)]
     pub cause: Option<EndCause>,
     /// When the play began; null before.
-    #[schema(required)]
     pub onset: Option<OnsetRecord>,
     /// Time from the request to the onset, ms; null before the onset.
-    #[schema(required, minimum = 0.0)]
+    #[schema(minimum = 0.0)]
     pub onset_latency_ms: Option<f64>,
     /// The ordered delay from an edge of the trigger input to the onset, ms; null: the play waits for none.
-    #[serde(default)]
-    #[schema(required, minimum = 0.0, maximum = 3_600_000.0)]
+    #[schema(minimum = 0.0, maximum = 3_600_000.0)]
     pub on_edge_ms: Option<f64>,
     /// The edge of the trigger input after which the play begins, of a play with `on_edge_ms`; null until it has come, or without one.
-    #[serde(default)]
-    #[schema(required)]
     pub start_edge: Option<EdgeRecord>,
     /// The edge that stopped the play, of a play with `stop_on_edge`; null if none did.
-    #[serde(default)]
-    #[schema(required)]
     pub stop_edge: Option<EdgeRecord>,
     /// When the last pulse was over, with the return of a play that was cut; null until the play is over, if nothing was played,
     /// or if the link was lost before the device reported it.
-    #[serde(default)]
-    #[schema(required)]
     pub offset: Option<OffsetRecord>,
     /// Time from the onset to the cut that ended the play, ms; null if the play came to its end or never began. If the link was
     /// lost: until the daemon noticed.
-    #[serde(default)]
-    #[schema(required, minimum = 0.0)]
+    #[schema(minimum = 0.0)]
     pub cut_after_ms: Option<f64>,
     /// How long the play was to last, and lasted.
-    #[serde(default)]
-    #[schema(required)]
     pub duration_ms: DurationRecord,
     /// What pattern and order say; null for an endless play that is not over.
-    #[serde(default)]
-    #[schema(required)]
     pub ordered: Option<OrderedCounts>,
     /// What the drives reach: the first 24.
-    #[serde(default)]
-    #[schema(required, max_items = 24)]
+    #[schema(max_items = 24)]
     pub drives: Vec<ReachedDrive>,
     /// How the motors follow their motions, by motor; empty without motions. Of a sequence those of the item in which the motor is off the
     /// most, with the first instant, from the sequence's onset, at which it is too slow.
-    #[serde(default)]
-    #[schema(required, max_items = 64)]
+    #[schema(max_items = 64)]
     pub motions: Vec<FollowedMotion>,
     /// One line for each thing that may not be meant, for example a drive that does not reach its amplitude: the first 8, and how
     /// many more.
-    #[serde(default)]
-    #[schema(required, max_items = 9)]
+    #[schema(max_items = 9)]
     pub warnings: Vec<String>,
     /// What happened to the bursts; null until the play is over.
-    #[schema(required)]
     pub bursts: Option<BurstCounts>,
     /// The pulses; null until the play is over.
-    #[schema(required)]
     pub pulses: Option<PulseCounts>,
     /// Whether what was played is an estimate: the link was lost before the device said what it has counted. It counts what was to be
     /// played until the daemon noticed, or until its e-stop.
-    #[serde(default)]
-    #[schema(required)]
     pub estimated: bool,
     /// What became of the updates of a live play, once it is over; null for another play.
-    #[serde(default)]
-    #[schema(required)]
     pub live: Option<LiveRecord>,
     /// The late strokes so far.
     pub lateness: LatenessRecord,
@@ -510,53 +469,31 @@ pub struct Receipt {
     #[schema(max_items = 100)]
     pub refusals: Vec<RefusedStroke>,
     /// The pins that the device has brought down by itself.
-    #[serde(default)]
-    #[schema(required)]
     pub lowered: LoweredRecord,
     /// What the trigger output gave at the onset; null: nothing, or not yet.
-    #[serde(default)]
-    #[schema(required)]
     pub trigger: Option<TriggerRecord>,
     /// The boot of the device that took the play: ticks of two plays of one boot are on one clock. Null: the daemon does not know it.
-    #[serde(default)]
-    #[schema(required, minimum = 0)]
+    #[schema(minimum = 0)]
     pub boot: Option<u32>,
     /// How many items the sequence was to play; null for other plays.
-    #[serde(default)]
-    #[schema(required, minimum = 1, maximum = 4096)]
+    #[schema(minimum = 1, maximum = 4096)]
     pub items_planned: Option<u64>,
     /// The items of a sequence; null until it is over, for other plays, and in the event `ended`: events `items` come before it.
-    #[serde(default)]
-    #[schema(required, value_type = Option<Vec<ItemRecord>>, max_items = 4096)]
+    #[schema(value_type = Option<Vec<ItemRecord>>, max_items = 4096)]
     pub items: Option<Arc<[ItemRecord]>>,
     /// What was sent to the device; null until the play is over.
-    #[schema(required)]
     pub wire: Option<LinkTraffic>,
     /// What occurred on the device meanwhile; null until the play is over, or if its reports do not cover the whole play.
-    #[serde(default)]
-    #[schema(required)]
     pub board: Option<BoardRecord>,
     /// Estimated offset of each pin from rest at the end, µm, by motor, as in the status; null until the play is over.
-    #[schema(required, max_items = 24)]
+    #[schema(max_items = 24)]
     pub rest_error_um: Option<Vec<f32>>,
     /// The rest errors of the driven motors at onset and offset; null until the play is over.
-    #[serde(default)]
-    #[schema(required, max_items = 24)]
+    #[schema(max_items = 24)]
     pub rest_errors: Option<Vec<MotorRestError>>,
     /// When each pin that moved did so, by motor; null until the play is over.
-    #[serde(default)]
-    #[schema(required, max_items = 64)]
+    #[schema(max_items = 64)]
     pub pins: Option<Vec<MovedPin>>,
-}
-
-/// The array of receipts from before arrays had names.
-pub(crate) fn paper_array() -> String {
-    "tula35-6x4".to_owned()
-}
-
-/// Its tick rate.
-pub(crate) const fn paper_tick_hz() -> u32 {
-    85_000
 }
 
 impl Receipt {
@@ -567,46 +504,10 @@ impl Receipt {
             id,
             pattern: pattern.to_owned(),
             pattern_sha256: pattern_sha256.to_owned(),
-            array: paper_array(),
-            tick_hz: paper_tick_hz(),
+            array: "tula35-6x4".to_owned(),
+            tick_hz: 85_000,
             seconds,
-            fit: Fit::default(),
-            session: None,
-            trial: None,
-            labels: BTreeMap::new(),
-            scale: None,
-            late_policy: LatePolicy::default(),
-            open_loop: false,
-            state: PlayState::Queued,
-            cause: None,
-            onset: None,
-            onset_latency_ms: None,
-            on_edge_ms: None,
-            start_edge: None,
-            stop_edge: None,
-            offset: None,
-            cut_after_ms: None,
-            duration_ms: DurationRecord::default(),
-            ordered: None,
-            drives: Vec::new(),
-            motions: Vec::new(),
-            warnings: Vec::new(),
-            bursts: None,
-            pulses: None,
-            estimated: false,
-            live: None,
-            lateness: LatenessRecord::default(),
-            refusals: Vec::new(),
-            lowered: LoweredRecord::default(),
-            trigger: None,
-            boot: None,
-            items_planned: None,
-            items: None,
-            wire: None,
-            board: None,
-            rest_error_um: None,
-            rest_errors: None,
-            pins: None,
+            ..Self::default()
         }
     }
 

@@ -162,10 +162,8 @@ pub struct Rendering {
     #[schema(minimum = 0.0)]
     pub seconds: f64,
     /// Why it failed, in one line; null if it did not.
-    #[schema(required)]
     pub problem: Option<String>,
     /// The pattern, judged; null unless it is `done`.
-    #[schema(required)]
     pub rendered: Option<Box<Rendered>>,
 }
 
@@ -204,10 +202,10 @@ pub struct JudgedPattern {
     /// The method, or `vibrate-60`.
     pub name: String,
     /// The correlation of the responses in space and time, in bins of 10 ms; 1 is the object itself.
-    #[schema(required, minimum = -1.0, maximum = 1.0)]
+    #[schema(minimum = -1.0, maximum = 1.0)]
     pub r: Option<f64>,
     /// The size of their difference over the size of the object's.
-    #[schema(required, minimum = 0.0)]
+    #[schema(minimum = 0.0)]
     pub error: Option<f64>,
     /// By class, SA1, RA and PC: `r` in bins of 36 ms.
     pub r_by_class: [Option<f64>; 3],

@@ -7,50 +7,29 @@ use crate::problem::Code;
 use crate::rendering::{MAX_PREVIEW_FROM_S, MAX_PREVIEW_S};
 use crate::request::MAX_WAIT_S;
 
-/// The routes, in the order of the API reference.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[expect(missing_docs, reason = "`operation` describes each")]
-pub enum Route {
-    Play,
-    Sequence,
-    SequenceCheck,
-    Live,
-    LiveConnection,
-    Stop,
-    EStop,
-    Reset,
-    Arm,
-    Disarm,
-    Home,
-    Edge,
-    Status,
-    Array,
-    Doctor,
-    Receipt,
-    Withdraw,
-    PlayAnswer,
-    Events,
-    Patterns,
-    Pattern,
-    Preview,
-    Import,
-    Remove,
-    RenderingStart,
-    RenderingShow,
-    RenderingCancel,
-    Calibrate,
-    Calibration,
-    StoreCalibration,
-    SessionStart,
-    Sessions,
-    SessionShow,
-    SessionPlays,
-    SessionEnd,
-    TokenCreate,
-    Tokens,
-    TokenRevoke,
-    Metrics,
-    OpenApi,
+/// Lists each route once.
+macro_rules! routes {
+    ($($route:ident),*) => {
+        /// The routes, in the order of the API reference.
+        #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+        #[expect(missing_docs, reason = "`operation` describes each")]
+        pub enum Route {
+            $($route),*
+        }
+
+        impl Route {
+            /// Every route.
+            pub const ALL: [Self; [$(stringify!($route)),*].len()] = [$(Self::$route),*];
+        }
+    };
+}
+
+routes! {
+    Play, Sequence, SequenceCheck, Live, LiveConnection, Stop, EStop, Reset, Arm, Disarm, Home,
+    Edge, Status, Array, Doctor, Receipt, Withdraw, PlayAnswer, Events, Patterns, Pattern, Preview,
+    Import, Remove, RenderingStart, RenderingShow, RenderingCancel, Calibrate, Calibration,
+    StoreCalibration, SessionStart, Sessions, SessionShow, SessionPlays, SessionEnd, TokenCreate,
+    Tokens, TokenRevoke, Metrics, OpenApi
 }
 
 /// An HTTP method.
@@ -198,50 +177,6 @@ const ACCEPTED: &[(u16, &str)] = &[(202, "Queued")];
 const STATUS: Answer = Answer::Json("Status");
 
 impl Route {
-    /// Every route.
-    pub const ALL: [Self; 40] = [
-        Self::Play,
-        Self::Sequence,
-        Self::SequenceCheck,
-        Self::Live,
-        Self::LiveConnection,
-        Self::Stop,
-        Self::EStop,
-        Self::Reset,
-        Self::Arm,
-        Self::Disarm,
-        Self::Home,
-        Self::Edge,
-        Self::Status,
-        Self::Array,
-        Self::Doctor,
-        Self::Receipt,
-        Self::Withdraw,
-        Self::PlayAnswer,
-        Self::Events,
-        Self::Patterns,
-        Self::Pattern,
-        Self::Preview,
-        Self::Import,
-        Self::Remove,
-        Self::RenderingStart,
-        Self::RenderingShow,
-        Self::RenderingCancel,
-        Self::Calibrate,
-        Self::Calibration,
-        Self::StoreCalibration,
-        Self::SessionStart,
-        Self::Sessions,
-        Self::SessionShow,
-        Self::SessionPlays,
-        Self::SessionEnd,
-        Self::TokenCreate,
-        Self::Tokens,
-        Self::TokenRevoke,
-        Self::Metrics,
-        Self::OpenApi,
-    ];
-
     /// The HTTP method.
     #[must_use]
     pub const fn method(self) -> Method {
@@ -350,8 +285,7 @@ impl Route {
             },
             Self::LiveConnection => Operation {
                 summary: "Open the connection of a live play",
-                description: "An upgrade of the connection: to `websocket`, or to `meissner-live`, which speaks lines of JSON in both \
-                              directions. The client sends messages of the schema `LiveMessage`, and the daemon answers each with one of the \
+                description: "An upgrade of the connection to `websocket`. The client sends messages of the schema `LiveMessage`, and the daemon answers each with one of the \
                               schema `LiveAnswer`: `applied` once the device has it, with the tick from which each motor has its new \
                               drive. An update replaces the strokes of the motors that it changes, each from its next period \
                               on: no stroke is cut. Of messages that come faster than the device takes them the newest wins, and \

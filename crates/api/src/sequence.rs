@@ -99,7 +99,7 @@ pub struct SequenceRequest {
 #[serde(deny_unknown_fields)]
 pub struct SequenceItem {
     /// The pattern's name, or the pattern itself; false or null: nothing is played for `seconds`, for example in a catch trial.
-    #[schema(required, schema_with = pattern_choice::schema_or_blank)]
+    #[schema(schema_with = pattern_choice::schema_or_blank)]
     #[serde(deserialize_with = "pattern_choice::or_blank")]
     pub pattern: Option<PatternChoice>,
     /// Play the text with this SHA-256 (hexadecimal): the stored pattern, or else the text that the session record keeps. Without
@@ -274,36 +274,27 @@ pub struct ItemRecord {
     #[schema(minimum = 0.0, maximum = 1.0)]
     pub scale: f64,
     /// The largest amplitude of its drives or level of its motions as ordered, µm.
-    #[serde(default)]
-    #[schema(required, minimum = 0.0)]
+    #[schema(minimum = 0.0)]
     pub ordered_um: f64,
     /// The largest amplitude that they reach in whole pulses, µm.
-    #[serde(default)]
-    #[schema(required, minimum = 0.0)]
+    #[schema(minimum = 0.0)]
     pub reached_um: f64,
     /// When it was to begin, ticks from the sequence's onset.
-    #[serde(default)]
-    #[schema(required)]
     pub planned_onset_ticks: u64,
     /// How long it was to last, ms: a whole number of ticks.
-    #[serde(default)]
-    #[schema(required, minimum = 0.0)]
+    #[schema(minimum = 0.0)]
     pub ordered_ms: f64,
     /// What became of it.
     pub state: ItemState,
     /// The item's onset, as the device reported it; null if it has not begun, or if the device learned of it too late.
-    #[schema(required)]
     pub onset: Option<InstantRecord>,
     /// Start of its first pulse, ticks; later than the onset if no drive begins with a stroke or the
     /// first strokes were late or refused. Null if the device accepted none.
-    #[schema(required)]
     pub first_pulse_tick: Option<u64>,
     /// The end of the last stroke that the device accepted, as planned; corrections by feedback may shift it by some ticks. Null if it
     /// accepted none, or was cut before, or if the link was lost before it reported so far.
-    #[schema(required)]
     pub offset: Option<InstantRecord>,
     /// What the trigger output gave at the onset; null: nothing.
-    #[schema(required)]
     pub trigger: Option<TriggerRecord>,
     /// Number of its strokes that came late.
     pub late_strokes: u32,

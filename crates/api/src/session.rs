@@ -10,9 +10,7 @@ use crate::body::{check_labels, check_text, read};
 use crate::end_cause::EndCause;
 use crate::live_record::LiveRecord;
 use crate::problem::Problem;
-use crate::receipt::{
-    BurstCounts, EdgeRecord, MAX_LISTED, OrderedCounts, PulseCounts, paper_array, paper_tick_hz,
-};
+use crate::receipt::{BurstCounts, EdgeRecord, MAX_LISTED, OrderedCounts, PulseCounts};
 use crate::request::{Fit, LatePolicy};
 use crate::trigger::TriggerRecord;
 use meissner_input::document::given;
@@ -77,7 +75,6 @@ pub struct SessionStarted {
     pub token: String,
     /// Why the daemon does not record the session: it keeps no session record. Null if it records it; if it cannot, no session
     /// starts.
-    #[schema(required)]
     pub record_problem: Option<String>,
 }
 
@@ -94,27 +91,21 @@ pub struct Session {
     /// The participant's pseudonym.
     pub participant: String,
     /// The experiment; null if none was named.
-    #[schema(required)]
     pub experiment: Option<String>,
     /// The session's labels.
-    #[serde(default)]
-    #[schema(required)]
     pub labels: BTreeMap<String, String>,
     /// The seed that was recorded; null if there was none.
-    #[schema(required, minimum = 0)]
+    #[schema(minimum = 0)]
     pub seed: Option<u64>,
     /// Whether the session began as an exclusive one.
     pub exclusive: bool,
     /// The user who started it; null: not known.
-    #[schema(required)]
     pub owner: Option<String>,
     /// When it began, local time with the offset from UTC.
     pub started: String,
     /// When it ended; null while it runs, or if the record does not tell.
-    #[schema(required)]
     pub ended: Option<String>,
     /// Why it ended: `request`, `daemon-ended`, or `unknown` (the daemon was killed, or could not write it); null while it runs.
-    #[schema(required)]
     pub reason: Option<String>,
     /// Plays that were accepted.
     #[schema(minimum = 0)]
@@ -123,21 +114,16 @@ pub struct Session {
     #[schema(minimum = 0.0)]
     pub vibration_s: f64,
     /// Whether an exclusive session's owner was silent for so long that others may act.
-    #[serde(default)]
-    #[schema(required)]
     pub released: bool,
     /// When others may act unless the owner sends a request, s from now; null: they may, or the session is over.
-    #[serde(default)]
-    #[schema(required, minimum = 0.0)]
+    #[schema(minimum = 0.0)]
     pub release_in_s: Option<f64>,
     /// Entries of the session that the record is known to have lost: the disk did not take them, or they were removed. 0 too without a
     /// record.
-    #[serde(default)]
-    #[schema(required, minimum = 0)]
+    #[schema(minimum = 0)]
     pub lost: u64,
     /// Plays of the session whose ends the record is known to have lost.
-    #[serde(default)]
-    #[schema(required, minimum = 0)]
+    #[schema(minimum = 0)]
     pub plays_lost: u64,
     /// In the status: whether the client that asks shows the token of this session. Missing elsewhere.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -178,170 +164,125 @@ pub struct RecordedPlay {
     #[schema(minimum = 1)]
     pub play: u64,
     /// The user who ordered it; null: not known.
-    #[schema(required)]
     pub user: Option<String>,
     /// The trial's number; null if none was given.
-    #[schema(required, minimum = 0)]
+    #[schema(minimum = 0)]
     pub trial: Option<u64>,
     /// The trial's labels.
     pub labels: BTreeMap<String, String>,
     /// The pattern's name.
     pub pattern: String,
     /// SHA-256 of the pattern's file, in hexadecimal; null if the play's end is missing.
-    #[schema(required)]
     pub pattern_sha256: Option<String>,
     /// The array that was driven.
-    #[serde(default = "paper_array")]
-    #[schema(required)]
     pub array: String,
     /// Rate of its device's ticks, Hz: the row's ticks count in them.
-    #[serde(default = "paper_tick_hz")]
-    #[schema(required, minimum = 20000, maximum = 200_000)]
+    #[schema(minimum = 20000, maximum = 200_000)]
     pub tick_hz: u32,
     /// Requested duration, s; null: as long as the pattern lasts.
-    #[schema(required, minimum = 0.0)]
+    #[schema(minimum = 0.0)]
     pub seconds: Option<f64>,
     /// `done`, `stopped` or `aborted`; `unknown` if its end is missing from the record.
     pub state: String,
     /// Why it ended; null if it is done or that is not known.
-    #[schema(required, value_type = Option<String>)]
+    #[schema(value_type = Option<String>)]
     pub cause: Option<EndCause>,
     /// The tick at which the play began, ticks; null if it never began.
-    #[schema(required, minimum = 0)]
+    #[schema(minimum = 0)]
     pub onset_tick: Option<u64>,
     /// The onset on the host's `CLOCK_MONOTONIC`, ns.
-    #[schema(required, minimum = 0)]
+    #[schema(minimum = 0)]
     pub onset_monotonic_ns: Option<u64>,
     /// Uncertainty of the onset on the host's clock, ns.
-    #[schema(required, minimum = 0)]
+    #[schema(minimum = 0)]
     pub onset_uncertainty_ns: Option<u64>,
     /// The onset on the host's wall clock as of the record's line, Unix time, ns.
-    #[schema(required, minimum = 0)]
+    #[schema(minimum = 0)]
     pub onset_wall_ns: Option<i64>,
     /// Time from the onset to the report of the end, s: some 10 ms more than the play.
-    #[schema(required, minimum = 0.0)]
+    #[schema(minimum = 0.0)]
     pub reported_after_s: Option<f64>,
     /// What happened to the bursts; null if the end is missing.
-    #[schema(required)]
     pub bursts: Option<BurstCounts>,
     /// The pulses; null if the end is missing.
-    #[schema(required)]
     pub pulses: Option<PulseCounts>,
     /// Whether what was played is an estimate, because the link was lost.
-    #[serde(default)]
-    #[schema(required)]
     pub estimated: bool,
     /// By how much the latest stroke came late, ms; 0 if none did.
-    #[schema(required, minimum = 0.0)]
+    #[schema(minimum = 0.0)]
     pub worst_late_ms: Option<f64>,
     /// Largest estimated offset of a pin from rest at the end, µm.
-    #[schema(required, minimum = 0.0)]
+    #[schema(minimum = 0.0)]
     pub rest_error_max_um: Option<f32>,
     /// The item's number in its sequence, from 0; null of a play as a whole.
-    #[serde(default)]
-    #[schema(required, minimum = 0)]
+    #[schema(minimum = 0)]
     pub item: Option<u64>,
     /// Of a sequence as a whole: how many rows of items follow. Otherwise 0.
-    #[serde(default)]
-    #[schema(required, minimum = 0)]
+    #[schema(minimum = 0)]
     pub items: u64,
     /// Of a sequence as a whole: how many items it was to play. Rows of items that never began, or whose lines the record lost, are
-    /// missing. Null of other plays, and of those that an older daemon recorded.
-    #[serde(default)]
-    #[schema(required, minimum = 1, maximum = 4096)]
+    /// missing. Null of other plays.
+    #[schema(minimum = 1, maximum = 4096)]
     pub items_planned: Option<u64>,
     /// The largest amplitude of its drives as ordered, µm; null if that is not recorded.
-    #[serde(default)]
-    #[schema(required, minimum = 0.0)]
+    #[schema(minimum = 0.0)]
     pub ordered_um: Option<f64>,
     /// The largest amplitude that they reach in whole pulses, µm.
-    #[serde(default)]
-    #[schema(required, minimum = 0.0)]
+    #[schema(minimum = 0.0)]
     pub reached_um: Option<f64>,
     /// The factor of the amplitudes; null of a sequence as a whole.
-    #[serde(default)]
-    #[schema(required, minimum = 0.0, maximum = 1.0)]
+    #[schema(minimum = 0.0, maximum = 1.0)]
     pub scale: Option<f64>,
     /// Which strokes were to be played at the end.
-    #[serde(default)]
-    #[schema(required)]
     pub fit: Fit,
     /// What was to happen to late strokes.
-    #[serde(default)]
-    #[schema(required)]
     pub late_policy: LatePolicy,
     /// Whether it was to play without corrections from telemetry.
-    #[serde(default)]
-    #[schema(required)]
     pub open_loop: bool,
     /// Duration as ordered, ms; null: without end, or not recorded.
-    #[serde(default)]
-    #[schema(required, minimum = 0.0)]
+    #[schema(minimum = 0.0)]
     pub ordered_ms: Option<f64>,
     /// Duration as played, from onset to offset, ms.
-    #[serde(default)]
-    #[schema(required, minimum = 0.0)]
+    #[schema(minimum = 0.0)]
     pub played_ms: Option<f64>,
     /// Time from the onset to the cut that ended the play, ms; null if it was not cut.
-    #[serde(default)]
-    #[schema(required, minimum = 0.0)]
+    #[schema(minimum = 0.0)]
     pub cut_after_ms: Option<f64>,
     /// When the last pulse was over, ticks.
-    #[serde(default)]
-    #[schema(required, minimum = 0)]
+    #[schema(minimum = 0)]
     pub offset_tick: Option<u64>,
     /// The same on the host's `CLOCK_MONOTONIC`, ns.
-    #[serde(default)]
-    #[schema(required, minimum = 0)]
+    #[schema(minimum = 0)]
     pub offset_monotonic_ns: Option<u64>,
     /// What the trigger output gave at the onset; null: nothing.
-    #[serde(default)]
-    #[schema(required)]
     pub trigger: Option<TriggerRecord>,
     /// What pattern and order say; null of an item, or if it was not counted.
-    #[serde(default)]
-    #[schema(required)]
     pub ordered: Option<OrderedCounts>,
     /// When the item was to begin, ticks from the sequence's onset; null of a play as a whole.
-    #[serde(default)]
-    #[schema(required, minimum = 0)]
+    #[schema(minimum = 0)]
     pub planned_onset_ticks: Option<u64>,
     /// Number of strokes that came late; null if the end is missing.
-    #[serde(default)]
-    #[schema(required, minimum = 0)]
+    #[schema(minimum = 0)]
     pub late_strokes: Option<u64>,
     /// Number of the item's strokes that the device refused; null of a play as a whole, which counts bursts.
-    #[serde(default)]
-    #[schema(required, minimum = 0)]
+    #[schema(minimum = 0)]
     pub refused_strokes: Option<u64>,
     /// The boot of the device whose ticks these are; null if the record does not tell.
-    #[serde(default)]
-    #[schema(required, minimum = 0)]
+    #[schema(minimum = 0)]
     pub boot: Option<u32>,
     /// Whether the daemon has the pattern's text still, stored or in the session record, so that it can play it again. Of a sequence as
     /// a whole and of a blank item: true.
-    #[serde(default)]
-    #[schema(required)]
     pub pattern_kept: bool,
     /// The first pulse of a pin, ticks; null if no pin moved, or if that is not recorded.
-    #[serde(default)]
-    #[schema(required, minimum = 0)]
+    #[schema(minimum = 0)]
     pub first_pulse_tick: Option<u64>,
     /// The edge of the trigger input after which the play began; null: it waited for none. The items of a sequence repeat it.
-    #[serde(default)]
-    #[schema(required)]
     pub start_edge: Option<EdgeRecord>,
     /// The edge that stopped the play; null: none did. The items of a sequence repeat it.
-    #[serde(default)]
-    #[schema(required)]
     pub stop_edge: Option<EdgeRecord>,
     /// What became of the updates of a live play; null of other plays. The record has their counts, not the moves.
-    #[serde(default)]
-    #[schema(required)]
     pub live: Option<LiveRecord>,
     /// What the participant answered; null: nothing was recorded. The items of a sequence repeat its answer.
-    #[serde(default)]
-    #[schema(required)]
     pub answer: Option<PlayAnswer>,
 }
 
@@ -359,7 +300,7 @@ pub struct RecordedPlay {
         "seconds": 2.0, "state": "done",
         "cause": null, "onset_tick": 6442460000_u64, "onset_monotonic_ns": 75793647058823_u64, "onset_uncertainty_ns": 9600,
         "onset_wall_ns": 1795336200123456000_u64, "reported_after_s": 2.01,
-        "bursts": {"planned": 1240, "played": 1240, "late": 0, "dropped": 0, "refused": 0, "amended": 1221},
+        "bursts": {"planned": 1240, "played": 1240, "late": 0, "dropped": 0, "refused": 0, "replaced": 0, "amended": 1221, "shortened": 0},
         "pulses": {"planned": 86800, "played": 86790}, "estimated": false, "worst_late_ms": 0.0, "rest_error_max_um": 0.4,
         "item": null, "items": 0, "items_planned": null, "ordered_um": 80.0, "reached_um": 69.2, "scale": 1.0, "fit": "whole", "late_policy": "drop",
         "open_loop": false, "ordered_ms": 2000.0, "played_ms": 1998.8, "cut_after_ms": null, "offset_tick": 6442629900_u64,
@@ -379,26 +320,19 @@ pub struct SessionPlays {
     pub plays: Vec<RecordedPlay>,
     /// Whether there are more plays: ask again, `from` the next one.
     pub more: bool,
-    /// Whether the record has the whole session: its start, its end, the end of every play, and all entries between. False from an
-    /// older daemon, which does not say.
-    #[serde(default)]
-    #[schema(required)]
+    /// Whether the record has the whole session: its start, its end, the end of every play, and all entries between.
     pub complete: bool,
     /// What is missing, one line each; empty if it is complete.
-    #[serde(default)]
-    #[schema(required, max_items = 100)]
+    #[schema(max_items = 100)]
     pub missing: Vec<String>,
     /// Plays whose ends are missing, of the session's `plays`. Those of a session that runs may be under way.
-    #[serde(default)]
-    #[schema(required, minimum = 0)]
+    #[schema(minimum = 0)]
     pub plays_missing: u64,
     /// Entries that the record lost during the session: the disk or the queue was full, or a file was removed. Plays may be among them.
-    #[serde(default)]
-    #[schema(required, minimum = 0)]
+    #[schema(minimum = 0)]
     pub lost: u64,
     /// Entries that the record left out during the session, to stay within its bound: commands and what devices did, never plays.
-    #[serde(default)]
-    #[schema(required, minimum = 0)]
+    #[schema(minimum = 0)]
     pub left_out: u64,
     /// As in the list of sessions: of the whole record.
     #[schema(minimum = 0)]

@@ -27,18 +27,9 @@ pub struct DeviceInfo {
     /// Whether the motors are simulated.
     pub simulated: bool,
     /// Whether the device measures where its pins are; without telemetry the daemon corrects no bursts by measurement.
-    #[serde(default = "has_telemetry")]
-    #[schema(required)]
     pub telemetry: bool,
     /// Whether the device has a trigger input: its edges can start and stop plays.
-    #[serde(default)]
-    #[schema(required)]
     pub trigger_input: bool,
-}
-
-/// Daemons that do not send the key have devices with telemetry.
-const fn has_telemetry() -> bool {
-    true
 }
 
 /// The running play.
@@ -62,17 +53,14 @@ pub struct PlayAccepted {
     #[schema(minimum = 1)]
     pub id: u64,
     /// Duration as ordered, by the request or else by the pattern, ms; null: without end.
-    #[serde(default)]
-    #[schema(required, minimum = 0.0)]
+    #[schema(minimum = 0.0)]
     pub ordered_ms: Option<f64>,
     /// Duration as compiled, to the end of the last whole stroke, ms; null: without end.
-    #[serde(default)]
-    #[schema(required, minimum = 0.0)]
+    #[schema(minimum = 0.0)]
     pub compiled_ms: Option<f64>,
     /// How the motors follow their motions, by motor; empty without motions. Of a sequence those of the item in which the motor is off the
     /// most.
-    #[serde(default)]
-    #[schema(required, max_items = 64)]
+    #[schema(max_items = 64)]
     pub motions: Vec<FollowedMotion>,
 }
 
@@ -85,8 +73,6 @@ pub struct QueuedPlay {
     /// The pattern's name.
     pub pattern: String,
     /// Whether it waits for an edge of the trigger input, which has not come.
-    #[serde(default)]
-    #[schema(required)]
     pub waits_for_edge: bool,
 }
 
@@ -174,17 +160,11 @@ pub struct MotorStatus {
     /// Where the estimate comes from: `none`, `telemetry`, `dead-reckoning` or `lower-stop`.
     pub source: ErrorSource,
     /// Whether the calibration in use holds gains of this motor.
-    #[serde(default)]
-    #[schema(required)]
     pub calibrated: bool,
     /// Why its telemetry is not trusted, until somebody arms again; null: it is, or there is none.
-    #[serde(default)]
-    #[schema(required)]
     pub sensor_fault: Option<SensorFault>,
     /// What the pin does now, whatever the play: renewed ten times a second while pins move. After an emergency stop it stands where it
-    /// was. Null if that is not known: without a device, while the position of the pins is unknown, or from an older daemon.
-    #[serde(default)]
-    #[schema(required)]
+    /// was. Null if that is not known: without a device, or while the position of the pins is unknown.
     pub now: Option<PinMovement>,
 }
 
@@ -210,7 +190,6 @@ pub struct ClockSample {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct ParticipantStatus {
     /// Whose vibration is counted: the running session's participant; null without one: everybody's together.
-    #[schema(required)]
     pub participant: Option<String>,
     /// Largest amplitude of a drive, µm, peak to peak.
     #[schema(minimum = 1.0, maximum = 400.0)]
@@ -231,10 +210,10 @@ pub struct ParticipantStatus {
     #[schema(minimum = 0.1, maximum = 86400.0)]
     pub max_session_s: f64,
     /// Vibration in the running session, s; null without one.
-    #[schema(required, minimum = 0.0)]
+    #[schema(minimum = 0.0)]
     pub session_used_s: Option<f64>,
     /// Vibration that is left in the running session, s; null without one.
-    #[schema(required, minimum = 0.0)]
+    #[schema(minimum = 0.0)]
     pub session_left_s: Option<f64>,
     /// Longest vibration in a local calendar day, s.
     #[schema(minimum = 0.1, maximum = 86400.0)]
@@ -254,10 +233,10 @@ pub struct ArmedStatus {
     /// The client that armed last.
     pub by: String,
     /// The daemon stops and disarms when it has heard nothing for so long, s; null: never, the client allows that.
-    #[schema(required, minimum = 1.0)]
+    #[schema(minimum = 1.0)]
     pub silence_s: Option<f64>,
     /// What is left of that time unless a request comes, s; null: no end.
-    #[schema(required, minimum = 0.0)]
+    #[schema(minimum = 0.0)]
     pub left_s: Option<f64>,
 }
 
@@ -306,66 +285,44 @@ pub struct Status {
     /// Why the device is in this state: `boot`, `request`, `stop`, `shutdown`, `abort`, `estop`, `lease` (the host watchdog
     /// ran out), `link-lost`, `new-host`, `starved`, `panic`, `watchdog`, `output` (PIO or DMA failed) or `no-device`.
     pub cause: String,
-    /// For whom the motors are armed, and until when without a sign of life; null while they are not armed, or from an older daemon.
-    #[serde(default)]
-    #[schema(required)]
+    /// For whom the motors are armed, and until when without a sign of life; null while they are not armed.
     pub armed: Option<ArmedStatus>,
     /// Emergency stops that were ordered since the daemon began.
-    #[serde(default)]
-    #[schema(required)]
     pub estops: u64,
     /// By when the device had confirmed the last emergency stop, ms after its order: all lines were off by then. Null: it has confirmed none.
-    #[serde(default)]
-    #[schema(required, minimum = 0.0)]
+    #[schema(minimum = 0.0)]
     pub estop_off_ms: Option<f64>,
     /// Whether the device knows where its pins are: `known` or `unknown`.
     pub position: String,
     /// Pins that stand above rest while nothing drives them; null: none that the daemon knows of.
-    #[serde(default)]
-    #[schema(required)]
     pub standing: Option<StandingPins>,
     /// The connected device; null without one.
-    #[schema(required)]
     pub device: Option<DeviceInfo>,
     /// The array that the daemon drives, as `GET /v1/array` shows it.
-    #[serde(default)]
-    #[schema(required)]
     pub array: String,
     /// Which device a calibration belongs to: a board's serial number, or a simulated array's seed and settings; empty before
     /// a device is opened.
-    #[serde(default)]
-    #[schema(required)]
     pub device_identity: String,
     /// The device the daemon looks for, as `--device` names it.
-    #[serde(default, rename = "wanted")]
-    #[schema(required)]
+    #[serde(rename = "wanted")]
     pub requested_device: String,
     /// Why no device is connected, and what to do; null if one is connected or the daemon has not looked yet.
-    #[serde(default, rename = "missing")]
-    #[schema(required)]
+    #[serde(rename = "missing")]
     pub no_device_reason: Option<String>,
     /// The running play; null without one.
-    #[schema(required)]
     pub play: Option<RunningPlay>,
     /// The plays that wait, in their order.
     pub queued: Vec<QueuedPlay>,
-    /// The number of the newest play, which may be queued, running or over; null before the first, or from an older daemon.
-    #[serde(default)]
-    #[schema(required)]
+    /// The number of the newest play, which may be queued, running or over; null before the first.
     pub last_play: Option<u64>,
-    /// The number of the newest rendering; null before the first, or from an older daemon.
-    #[serde(default)]
-    #[schema(required)]
+    /// The number of the newest rendering; null before the first.
     pub last_rendering: Option<u64>,
     /// The device's clock now, ticks since the device's start; null without a device.
-    #[schema(required)]
     pub tick: Option<u64>,
     /// Uncertainty of `tick`, µs; null without a device.
-    #[schema(required, minimum = 0.0)]
+    #[schema(minimum = 0.0)]
     pub clock_uncertainty_us: Option<f64>,
-    /// The clocks of device and host at the instant of `tick`; null without a device, or from an older daemon.
-    #[serde(default)]
-    #[schema(required)]
+    /// The clocks of device and host at the instant of `tick`; null without a device.
     pub clock: Option<ClockSample>,
     /// How far ahead the daemon sends strokes, ms: the configured lead; during a play the lead that is reached.
     pub lead_ms: f64,
@@ -373,59 +330,35 @@ pub struct Status {
     #[schema(minimum = 0.0, maximum = 10000.0)]
     pub lease_ms: f64,
     /// Measured capacity of the line to the device, bytes/s; null until it is measured.
-    #[serde(default)]
-    #[schema(required)]
     pub line_bytes_per_s: Option<u32>,
     /// Undamaged messages from the device that cannot be true, since it was connected. 0 from a sound device.
-    #[serde(default)]
-    #[schema(required)]
     pub contradictions: u64,
     /// The device's counters; null until it has reported them.
-    #[serde(default)]
-    #[schema(required)]
     pub board: Option<BoardStatus>,
     /// Estimate by dead reckoning above which no play drives a pin, µm (configuration key `drift_limit_um`).
-    #[serde(default)]
-    #[schema(required, minimum = 0.0)]
+    #[schema(minimum = 0.0)]
     pub drift_limit_um: f32,
     /// The motors, by number; empty until a device has connected.
     #[schema(max_items = 64)]
     pub motors: Vec<MotorStatus>,
     /// When the calibration in use was measured, UTC; null if none is used.
-    #[serde(default)]
-    #[schema(required)]
     pub calibrated: Option<String>,
     /// The running session; null without one.
-    #[serde(default)]
-    #[schema(required)]
     pub session: Option<Session>,
-    /// What the client that asks may do: `operate` or `observe`, by the role of the access token that it shows. Null from an older daemon.
-    #[serde(default)]
-    #[schema(required)]
-    pub role: Option<Role>,
-    /// The participant's limits, and what is used and left; null from an older daemon.
-    #[serde(default)]
-    #[schema(required)]
-    pub participant: Option<ParticipantStatus>,
-    /// The daemon's real-time rights; null from an older daemon.
-    #[serde(default)]
-    #[schema(required)]
-    pub realtime: Option<Realtime>,
+    /// What the client that asks may do: `operate` or `observe`, by the role of the access token that it shows.
+    pub role: Role,
+    /// The participant's limits, and what is used and left.
+    pub participant: ParticipantStatus,
+    /// The daemon's real-time rights.
+    pub realtime: Realtime,
     /// Why the daemon cannot write the session record, or which entries it has found missing; null if all is well, or it keeps none.
-    #[serde(default)]
-    #[schema(required)]
     pub logbook_problem: Option<String>,
     /// Entries that the session record lost since the daemon started: the disk or the queue was full, or somebody removed them.
-    #[serde(default)]
-    #[schema(required, minimum = 0)]
+    #[schema(minimum = 0)]
     pub logbook_lost: u64,
-    /// The socket the daemon listens on; empty from an older daemon.
-    #[serde(default)]
-    #[schema(required)]
+    /// The socket the daemon listens on.
     pub socket: String,
     /// Who can reach the daemon over the network; null: nothing listens there.
-    #[serde(default)]
-    #[schema(required)]
     pub network: Option<NetworkStatus>,
     /// The daemon's version.
     pub version: String,

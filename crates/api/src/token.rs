@@ -119,6 +119,5 @@ pub struct NetworkStatus {
     /// Requests that were refused since the start: a wrong token, role, host or origin.
     pub denied: u64,
     /// Why the daemon does not listen there, in one line; null: it does.
-    #[schema(required)]
     pub problem: Option<String>,
 }

@@ -116,7 +116,7 @@ pub struct TriggerRecord {
     #[schema(minimum = 0.0)]
     pub width_ms: f64,
     /// The code; null: one pulse.
-    #[schema(required, minimum = 1, maximum = 255)]
+    #[schema(minimum = 1, maximum = 255)]
     pub code: Option<u8>,
 }
 

@@ -81,9 +81,9 @@ impl Engine {
                 calibration.provenance().date.clone().unwrap_or_else(|| "without a date".to_owned())
             }),
             session: daemon.session().map(|session| Session { mine: Some(mine), ..session }),
-            role: Some(role),
-            participant: Some(daemon.exposure.status(Now::read())),
-            realtime: Some(self.realtime),
+            role,
+            participant: daemon.exposure.status(Now::read()),
+            realtime: self.realtime,
             logbook_problem: daemon
                 .publisher
                 .session_record

@@ -38,8 +38,11 @@ impl IntoResponse for ErrorResponse {
     }
 }
 
+/// The variable part of an address, if it can be read.
+pub(super) type PathPart = Result<Path<String>, PathRejection>;
+
 /// A part of the address.
-pub(super) fn path<T>(path: Result<Path<T>, PathRejection>) -> Answer<T> {
+pub(super) fn path(path: PathPart) -> Answer<String> {
     let bad =
         |error: PathRejection| Problem::new(Code::BadRequest, format!("the address: {}", error.body_text()));
     Ok(path.map(|Path(part)| part).map_err(bad)?)

@@ -7,6 +7,9 @@ use crate::daemon::http::doctor::Doctor;
 use crate::daemon::sockets::acceptor::{Bounds, Counts};
 use crate::session_record::Peer;
 use crate::store::Store;
+use axum::extract::rejection::ExtensionRejection;
+use axum::extract::{Extension, FromRequestParts};
+use axum::http::request::Parts;
 use meissner_api::{Code, Problem};
 use std::sync::Arc;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, TryAcquireError};
@@ -44,6 +47,23 @@ impl App {
         let take = |places: &Arc<Semaphore>| Arc::clone(places).try_acquire_owned().map_err(many_waiting);
         let network = peer.network.map(|_| take(&self.waiting_network)).transpose()?;
         Ok((take(&self.waiting)?, network))
+    }
+}
+
+/// A request as most handlers need it.
+#[derive(Debug)]
+pub(super) struct Call {
+    pub(super) app: App,
+    /// The client that has sent it.
+    pub(super) peer: Peer,
+}
+
+impl FromRequestParts<App> for Call {
+    type Rejection = ExtensionRejection;
+
+    async fn from_request_parts(parts: &mut Parts, app: &App) -> Result<Self, ExtensionRejection> {
+        let Extension(peer) = Extension::from_request_parts(parts, app).await?;
+        Ok(Self { app: app.clone(), peer })
     }
 }
 

@@ -336,7 +336,7 @@ mod tests {
         assert!(Bound::new(&socket).unwrap_err().to_string().contains("not a regular file"));
     }
 
-    /// Older daemons made the file readable for all users, and a reader may lock it.
+    /// Somebody may make the file readable for all users, and a reader may lock it.
     #[test]
     fn a_readers_lock_does_not_stop_the_daemon() {
         let dir = tempfile::tempdir().unwrap();
@@ -351,7 +351,7 @@ mod tests {
         assert!(matches!(Bound::new(&socket), Err(SocketError::Taken { pid: Some(_), .. })));
         drop(bound);
         drop(Bound::new(&socket).unwrap());
-        // An older daemon that runs keeps its lock.
+        // A daemon that runs keeps its lock.
         let listener = UnixListener::bind(&socket).unwrap();
         fs::set_permissions(&lock, Permissions::from_mode(0o644)).unwrap();
         let older = File::open(&lock).unwrap();

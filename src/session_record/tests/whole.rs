@@ -264,38 +264,6 @@ fn a_file_that_is_removed_or_cut_meanwhile_shows_as_a_gap() {
     }
 }
 
-/// Older daemons wrote no numbers; their sessions are judged by their plays, lost entries and unreadable lines.
-#[test]
-fn the_record_of_an_older_daemon_reads_as_before() {
-    let dir = tempfile::tempdir().unwrap();
-    fs::create_dir(dir.path().join("logbook")).unwrap();
-    let line = |entry: Entry| {
-        let mut line = serde_json::to_value(entry).unwrap();
-        line["time"] = json!("2026-11-22T12:00:00+00:00");
-        line
-    };
-    let write = |lines: &[Value]| {
-        // Another program may write spaces and another order of keys.
-        let text: Vec<_> = lines.iter().map(|line| format!("{line}").replace("\":", "\" : ")).collect();
-        fs::write(day(dir.path(), "2026-11-22"), text.join("\n") + "\n").unwrap();
-    };
-    let all = [begins(), play(1), play(2), ends(2)].map(line);
-    write(&all);
-    assert!(read(dir.path(), &[]).complete);
-    let lost = json!({"event": "lost", "entries": 3});
-    write(&[all[0].clone(), all[1].clone(), lost, all[2].clone(), all[3].clone()]);
-    assert_eq!(read(dir.path(), &[]).missing, ["the record lost 3 entries during the session"]);
-    write(&[all[0].clone(), json!("torn"), all[1].clone(), all[2].clone(), all[3].clone()]);
-    assert_eq!(read(dir.path(), &[]).missing, ["1 of its lines cannot be read"]);
-    write(&[all[0].clone(), all[1].clone(), all[3].clone()]);
-    assert_eq!(read(dir.path(), &[]).missing, ["1 of 2 plays are missing, or their ends are"]);
-    // A newer daemon continues in the same file, numbered from 1.
-    write(&all);
-    at(dir.path(), [("2026-11-22T13:00:00Z", started())]);
-    assert!(read(dir.path(), &[]).complete);
-    assert_eq!(lines(dir.path(), "2026-11-22")[4]["number"], 1);
-}
-
 /// Left-out entries are reported with the session; plays are never among them.
 #[test]
 fn entries_that_were_left_out_are_told_with_the_session() {

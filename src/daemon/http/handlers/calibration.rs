@@ -1,15 +1,14 @@
 //! Calibrations: measures one, shows the one in use, and stores one that was measured elsewhere.
 
 use crate::daemon::http::answer::{Answer, ErrorResponse, json_response};
-use crate::daemon::http::app::App;
+use crate::daemon::http::app::{App, Call};
 use crate::daemon::http::body;
 use crate::daemon::http::request_log::LoggedRequest;
 use crate::daemon::system::runtime::computing;
 use crate::receipts::calibration_plan;
-use crate::session_record::Peer;
 use axum::Json;
 use axum::body::Body;
-use axum::extract::{Extension, State};
+use axum::extract::State;
 use axum::http::StatusCode;
 use axum::response::Response;
 use meissner_api::{CalibrateRequest, Code, PlayAccepted, Problem};
@@ -18,8 +17,7 @@ use serde_json::json;
 
 /// Answers when the streamer accepts the plan; the event `calibrated` reports the result.
 pub(in crate::daemon::http) async fn calibrate(
-    State(app): State<App>,
-    Extension(peer): Extension<Peer>,
+    Call { app, peer }: Call,
     body: Body,
 ) -> Answer<(StatusCode, Json<PlayAccepted>)> {
     let mut logged = LoggedRequest::new(&app.engine, "calibrate", peer);
@@ -42,11 +40,7 @@ pub(in crate::daemon::http) async fn show(State(app): State<App>) -> Answer<Resp
     Ok(json_response(json))
 }
 
-pub(in crate::daemon::http) async fn store(
-    State(app): State<App>,
-    Extension(peer): Extension<Peer>,
-    body: Body,
-) -> Answer<Response> {
+pub(in crate::daemon::http) async fn store(Call { app, peer }: Call, body: Body) -> Answer<Response> {
     let mut logged = LoggedRequest::new(&app.engine, "store-calibration", peer);
     let result = async {
         let bad = |detail: String| Problem::new(Code::BadRequest, detail);

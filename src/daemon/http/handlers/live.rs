@@ -1,4 +1,4 @@
-//! Live plays: starts one, and carries its connection, a WebSocket or lines of JSON.
+//! Live plays: starts one, and carries its connection, a WebSocket.
 //!
 //! The result of a message comes back as an event, and through a channel to the connection's task.
 //!
@@ -6,43 +6,35 @@
 
 use crate::daemon::engine::Engine;
 use crate::daemon::engine::right::Right;
-use crate::daemon::http::answer::{Answer, ErrorResponse, path};
-use crate::daemon::http::app::App;
+use crate::daemon::http::answer::{Answer, PathPart, path};
+use crate::daemon::http::app::Call;
 use crate::daemon::http::body;
 use crate::daemon::http::handlers::renderings::keys;
 use crate::daemon::http::request_log::LoggedRequest;
 use crate::daemon::system::runtime::PLAYS;
-use crate::session_record::Peer;
 use axum::Json;
 use axum::body::Body;
-use axum::extract::rejection::PathRejection;
+use axum::extract::Extension;
 use axum::extract::ws::{Message, WebSocket, WebSocketUpgrade, rejection::WebSocketUpgradeRejection};
-use axum::extract::{Extension, Path, Request, State};
-use axum::http::header::{CONNECTION, UPGRADE};
-use axum::http::{HeaderMap, HeaderValue, StatusCode};
-use axum::response::{IntoResponse, Response};
-use hyper_util::rt::TokioIo;
-use meissner_api::{Code, LIVE_UPGRADE, LiveAccepted, LiveAnswer, LiveRequest, MAX_LIVE_MESSAGE, Problem};
+use axum::http::StatusCode;
+use axum::response::Response;
+use meissner_api::{Code, LiveAccepted, LiveAnswer, LiveRequest, MAX_LIVE_MESSAGE, Problem};
 use meissner_stream::time::HostInstant;
 use meissner_touch::{Object, no_files};
 use serde_json::Value;
-use std::io;
 use std::pin::pin;
 use std::sync::Arc;
 use std::time::Duration;
-use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt};
 use tokio::sync::mpsc;
+use tokio::task::consume_budget;
 use tokio::time::timeout;
 
 /// How long a client may leave its answers unread.
 const UNREAD: Duration = Duration::from_secs(1);
-/// Lines of JSON carried out before other clients have their turn.
-const LINES: usize = 16;
 
 /// Starts a live play.
 pub(in crate::daemon::http) async fn start(
-    State(app): State<App>,
-    Extension(peer): Extension<Peer>,
+    Call { app, peer }: Call,
     body: Body,
 ) -> Answer<(StatusCode, Json<LiveAccepted>)> {
     let mut logged = LoggedRequest::new(&app.engine, "live", peer);
@@ -72,51 +64,27 @@ async fn find_object(object: &Value) -> Answer<Object> {
 
 /// Opens the connection of a live play.
 pub(in crate::daemon::http) async fn connect(
-    State(app): State<App>,
-    Extension(peer): Extension<Peer>,
+    Call { app, peer }: Call,
     Extension(right): Extension<Right>,
-    key: Result<Path<String>, PathRejection>,
-    headers: HeaderMap,
+    key: PathPart,
     websocket: Result<WebSocketUpgrade, WebSocketUpgradeRejection>,
-    request: Request,
 ) -> Answer<Response> {
     let key = path(key)?;
-    let speaks_lines =
-        headers.get(UPGRADE).is_some_and(|upgrade| upgrade.as_bytes() == LIVE_UPGRADE.as_bytes());
-    let engine = Arc::clone(&app.engine);
-    if !speaks_lines && websocket.is_err() {
-        let detail = "the connection of a live play must be upgraded: send `Upgrade: websocket` or `Upgrade: meissner-live`";
-        return Err(ErrorResponse(Problem::new(Code::BadRequest, detail)));
-    }
+    let no_websocket = "the connection of a live play must be upgraded: send `Upgrade: websocket`";
+    let upgrade = websocket.map_err(|_| Problem::new(Code::BadRequest, no_websocket))?;
     let place = app.waiting_place(peer)?;
+    let engine = Arc::clone(&app.engine);
     let (id, answers) = engine.lock().live.connect(&key)?;
-    match websocket {
-        Ok(upgrade) if !speaks_lines => {
-            let upgrade = upgrade.max_message_size(MAX_LIVE_MESSAGE).max_frame_size(MAX_LIVE_MESSAGE);
-            Ok(upgrade.on_upgrade(move |socket| async move {
-                speak_websocket(&engine, &right, id, socket, answers).await;
-                engine.end_live(id);
-                drop(place);
-            }))
-        }
-        _ => {
-            tokio::spawn(async move {
-                if let Ok(upgraded) = hyper::upgrade::on(request).await {
-                    let _ = speak_lines(&engine, &right, id, TokioIo::new(upgraded), answers).await;
-                }
-                engine.end_live(id);
-                drop(place);
-            });
-            let mut response = StatusCode::SWITCHING_PROTOCOLS.into_response();
-            response.headers_mut().insert(CONNECTION, HeaderValue::from_static("upgrade"));
-            response.headers_mut().insert(UPGRADE, HeaderValue::from_static(LIVE_UPGRADE));
-            Ok(response)
-        }
-    }
+    let upgrade = upgrade.max_message_size(MAX_LIVE_MESSAGE).max_frame_size(MAX_LIVE_MESSAGE);
+    Ok(upgrade.on_upgrade(move |socket| async move {
+        speak(&engine, &right, id, socket, answers).await;
+        engine.end_live(id);
+        drop(place);
+    }))
 }
 
 /// Carries messages and answers until the client closes the connection or the play is over.
-async fn speak_websocket(
+async fn speak(
     engine: &Engine,
     right: &Right,
     id: u64,
@@ -125,6 +93,8 @@ async fn speak_websocket(
 ) {
     let mut ends = pin!(engine.end_with(right, id));
     loop {
+        // Messages that have come already would otherwise keep other clients waiting.
+        consume_budget().await;
         let answer = tokio::select! {
             message = socket.recv() => match message {
                 Some(Ok(Message::Text(text))) => engine.live_message(right, id, text.as_bytes(), HostInstant::now()),
@@ -147,75 +117,4 @@ async fn speak_websocket(
             return;
         }
     }
-}
-
-/// The same in lines of JSON.
-async fn speak_lines(
-    engine: &Engine,
-    right: &Right,
-    id: u64,
-    connection: impl AsyncRead + AsyncWrite,
-    mut answers: mpsc::Receiver<LiveAnswer>,
-) -> io::Result<()> {
-    let mut ends = pin!(engine.end_with(right, id));
-    let connection = pin!(connection);
-    let (mut from, mut to) = tokio::io::split(connection);
-    // The bytes read, and how many of them are carried out.
-    let (mut bytes, mut done) = (Vec::new(), 0);
-    loop {
-        let mut out = Vec::new();
-        let mut is_over = false;
-        // Carry out only a few lines at a time, because other clients wait meanwhile.
-        for _ in 0..LINES {
-            let Some(length) = bytes[done..].iter().position(|&byte| byte == b'\n') else { break };
-            let line = bytes[done..done + length].trim_ascii();
-            let answer = engine.live_message(right, id, line, HostInstant::now());
-            answer.iter().for_each(|answer| write_line(answer, &mut out));
-            done += length + 1;
-        }
-        if bytes[done..].contains(&b'\n') {
-            write(&mut to, &out).await?;
-            tokio::task::yield_now().await;
-            continue;
-        }
-        bytes.drain(..std::mem::take(&mut done));
-        if bytes.len() > MAX_LIVE_MESSAGE {
-            let problem = Problem::new(Code::TooLarge, "a message has more than 65536 bytes: send less");
-            write_line(&LiveAnswer::refused(None, problem), &mut out);
-            write(&mut to, &out).await?;
-            return to.shutdown().await;
-        }
-        write(&mut to, &out).await?;
-        out.clear();
-        tokio::select! {
-            read = from.read_buf(&mut bytes) => {
-                if read? == 0 {
-                    return Ok(());
-                }
-            }
-            answer = answers.recv() => match answer {
-                Some(answer) => {
-                    is_over = answer.ended.is_some();
-                    write_line(&answer, &mut out);
-                }
-                None => return Ok(()),
-            },
-            never = &mut ends => match never {},
-        }
-        write(&mut to, &out).await?;
-        if is_over {
-            return to.shutdown().await;
-        }
-    }
-}
-
-/// Writes to a client; fails if it does not read.
-async fn write(to: &mut (impl AsyncWrite + Unpin), bytes: &[u8]) -> io::Result<()> {
-    timeout(UNREAD, to.write_all(bytes)).await?
-}
-
-fn write_line(answer: &LiveAnswer, out: &mut Vec<u8>) {
-    // Plain data can be written.
-    out.extend(serde_json::to_vec(answer).unwrap_or_default());
-    out.push(b'\n');
 }

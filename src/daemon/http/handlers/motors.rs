@@ -3,7 +3,7 @@
 use crate::daemon::engine::TIMEOUT;
 use crate::daemon::engine::estop::Origin;
 use crate::daemon::http::answer::{Answer, ErrorResponse};
-use crate::daemon::http::app::App;
+use crate::daemon::http::app::{App, Call};
 use crate::daemon::http::body;
 use crate::daemon::http::request_log::LoggedRequest;
 use crate::daemon::http::server::Ordered;
@@ -65,8 +65,7 @@ fn tell_owner(app: &App, caller: &Caller, name: &str) {
 
 /// Orders the stop before it reads the body, which may hold anything. The acceptor may have ordered it already.
 pub(in crate::daemon::http) async fn estop(
-    State(app): State<App>,
-    Extension(peer): Extension<Peer>,
+    Call { app, peer }: Call,
     ordered: Option<Extension<Ordered>>,
     body: Body,
 ) -> Answer<Json<Status>> {
@@ -80,11 +79,7 @@ pub(in crate::daemon::http) async fn estop(
     logged.result(result.map(|()| Json(app.engine.status())).map_err(ErrorResponse::from))
 }
 
-pub(in crate::daemon::http) async fn reset(
-    State(app): State<App>,
-    Extension(peer): Extension<Peer>,
-    body: Body,
-) -> Answer<Json<Status>> {
+pub(in crate::daemon::http) async fn reset(Call { app, peer }: Call, body: Body) -> Answer<Json<Status>> {
     let mut logged = LoggedRequest::new(&app.engine, "reset", peer);
     let result = async {
         let request = ResetRequest::parse(&body::read_command(body).await?)?;
@@ -114,11 +109,7 @@ pub(in crate::daemon::http) async fn reset(
     logged.result(result)
 }
 
-pub(in crate::daemon::http) async fn arm(
-    State(app): State<App>,
-    Extension(peer): Extension<Peer>,
-    body: Body,
-) -> Answer<Json<Status>> {
+pub(in crate::daemon::http) async fn arm(Call { app, peer }: Call, body: Body) -> Answer<Json<Status>> {
     let mut logged = LoggedRequest::new(&app.engine, "arm", peer);
     let result = async {
         let request = ArmRequest::parse(&body::read_command(body).await?)?;
@@ -168,21 +159,13 @@ pub(in crate::daemon::http) async fn disarm(
 }
 
 /// Answers when the pins are at rest.
-pub(in crate::daemon::http) async fn home(
-    State(app): State<App>,
-    Extension(peer): Extension<Peer>,
-    body: Body,
-) -> Answer<Json<Status>> {
+pub(in crate::daemon::http) async fn home(Call { app, peer }: Call, body: Body) -> Answer<Json<Status>> {
     let timeout = app.engine.home_timeout();
     simple_command(&app, peer, body, "home", Command::Home, timeout).await
 }
 
 /// Makes an edge at the trigger input of a simulated array.
-pub(in crate::daemon::http) async fn edge(
-    State(app): State<App>,
-    Extension(peer): Extension<Peer>,
-    body: Body,
-) -> Answer<Json<Status>> {
+pub(in crate::daemon::http) async fn edge(Call { app, peer }: Call, body: Body) -> Answer<Json<Status>> {
     let mut logged = LoggedRequest::new(&app.engine, "edge", peer);
     let result = async {
         let request = EdgeRequest::parse(&body::read_command(body).await?)?;

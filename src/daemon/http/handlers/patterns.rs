@@ -3,17 +3,15 @@
 //! Bounds: two requests hold patterns of the directory, further ones wait. Files: [`body`].
 
 use crate::daemon::engine::patterns::find;
-use crate::daemon::http::answer::{Answer, json_response, path};
-use crate::daemon::http::app::App;
+use crate::daemon::http::answer::{Answer, PathPart, json_response, path};
+use crate::daemon::http::app::{App, Call};
 use crate::daemon::http::body;
 use crate::daemon::http::request_log::LoggedRequest;
 use crate::daemon::system::runtime::{OTHERS, blocking, computing};
-use crate::session_record::Peer;
 use crate::store::Put;
 use axum::Json;
 use axum::body::{Body, Bytes};
-use axum::extract::rejection::PathRejection;
-use axum::extract::{Extension, Path, State};
+use axum::extract::State;
 use axum::http::{StatusCode, Uri};
 use axum::response::Response;
 use meissner_api::{Code, ImportedPattern, MAX_PACKED_BODY, Problem, RemovedPattern, is_sha256};
@@ -28,7 +26,7 @@ pub(in crate::daemon::http) async fn list(State(app): State<App>) -> Answer<Resp
 
 pub(in crate::daemon::http) async fn show(
     State(app): State<App>,
-    name: Result<Path<String>, PathRejection>,
+    name: PathPart,
     uri: Uri,
 ) -> Answer<Response> {
     let (stored, _place) =
@@ -41,9 +39,8 @@ pub(in crate::daemon::http) async fn show(
 }
 
 pub(in crate::daemon::http) async fn import(
-    State(app): State<App>,
-    Extension(peer): Extension<Peer>,
-    name: Result<Path<String>, PathRejection>,
+    Call { app, peer }: Call,
+    name: PathPart,
     uri: Uri,
     body: Body,
 ) -> Answer<(StatusCode, Json<ImportedPattern>)> {
@@ -97,9 +94,8 @@ pub(super) fn replaces(uri: &Uri) -> Result<bool, Problem> {
 }
 
 pub(in crate::daemon::http) async fn remove(
-    State(app): State<App>,
-    Extension(peer): Extension<Peer>,
-    name: Result<Path<String>, PathRejection>,
+    Call { app, peer }: Call,
+    name: PathPart,
 ) -> Answer<Json<RemovedPattern>> {
     let mut logged = LoggedRequest::new(&app.engine, "remove", peer);
     let result = async {

@@ -2,19 +2,17 @@
 
 use crate::daemon::engine::patterns::find;
 use crate::daemon::engine::{Engine, TIMEOUT};
-use crate::daemon::http::answer::{Answer, path};
-use crate::daemon::http::app::App;
+use crate::daemon::http::answer::{Answer, PathPart, path};
+use crate::daemon::http::app::{App, Call};
 use crate::daemon::http::body;
 use crate::daemon::http::request_log::LoggedRequest;
 use crate::daemon::sockets::activity::Activity;
 use crate::daemon::state::{check_samples, no_play};
 use crate::daemon::system::runtime::{CHECKS, Lane, PLAYS, STORED, check_place};
-use crate::session_record::Peer;
 use crate::store::Stored;
 use axum::Json;
 use axum::body::Body;
-use axum::extract::rejection::PathRejection;
-use axum::extract::{Extension, Path, State};
+use axum::extract::Extension;
 use axum::http::{StatusCode, Uri};
 use meissner_api::{
     AnswerTaken, Code, MAX_PACKED_BODY, MAX_WAIT_S, PatternChoice, PlanCheck, PlayAccepted, PlayAnswer,
@@ -32,8 +30,7 @@ use tokio::sync::SemaphorePermit;
 pub(super) const RECORDED: Duration = Duration::from_secs(4);
 
 pub(in crate::daemon::http) async fn play(
-    State(app): State<App>,
-    Extension(peer): Extension<Peer>,
+    Call { app, peer }: Call,
     body: Body,
 ) -> Answer<(StatusCode, Json<PlayAccepted>)> {
     let mut logged = LoggedRequest::new(&app.engine, "play", peer);
@@ -153,8 +150,7 @@ async fn find_for(
 }
 
 pub(in crate::daemon::http) async fn sequence(
-    State(app): State<App>,
-    Extension(peer): Extension<Peer>,
+    Call { app, peer }: Call,
     body: Body,
 ) -> Answer<(StatusCode, Json<PlayAccepted>)> {
     let mut logged = LoggedRequest::new(&app.engine, "sequence", peer);
@@ -172,11 +168,7 @@ pub(in crate::daemon::http) async fn sequence(
     logged.result(result)
 }
 
-pub(in crate::daemon::http) async fn check(
-    State(app): State<App>,
-    Extension(peer): Extension<Peer>,
-    body: Body,
-) -> Answer<Json<PlanCheck>> {
+pub(in crate::daemon::http) async fn check(Call { app, peer }: Call, body: Body) -> Answer<Json<PlanCheck>> {
     let _checks = match check_place() {
         Ok(place) => place,
         Err(problem) => {
@@ -191,11 +183,10 @@ pub(in crate::daemon::http) async fn check(
 }
 
 pub(in crate::daemon::http) async fn receipt(
-    State(app): State<App>,
-    Extension(peer): Extension<Peer>,
+    Call { app, peer }: Call,
     Extension(activity): Extension<Arc<Activity>>,
     uri: Uri,
-    id: Result<Path<String>, PathRejection>,
+    id: PathPart,
 ) -> Answer<Json<Receipt>> {
     let wait = wait(&uri)?;
     let receipt = find_receipt(&app.engine, &path(id)?)?;
@@ -224,9 +215,8 @@ async fn ended(engine: &Engine, id: &str) -> Answer<Json<Receipt>> {
 }
 
 pub(in crate::daemon::http) async fn withdraw(
-    State(app): State<App>,
-    Extension(peer): Extension<Peer>,
-    id: Result<Path<String>, PathRejection>,
+    Call { app, peer }: Call,
+    id: PathPart,
 ) -> Answer<Json<Receipt>> {
     let mut logged = LoggedRequest::new(&app.engine, "withdraw", peer);
     let result = async {
@@ -243,9 +233,8 @@ pub(in crate::daemon::http) async fn withdraw(
 
 /// The record keeps the answer in a line of its own, whole.
 pub(in crate::daemon::http) async fn answer(
-    State(app): State<App>,
-    Extension(peer): Extension<Peer>,
-    id: Result<Path<String>, PathRejection>,
+    Call { app, peer }: Call,
+    id: PathPart,
     body: Body,
 ) -> Answer<Json<AnswerTaken>> {
     let logged = LoggedRequest::new(&app.engine, "answer", peer);

@@ -4,14 +4,12 @@
 
 use crate::daemon::beside::preview::begin;
 use crate::daemon::engine::patterns::find;
-use crate::daemon::http::answer::{Answer, json_response, path};
-use crate::daemon::http::app::App;
+use crate::daemon::http::answer::{Answer, PathPart, json_response, path};
+use crate::daemon::http::app::Call;
 use crate::daemon::sockets::activity::Activity;
 use crate::daemon::system::runtime::{OTHERS, computing};
 use crate::render_process::{Job, Preview};
-use crate::session_record::Peer;
-use axum::extract::rejection::PathRejection;
-use axum::extract::{Extension, Path, State};
+use axum::extract::Extension;
 use axum::http::Uri;
 use axum::response::Response;
 use meissner_api::{Code, MAX_PREVIEW_FROM_S, MAX_PREVIEW_S, Problem};
@@ -28,10 +26,9 @@ const LEAST_S: f64 = 0.001;
 const SECONDS: f64 = 1.0;
 
 pub(in crate::daemon::http) async fn show(
-    State(app): State<App>,
-    Extension(peer): Extension<Peer>,
+    Call { app, peer }: Call,
     Extension(activity): Extension<Arc<Activity>>,
-    name: Result<Path<String>, PathRejection>,
+    name: PathPart,
     uri: Uri,
 ) -> Answer<Response> {
     let (name, (from_s, seconds)) = (path(name)?, piece(uri.query().unwrap_or_default())?);

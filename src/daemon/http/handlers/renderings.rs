@@ -1,17 +1,15 @@
 //! Renderings: starts one, shows how it stands, and cancels it.
 
-use crate::daemon::http::answer::{Answer, ErrorResponse, json_response, path};
-use crate::daemon::http::app::App;
+use crate::daemon::http::answer::{Answer, ErrorResponse, PathPart, json_response, path};
+use crate::daemon::http::app::{App, Call};
 use crate::daemon::http::body;
 use crate::daemon::http::request_log::LoggedRequest;
 use crate::daemon::system::runtime::computing;
 use crate::render_process::{Render, file_hashes};
 use crate::rendering::{shipped_keys, shipped_names};
-use crate::session_record::Peer;
 use axum::Json;
 use axum::body::Body;
-use axum::extract::rejection::PathRejection;
-use axum::extract::{Extension, Path, State};
+use axum::extract::State;
 use axum::http::StatusCode;
 use axum::response::Response;
 use meissner_api::{Code, MAX_RENDERING_BODY, Problem, Rendering, RenderingRequest};
@@ -20,8 +18,7 @@ use serde_json::{Map, Value, json};
 use std::sync::Arc;
 
 pub(in crate::daemon::http) async fn start(
-    State(app): State<App>,
-    Extension(peer): Extension<Peer>,
+    Call { app, peer }: Call,
     body: Body,
 ) -> Answer<(StatusCode, Json<Rendering>)> {
     let mut logged = LoggedRequest::new(&app.engine, "render", peer);
@@ -78,20 +75,13 @@ fn checked(
     }
 }
 
-pub(in crate::daemon::http) async fn show(
-    State(app): State<App>,
-    id: Result<Path<String>, PathRejection>,
-) -> Answer<Response> {
+pub(in crate::daemon::http) async fn show(State(app): State<App>, id: PathPart) -> Answer<Response> {
     let id = path(id)?;
     let rendering = app.engine.lock().renderings.show(&id)?;
     answer(rendering).await
 }
 
-pub(in crate::daemon::http) async fn cancel(
-    State(app): State<App>,
-    Extension(peer): Extension<Peer>,
-    id: Result<Path<String>, PathRejection>,
-) -> Answer<Response> {
+pub(in crate::daemon::http) async fn cancel(Call { app, peer }: Call, id: PathPart) -> Answer<Response> {
     let mut logged = LoggedRequest::new(&app.engine, "render-cancel", peer);
     let result = async {
         let id: String = path(id)?.chars().take(100).collect();

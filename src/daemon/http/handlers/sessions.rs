@@ -1,20 +1,19 @@
 //! Sessions: starts and ends one, lists and shows the recorded ones and their plays, and releases an exclusive one in time.
 
 use crate::daemon::engine::Engine;
-use crate::daemon::http::answer::{Answer, json_response, path};
-use crate::daemon::http::app::App;
+use crate::daemon::http::answer::{Answer, PathPart, json_response, path};
+use crate::daemon::http::app::{App, Call};
 use crate::daemon::http::body;
 use crate::daemon::http::handlers::plays::RECORDED;
 use crate::daemon::http::request_log::LoggedRequest;
 use crate::daemon::state::no_session;
 use crate::daemon::system::runtime::{blocking, reading};
 use crate::session_record::reader::{self, Sessions};
-use crate::session_record::{Peer, RecordError, keeps_text};
+use crate::session_record::{RecordError, keeps_text};
 use crate::store::Store;
 use axum::Json;
 use axum::body::Body;
-use axum::extract::rejection::PathRejection;
-use axum::extract::{Extension, Path, State};
+use axum::extract::State;
 use axum::http::{StatusCode, Uri};
 use axum::response::Response;
 use meissner_api::{
@@ -33,8 +32,7 @@ const WRITTEN: Duration = Duration::from_secs(50);
 const WRITTEN_AT_END: Duration = Duration::from_secs(2);
 
 pub(in crate::daemon::http) async fn start(
-    State(app): State<App>,
-    Extension(peer): Extension<Peer>,
+    Call { app, peer }: Call,
     body: Body,
 ) -> Answer<(StatusCode, Json<SessionStarted>)> {
     let mut logged = LoggedRequest::new(&app.engine, "session-start", peer);
@@ -80,9 +78,8 @@ async fn release_in_time(engine: Arc<Engine>, id: String) {
 }
 
 pub(in crate::daemon::http) async fn end(
-    State(app): State<App>,
-    Extension(peer): Extension<Peer>,
-    id: Result<Path<String>, PathRejection>,
+    Call { app, peer }: Call,
+    id: PathPart,
     body: Body,
 ) -> Answer<Json<Session>> {
     let logged = LoggedRequest::new(&app.engine, "session-end", peer);
@@ -151,10 +148,7 @@ pub(in crate::daemon::http) async fn list(State(app): State<App>) -> Answer<Resp
     Ok(json_response(made.await?.unwrap_or_else(unrecorded)))
 }
 
-pub(in crate::daemon::http) async fn show(
-    State(app): State<App>,
-    id: Result<Path<String>, PathRejection>,
-) -> Answer<Json<Session>> {
+pub(in crate::daemon::http) async fn show(State(app): State<App>, id: PathPart) -> Answer<Json<Session>> {
     let id = path(id)?;
     let running = app.engine.lock().session();
     if let Some(running) = running.filter(|running| id == running.id || id == "running") {
@@ -179,7 +173,7 @@ fn not_recorded(id: &str) -> Problem {
 pub(in crate::daemon::http) async fn plays(
     State(app): State<App>,
     uri: Uri,
-    id: Result<Path<String>, PathRejection>,
+    id: PathPart,
 ) -> Answer<Response> {
     let (from, id) = (from(uri.query())?, path(id)?);
     let running = app.engine.lock().session().filter(|_| id == "running");

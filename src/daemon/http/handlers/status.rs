@@ -2,12 +2,11 @@
 
 use crate::array::details;
 use crate::daemon::http::answer::Answer;
-use crate::daemon::http::app::App;
+use crate::daemon::http::app::{App, Call};
 use crate::daemon::http::handlers::sessions::look_for_losses;
 use crate::doctor::check;
-use crate::session_record::Peer;
 use axum::Json;
-use axum::extract::{Extension, State};
+use axum::extract::State;
 use axum::http::header::CONTENT_TYPE;
 use axum::response::{IntoResponse, Response};
 use meissner_api::{ArrayDetails, DoctorReport, Status};
@@ -27,10 +26,7 @@ pub(in crate::daemon::http) async fn array(State(app): State<App>) -> Json<Array
     Json(details(app.engine.lock().settings.array))
 }
 
-pub(in crate::daemon::http) async fn doctor(
-    State(app): State<App>,
-    Extension(peer): Extension<Peer>,
-) -> Answer<Json<DoctorReport>> {
+pub(in crate::daemon::http) async fn doctor(Call { app, peer }: Call) -> Answer<Json<DoctorReport>> {
     let _place = app.waiting_place(peer)?;
     let engine = Arc::clone(&app.engine);
     look_for_losses(&engine, READ).await;

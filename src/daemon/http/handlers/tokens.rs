@@ -1,22 +1,19 @@
 //! Access tokens: creates, lists and revokes them. The gate lets only clients of the Unix socket reach them.
 
-use crate::daemon::http::answer::{Answer, path};
-use crate::daemon::http::app::App;
+use crate::daemon::http::answer::{Answer, PathPart, path};
+use crate::daemon::http::app::{App, Call};
 use crate::daemon::http::body;
 use crate::daemon::http::request_log::LoggedRequest;
-use crate::session_record::Peer;
 use axum::Json;
 use axum::body::Body;
-use axum::extract::rejection::PathRejection;
-use axum::extract::{Extension, Path, State};
+use axum::extract::State;
 use axum::http::StatusCode;
 use meissner_api::{TokenCreated, TokenInfo, TokenList, TokenRequest};
 use serde_json::json;
 use std::sync::Arc;
 
 pub(in crate::daemon::http) async fn create(
-    State(app): State<App>,
-    Extension(peer): Extension<Peer>,
+    Call { app, peer }: Call,
     body: Body,
 ) -> Answer<(StatusCode, Json<TokenCreated>)> {
     let mut logged = LoggedRequest::new(&app.engine, "token-create", peer);
@@ -38,9 +35,8 @@ pub(in crate::daemon::http) async fn list(State(app): State<App>) -> Json<TokenL
 }
 
 pub(in crate::daemon::http) async fn revoke(
-    State(app): State<App>,
-    Extension(peer): Extension<Peer>,
-    id: Result<Path<String>, PathRejection>,
+    Call { app, peer }: Call,
+    id: PathPart,
 ) -> Answer<Json<TokenInfo>> {
     let mut logged = LoggedRequest::new(&app.engine, "token-revoke", peer);
     let result = async {
