@@ -1,4 +1,4 @@
-"""The methods of the client that export a session: to BIDS, and to NWB. Written as `_operations.py` explains."""
+"""The methods of the client that export a session: to BIDS, and to NWB."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The methods of the client about sessions: start, resume and leave them, answers, what was played. Written as `_operations.py` explains."""
+"""The methods of the client about sessions: start, resume and leave them, answers, what was played."""
 
 from __future__ import annotations
 
