@@ -11,7 +11,6 @@
 
 use super::afferent::{Afferent, Class};
 use super::contact::FlatPins;
-use crate::membrane::Position;
 use crate::simd::LANES;
 use pulp::Simd;
 
