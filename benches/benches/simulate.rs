@@ -13,7 +13,7 @@ use meissner_array::strokes::{StrokeOptions, Strokes};
 use meissner_paper::{Play, predict_response};
 use meissner_skin::afferents;
 use meissner_skin::{
-    Evaluator, Integrator, Keep, Method, ModelName, Options, SEARCH_MIN_WEIGHT, Scene, simulate,
+    AnyScene, Evaluator, Integrator, Keep, Method, ModelName, Options, SEARCH_MIN_WEIGHT, Scene, simulate,
 };
 use rayon::{ThreadPool, ThreadPoolBuilder};
 use std::hint::black_box;
