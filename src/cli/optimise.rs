@@ -48,10 +48,6 @@ pub(super) struct Optimise {
     /// Maximise the mean over eight populations of afferents, not one population
     #[arg(long)]
     robust: bool,
-    /// Let at most N motors of a 30 V rail have pulses at once, also in the naive rules; motors may then be off in every setting
-    /// [default: no limit]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(1..=64))]
-    rail_motors_at_once: Option<u8>,
     /// Begin with the pattern in file PATTERN and improve it
     #[arg(long, value_name = "PATTERN")]
     resume: Option<PathBuf>,
@@ -184,7 +180,6 @@ pub(super) fn run(asked: &Optimise) -> Result<ExitCode> {
         robust: asked.robust,
         budget: asked.budget.clone().map_or(Budget::Enough, |limit| limit.0),
         start: start.map(|pattern| pattern.drives().to_vec()),
-        rail_motors_at_once: asked.rail_motors_at_once,
     };
     let name = match &asked.file {
         Some(file) => {

@@ -16,7 +16,7 @@ pub(super) struct Validate {
 }
 
 pub(super) fn run(asked: &Validate) -> Result<ExitCode> {
-    let found = progress::metered(|at| validate(at));
+    let found = progress::waiting("measuring both models", validate);
     give(asked.output.json, &found, || summary(&found))
 }
 

@@ -9,8 +9,7 @@
 //! 1. `partition`: a [`Partition`] of afferents into ON and OFF; rates give its [`Verdict`].
 //! 2. `target`: reads and checks target files; cuts a moving target into [`Frame`]s.
 //! 3. `shipped`: reads the targets that are built in, the files of `library/targets/`, among them the [`YARDSTICK`].
-//! 4. `point`: a [`Point`] says how each motor vibrates. `space`: a [`Space`] is the set of points that a search may choose. `at_once`: an
-//!    [`AtOnce`] keeps points within a limit on the motors of a rail that have pulses at once.
+//! 4. `point`: a [`Point`] says how each motor vibrates. `space`: a [`Space`] is the set of points that a search may choose.
 //! 5. `objective`: an [`Objective`] simulates the contrast of points. `moves`: the points to try next.
 //! 6. `search`: [`search()`] goes from a start to better points.
 //! 7. `judge`: [`judge()`] simulates a pattern exactly; [`robustness()`] does so in other conditions.
@@ -37,7 +36,6 @@
 //! # Ok::<(), meissner_skin::MethodError>(())
 //! ```
 
-mod at_once;
 mod judge;
 mod make;
 mod moves;
@@ -51,7 +49,6 @@ mod shipped;
 mod space;
 mod target;
 
-pub use at_once::AtOnce;
 pub use judge::{Conditions, HELD_OUT, Robustness, STEADY_S, judge, pulses_per_s, robustness};
 pub use make::{
     Baseline, Budget, MODEL, Made, MakeError, Progress, ROBUST_POPULATIONS, Request, make, populations,

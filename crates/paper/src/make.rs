@@ -8,7 +8,6 @@
 //! Invariant: a request with the evaluations of the provenance makes the same bytes again, on any number of threads. So
 //! does the request itself, unless a clock or the caller ended it.
 
-use crate::at_once::AtOnce;
 use crate::judge::{Conditions, Robustness, judge, pulses_per_s, robustness};
 use crate::naive::Rule;
 use crate::objective::Score;
@@ -56,9 +55,6 @@ pub struct Request {
     pub budget: Budget,
     /// The start: the drives of an earlier pattern.
     pub start: Option<Vec<Drive>>,
-    /// Most motors of a rail that may have pulses at once; `None`: all. Motors may then be off in every setting, and in the naive
-    /// rules.
-    pub rail_motors_at_once: Option<u8>,
 }
 
 /// The state of the work.
@@ -153,31 +149,14 @@ pub fn make(
 ) -> Result<Made, MakeError> {
     let (array, noise_seed) = (target.array(), target.population_seed());
     let populations = populations(target, request.robust);
-    let space_of = |frame: &Frame| {
-        let frame_s = frame.start_s.zip(frame.stop_s).map(|(start_s, stop_s)| stop_s - start_s);
-        let limit = |rail_motors| AtOnce {
-            array,
-            rail_motors,
-            amplitude_um: target.amplitude_um(),
-            duration_s: frame_s.unwrap_or(target.duration_s()),
-        };
-        let at_once = request.rail_motors_at_once.map(limit);
-        Space { at_once, ..request.setting.space(array).in_frame(frame, target.amplitude_um()) }
-    };
     let begun = Instant::now();
     let frames = target.frames();
-    let naive = Rule::ALL.map(|rule| {
-        let of = |frame| {
-            let point = space_of(frame).thinned(rule.point(target, frame));
-            point.drives(target.amplitude_um(), frame.start_s, frame.stop_s)
-        };
-        frames.iter().flat_map(of).collect::<Vec<Drive>>()
-    });
+    let naive = Rule::ALL.map(|rule| rule.drives(target));
     let (mut found, mut drives) = (Vec::<Found>::new(), Vec::<Drive>::new());
     let mut starts = request.start.as_ref().map(|_| Vec::new());
     let mut interrupted = false;
     for (number, frame) in frames.iter().enumerate() {
-        let space = space_of(frame);
+        let space = request.setting.space(array).in_frame(frame, target.amplitude_um());
         let brief = Brief {
             target,
             frame,
@@ -261,9 +240,6 @@ fn provenance(target: &Target, request: &Request, made: &Made, starts: Option<&[
     put("method", "subgradient".into());
     put("model", MODEL.into());
     put("setting", Value::try_from(request.setting).expect("a string"));
-    if let Some(motors) = request.rail_motors_at_once {
-        put("rail_motors_at_once", i64::from(motors).into());
-    }
     put("seed", whole(request.seed));
     put("robust", request.robust.into());
     let evaluations: Vec<Value> = made.found.iter().map(|found| whole(found.spent.evaluations)).collect();

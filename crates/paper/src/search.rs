@@ -319,8 +319,7 @@ impl Run<'_> {
         if self.over() {
             return;
         }
-        let new = points.into_iter().filter(|point| state.seen.insert(*point));
-        let new = new.filter(|point| self.brief.space.permits(point)).collect();
+        let new = points.into_iter().filter(|point| state.seen.insert(*point)).collect();
         let tried = state.incumbent.try_all(new);
         tried.iter().for_each(|tried| self.spend(tried.afferents, state.incumbent.objective()));
         let cost_hz = |tried: &Tried| tried.score.cost_hz();

@@ -5,7 +5,6 @@
 //!
 //! Invariant: a point that a [`Space`] makes lies in it.
 
-use crate::at_once::AtOnce;
 use crate::point::{Point, Vibration};
 use crate::target::Frame;
 use meissner_array::pattern::Drive;
@@ -29,9 +28,6 @@ pub struct Space {
     pub phases: bool,
     /// The frame in which a vibration must give a stroke; none for a target at rest.
     pub window: Option<Window>,
-    /// The limit on motors at once, if there is one. Where a point exceeds it, motors are turned off, even if `may_be_off` is
-    /// false.
-    pub at_once: Option<AtOnce>,
 }
 
 /// The times and the amplitude of a frame's drives.
@@ -75,7 +71,7 @@ impl Setting {
             Self::Default => (50..=1500, true),
             Self::AlwaysOn => (50..=3000, false),
         };
-        Space { array, decihertz, may_be_off, phases: true, window: None, at_once: None }
+        Space { array, decihertz, may_be_off, phases: true, window: None }
     }
 }
 
@@ -143,38 +139,26 @@ impl Space {
         low / 10.0 * libm::pow(high / low, share)
     }
 
-    /// Whether a point is within the limit on motors at once.
-    #[must_use]
-    pub fn permits(&self, point: &Point) -> bool {
-        self.at_once.is_none_or(|at_once| at_once.permits(point))
-    }
-
-    /// The point with motors turned off until it is within the limit on motors at once.
-    #[must_use]
-    pub fn thinned(&self, point: Point) -> Point {
-        self.at_once.map_or(point, |at_once| at_once.thinned(point))
-    }
-
     /// A random start: every motor is on, at phase 0.
     #[must_use]
     pub fn random(&self, seed: u64) -> Point {
-        self.thinned(Point(PerMotor::from_fn(self.array, |motor| {
+        Point(PerMotor::from_fn(self.array, |motor| {
             let [share, _] = random::uniform([seed, motor.into(), 0, START_WORD]);
             self.motion(self.frequency_hz(share), 0.0)
-        })))
+        }))
     }
 
     /// The point of some drives: the first drive of each motor. A motor without a drive, or whose drive gives no stroke in the space's
     /// frame, is off if the space allows, else at the highest frequency, which moves it least.
     #[must_use]
     pub fn of_drives(&self, drives: &[Drive]) -> Point {
-        self.thinned(Point(PerMotor::from_fn(self.array, |motor| {
+        Point(PerMotor::from_fn(self.array, |motor| {
             let of_motor = |drive: &&Drive| drive.motor == motor && drive.amplitude_um > 0.0;
             let drive = drives.iter().find(of_motor);
             let vibration = drive.and_then(|drive| self.motion(drive.frequency_hz, drive.phase));
             let fastest = || (!self.may_be_off).then(|| self.vibration(f64::INFINITY, 0.0));
             vibration.or_else(fastest)
-        })))
+        }))
     }
 
     /// The point of this space that is nearest to a point of another space.

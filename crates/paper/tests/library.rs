@@ -43,7 +43,6 @@ fn request(pattern: &Pattern) -> Request {
             provenance["evaluations"].as_array().unwrap().iter().map(whole).collect(),
         ),
         start: None,
-        rail_motors_at_once: None,
     }
 }
 

@@ -275,14 +275,7 @@ fn the_best_of_all_passes_is_found_and_a_resumed_search_is_no_worse() {
 
 fn spaces() -> impl Strategy<Value = Space> {
     (50_u16..1500, 1_u16..1500, any::<bool>(), any::<bool>()).prop_map(|(low, width, may_be_off, phases)| {
-        Space {
-            array: Array::paper(),
-            decihertz: low..=low + width,
-            may_be_off,
-            phases,
-            window: None,
-            at_once: None,
-        }
+        Space { array: Array::paper(), decihertz: low..=low + width, may_be_off, phases, window: None }
     })
 }
 

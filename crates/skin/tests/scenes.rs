@@ -236,23 +236,6 @@ fn a_file_has_a_largest_size() {
 }
 
 proptest! {
-    #[test]
-    fn no_text_makes_the_reader_panic(text in any::<String>(), toml in any::<bool>()) {
-        let _ = read(&text, if toml { "a.toml" } else { "a.json" });
-        let _ = read(&text, &text);
-    }
-
-    /// Pieces that nearly form a scene get further in the reader.
-    #[test]
-    fn no_heap_of_pieces_makes_the_reader_panic(pieces in prop::collection::vec(prop::sample::select(vec![
-        "{", "}", "[", "]", ":", ",", "=", "\n", "\"", "\\u2028", "\u{2028}", "\r", ".", "1", "-1e9", "nan", "null",
-        "\"drives\"", "drives", "[[drives]]", "motor", "\"motor\"", "afferents", "\"afferents\"", "duration_s",
-        "\"duration_s\"", "population", "spikes_s", "rectify", "afferent", "1979-05-27", "\"a\\nb\"", "'''", " ",
-    ]), 0..40)) {
-        let text = pieces.concat();
-        let _ = (read(&text, "a.toml"), read(&text, "a.json"), read(&format!("{{{text}}}"), "a"));
-    }
-
     /// A good scene with a part cut out.
     #[test]
     fn no_damage_makes_the_reader_panic(from in 0..TOML.len(), length in 0_usize..30, what in "\\PC{0,3}") {

@@ -192,18 +192,6 @@ mod tests {
     }
 
     #[test]
-    fn a_built_scene_keeps_its_parts() {
-        let model = AfferentModel::default_for(Rectify::Full, 0.05);
-        let after = Drive { start_s: Some(0.5), ..DRIVE };
-        let before = Drive { stop_s: Some(0.5), ..DRIVE };
-        let drives = vec![after, before, Drive { motor: 4, frequency_hz: 42_500.0, ..DRIVE }];
-        let scene = scene(drives.clone(), model).unwrap();
-        assert_eq!((scene.duration_s(), scene.seed(), scene.drives()), (1.0, 7, &drives[..]));
-        assert_eq!((scene.afferents().len(), scene.model()), (1, &model));
-        Scene::new(Array::paper(), 0.0, 0, vec![], vec![], model).unwrap();
-    }
-
-    #[test]
     fn a_built_scene_is_checked_as_a_read_one() {
         let model = AfferentModel::default_for(Rectify::Half, 0.0);
         let line = scene(vec![Drive { motor: 24, ..DRIVE }], model).unwrap_err();

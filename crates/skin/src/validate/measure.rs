@@ -12,7 +12,6 @@ use rayon::prelude::*;
 use serde::Serialize;
 use serde_json::{Value, json};
 use std::f64::consts::{PI, TAU};
-use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// Frequencies of thresholds, Hz.
 const THRESHOLD_HZ: [f64; 15] =
@@ -64,30 +63,12 @@ pub(super) struct Measured {
     pub(super) reference_share: Option<f64>,
 }
 
-/// Counts finished parts of the work, on any thread.
-struct Parts<'a> {
-    all: usize,
-    finished: AtomicUsize,
-    progress: &'a (dyn Fn(f64) + Sync),
-}
-
-impl Parts<'_> {
-    fn done(&self) {
-        let finished = self.finished.fetch_add(1, Ordering::Relaxed) + 1;
-        (self.progress)(finished as f64 / self.all as f64);
-    }
-}
-
 /// Measures both models.
-pub(super) fn measure(progress: &(dyn Fn(f64) + Sync)) -> [Measured; 2] {
-    let models = [ModelName::Membrane, ModelName::Afferents];
-    let each = THRESHOLD_HZ.len() + LOCKING_HZ.len() + 1 + PRESSED_UM.len();
-    let all = models.len() * each + HIGH_HZ.len() + 1;
-    let parts = Parts { all, finished: AtomicUsize::new(0), progress };
-    models.map(|model| of_model(model, &parts))
+pub(super) fn measure() -> [Measured; 2] {
+    [ModelName::Membrane, ModelName::Afferents].map(of_model)
 }
 
-fn of_model(model: ModelName, parts: &Parts<'_>) -> Measured {
+fn of_model(model: ModelName) -> Measured {
     let second = model == ModelName::Afferents;
     let rapid = under_the_pin(model, Class::Ra);
     let pacinian = if second { under_the_pin(model, Class::Pc) } else { Vec::new() };
@@ -97,7 +78,6 @@ fn of_model(model: ModelName, parts: &Parts<'_>) -> Measured {
     let thresholds = frequencies.par_iter().flat_map_iter(|&hz| {
         let of = if HIGH_HZ.contains(&hz) { &pacinian } else { &all };
         let found = thresholds_um(model, hz, of);
-        parts.done();
         [Class::Ra, Class::Pc].map(|class| {
             let of_class = of.iter().zip(&found).filter(|(of, _)| of.class == class).map(|(_, um)| *um);
             (class, hz, median_or_never(of_class.collect()))
@@ -115,7 +95,6 @@ fn of_model(model: ModelName, parts: &Parts<'_>) -> Measured {
             };
             let amplitudes = grid(PLATEAU_UM).take_while(|&um| can_give(model, hz, um)).chain(display);
             let found = amplitudes.map(at).collect();
-            parts.done();
             (hz, found)
         },
     );
@@ -125,13 +104,8 @@ fn of_model(model: ModelName, parts: &Parts<'_>) -> Measured {
         for class in if second { &[Class::Ra, Class::Sa1][..] } else { &[Class::Ra] } {
             areas.push((*class, um, area_mm2(model, *class, um)));
         }
-        parts.done();
     }
-    let reference_share = second.then(|| {
-        let share = reference_share();
-        parts.done();
-        share
-    });
+    let reference_share = second.then(reference_share);
     Measured { thresholds, cycles, areas, reference_share }
 }
 

@@ -47,10 +47,10 @@ const WIDE: f64 = 2.0;
 /// The least share of the rate's variance that the logarithm of the amplitude must explain.
 const LOGARITHMIC: f64 = 0.9;
 
-/// Measures both models and judges them. `progress` gets the completed share, 0 to 1, on any thread. Takes some seconds.
+/// Measures both models and judges them. Takes some seconds.
 #[must_use]
-pub fn validate(progress: &(dyn Fn(f64) + Sync)) -> Validation {
-    let [membrane, afferents] = measure(progress);
+pub fn validate() -> Validation {
+    let [membrane, afferents] = measure();
     type Of<'f> = &'f dyn Fn(&Measured) -> Option<f64>;
     // Numbers of both models, or of the second only, because the first has only RA afferents.
     let both = |of: Of<'_>| ([of(&membrane), of(&afferents)], [true, true]);

@@ -124,17 +124,6 @@ fn a_month_s_last_hour_is_that_hour_alone() {
 }
 
 #[test]
-fn a_month_with_noise_goes_through() {
-    let model = AfferentModel { alpha_per_um: 0.1, noise_sd: 0.05, ..model(Rectify::Full) };
-    let of = |duration_s| scene(duration_s, &[drive(9, 0.01, 80.0)], &[under(9)], model);
-    let hour = as_the_oracle(&of(3600.0), 200);
-    let month = exact(&of(MONTH_S));
-    assert_eq!(month[0][..hour[0].len()], hour[0]);
-    let per_hour = month[0].len() as f64 / 720.0 / hour[0].len() as f64;
-    assert!((0.8..1.25).contains(&per_hour), "{per_hour}");
-}
-
-#[test]
 fn a_month_in_steps() {
     // A period is 400 steps. All periods are alike once the start's effect has leaked away.
     let model = AfferentModel { alpha_per_um: 0.1, ..model(Rectify::Full) };
