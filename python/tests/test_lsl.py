@@ -171,7 +171,7 @@ def test_a_bridge_says_why_it_cannot_begin(daemon: meissner.Daemon) -> None:
 
 
 def test_the_command_bridges_until_ctrl_c(daemon: meissner.Daemon) -> None:
-    command = [sys.executable, "-m", "meissner._lsl_command", "--address", daemon.socket, "--name", f"{NAME}-command"]
+    command = [sys.executable, "-m", "meissner.lsl", "--address", daemon.socket, "--name", f"{NAME}-command"]
     # A shell's background job, as which tests may run, ignores Ctrl-C, and so do its children.
     heeds = functools.partial(signal.signal, signal.SIGINT, signal.SIG_DFL)
     bridge = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, preexec_fn=heeds)
@@ -195,7 +195,7 @@ def test_the_command_bridges_until_ctrl_c(daemon: meissner.Daemon) -> None:
 
 
 def test_the_command_says_what_is_wrong() -> None:
-    command = [sys.executable, "-m", "meissner._lsl_command", "--address", "http://127.0.0.1:9"]
+    command = [sys.executable, "-m", "meissner.lsl", "--address", "http://127.0.0.1:9"]
     ended = subprocess.run(command, capture_output=True, text=True, check=False)
     assert ended.returncode != 0
     assert "meissner-lsl: no daemon answers" in ended.stderr

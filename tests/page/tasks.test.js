@@ -142,19 +142,6 @@ test("a pattern of 4096 drives is shown and compared in short tasks", async () =
   });
 });
 
-test("a rendering is shown in short tasks", async () => {
-  const daemon = await new Daemon().start();
-  await proxied(daemon, answering({}), async (url) => {
-    const page = await counting(url, "design");
-    await page.waitForSelector("#pad .pin-place");
-    await page.select("#shape", "dots");
-    await page.$eval("#points", (field) => ((field.value = "0 0; 2 3"), field.dispatchEvent(new Event("change"))));
-    await page.waitForSelector("#thing-result:not([hidden], .older)");
-    await judge(page, "rendering");
-    await page.close();
-  });
-});
-
 test("a session of 5000 plays is shown and saved in short tasks", async () => {
   const daemon = await new Daemon().start();
   await daemon.run("arm", "--assume-rest");

@@ -1,6 +1,6 @@
-"""Live plays without input or output: the request, the messages, and which of them have no answer yet.
+"""Live plays: the request, the messages, and which of them have no answer yet.
 
-`live.py` sends, and reads with a thread. `start` is an operation as in `_operations.py`, and `Updates` numbers the messages of one
+`live.py` sends, and reads with a thread. `Updates` numbers the messages of one
 play and gives each its answer.
 
 Bounds: `WINDOW` messages without an answer. An answered update is the caller's alone. Invariant: every method of `Updates` is called by one thread at a time.

@@ -55,7 +55,7 @@ from .errors import (
     Unreachable,
 )
 from .motions import Samples
-from .results import Receipt, Status
+from .results import PlanCheck, Receipt, Status
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -505,6 +505,26 @@ def items_of(
         return {**item, "pattern": motions.pattern(**own, **_limits(driven))} if own else item
 
     return sequence_items(items, isi, soa, {"seconds": seconds, "scale": scale}, inline)
+
+
+def check(
+    core: Core,
+    items: Iterable[SequenceItem],
+    *,
+    isi: float | None = None,
+    soa: float | None = None,
+    seconds: float | None = None,
+    scale: float | None = None,
+) -> PlanCheck:
+    """Ask before the first trial whether a study would stop at the drift limit on a board. Nothing is played.
+
+    The arguments are those of `sequence`: give all plays of the study as one list, at most 4096. The daemon follows its estimate of the
+    drift of pins without telemetry, from level pins on, also if its own device has telemetry.
+    """
+    body = {"items": items_of(core, items, isi, soa, seconds, scale)}
+    # Compiling long motions takes a while.
+    answer = send(core, _http.post("/v1/sequence/check", body, timeout=60.0))
+    return PlanCheck.of(core.read(answer))
 
 
 def receipt(core: Core, play_id: int | str = "last") -> Receipt:

@@ -2,31 +2,19 @@
 
 from __future__ import annotations
 
-import codecs
 import contextlib
 import os
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
-_MARKS = ((codecs.BOM_UTF8, "utf-8-sig"), (codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16"))
-
 
 def text_of(path: str | os.PathLike[str]) -> str:
-    """The text of a file: as its byte order mark says, else UTF-8. Line ends stay as they are.
-
-    Raises `ValueError`, one line, if it is something else.
-    """
-    data, name = Path(path).read_bytes(), os.fspath(path)
-    if data.startswith(b"\x1f\x8b"):
-        raise ValueError(f"{name} is packed by gzip: unpack it")
-    encoding = next((encoding for mark, encoding in _MARKS if data.startswith(mark)), "utf-8")
-    with contextlib.suppress(UnicodeDecodeError):
-        text = data.decode(encoding)
-        # UTF-16 without its mark, and what is no text at all.
-        if "\0" not in text:
-            return text
-    raise ValueError(f"{name} is no text in UTF-8, nor in UTF-16 with a byte order mark: save it as UTF-8")
+    """The text of a file in UTF-8. Line ends stay as they are. Raises `ValueError`, one line, if it is something else."""
+    try:
+        return Path(path).read_bytes().decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise ValueError(f"{os.fspath(path)} is no text in UTF-8: save it as UTF-8") from error
 
 
 def sync(path: Path) -> None:

@@ -11,7 +11,7 @@ from collections.abc import Callable, Generator, Iterable
 from types import TracebackType
 from typing import Any, Concatenate, ParamSpec, TypeVar
 
-from . import _ending, _exports, _kept, _live, _plan, _sessions, bids, nwb, program
+from . import _ending, _exports, _kept, _live, _sessions, bids, nwb, program
 from . import _operations as ops
 from ._alive import Alive
 from ._arguments import hinted, hints
@@ -223,7 +223,7 @@ class Client:
     edge = _blocking(ops.edge)
     play = _method(ops.play, _played)
     sequence = _method(ops.sequence, _played)
-    check = _blocking(_plan.check)
+    check = _blocking(ops.check)
     live = _method(_live.start, _lives)
     session = _method(_sessions.session, _opened)
     receipt = _blocking(ops.receipt)
