@@ -145,8 +145,7 @@ fn every_path_that_a_page_names_is_there() {
     {
         for path in page.code_words() {
             let folder = path.split_once('/').map_or("", |(folder, _)| folder);
-            let ours =
-                ["src", "crates", "firmware-protocol", "docs", "deploy", "scenes", "targets", "traces"];
+            let ours = ["src", "crates", "firmware-protocol", "docs", "deploy", "scenes", "targets"];
             if ours.contains(&folder) && !path.contains(['<', '*', ' ']) {
                 paths += 1;
                 assert!(root().join(path).exists(), "{} names {path}, which is not there", page.name);
