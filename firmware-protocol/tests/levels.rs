@@ -98,7 +98,7 @@ proptest! {
     /// Moves in time, without limits: as a model says that knows nothing of bursts, queues and blocks.
     #[test]
     fn lines_are_as_the_plain_rule_says(
-        moves in prop::collection::vec((0u8..3, 1u64..300, 0u16..300), 1..90),
+        moves in prop::collection::vec((0u8..3, 1u64..300, prop_oneof![Just(0u16), 1u16..10, 0u16..300]), 1..90),
         shell in prop::sample::select(SHELLS.to_vec()),
     ) {
         let mut bench = Bench::armed(shell);

@@ -36,10 +36,6 @@ pub(crate) struct Hand {
     pinged: u64,
     /// Whether it pings.
     pub(crate) speaks: bool,
-    /// Whether the line swaps each two frames of strokes and repeats one, as after losses.
-    pub(crate) swaps: bool,
-    /// Frames of strokes that are not on the line yet.
-    outgoing: Vec<Vec<u8>>,
     grid: Option<Grid>,
     /// Moves sent.
     pub(crate) sent: u64,
@@ -65,8 +61,6 @@ impl Hand {
             window: 0,
             pinged: 0,
             speaks: false,
-            swaps: false,
-            outgoing: Vec::new(),
             grid: None,
             sent: 0,
             host_timeout,
@@ -165,30 +159,10 @@ impl Hand {
     }
 
     pub(crate) fn send(&mut self, message: &HostMessage<'_>) {
-        let frame = self.encoded(message);
-        self.write(&frame);
-    }
-
-    fn encoded(&mut self, message: &HostMessage<'_>) -> Vec<u8> {
         let mut frame = [0; MAX_FRAME];
         let len = encode(message, &mut frame).unwrap();
         self.tap.from_host(self.now, &frame[..len]);
-        frame[..len].to_vec()
-    }
-
-    fn write(&mut self, bytes: &[u8]) {
-        self.bench.write(Function::Cdc, bytes).unwrap();
-    }
-
-    /// Puts the frames of strokes on the line.
-    fn flush(&mut self) {
-        for pair in std::mem::take(&mut self.outgoing).chunks(2) {
-            if let ([first, second], true) = (pair, self.swaps) {
-                [second, first, second].iter().for_each(|frame| self.write(frame));
-            } else {
-                pair.iter().for_each(|frame| self.write(frame));
-            }
-        }
+        self.bench.write(Function::Cdc, &frame[..len]).unwrap();
     }
 
     /// Begins an epoch with this command.
@@ -212,8 +186,7 @@ impl Hand {
         let withdraw =
             withdraw.map(|motors| Withdraw { motors: MotorSet::from_bits(motors.into()), generation: 0 });
         let (base, batch) = (base.wire(), packer.bytes());
-        let frame = self.encoded(&HostMessage::Moves { epoch, seq, seen, mark: None, withdraw, base, batch });
-        self.outgoing.push(frame);
+        self.send(&HostMessage::Moves { epoch, seq, seen, mark: None, withdraw, base, batch });
         self.seq = self.seq.wrapping_add(1);
         self.sent += 2 * fits as u64;
         fits
@@ -236,7 +209,6 @@ impl Hand {
         while let Some(first) = rest.first() {
             rest = &rest[self.frame(None, first.up, rest)..];
         }
-        self.flush();
     }
 
     /// Replaces what these motors have queued from `base` on. Each motor is withdrawn from in the frame of its first new stroke; a
@@ -255,7 +227,6 @@ impl Hand {
             rest = &rest[self.frame(withdraw, base, rest)..];
             (left, due) = (left & !due, 0);
         }
-        self.flush();
     }
 
     /// Waits until the device has taken all frames and the host has read all reports.

@@ -199,11 +199,6 @@ pub(crate) fn sweep(slow: f64, beside: Beside, patterns: std::ops::Range<u64>) -
 }
 
 #[test]
-fn half_of_the_time_is_left() {
-    assert!(sweep(1.0, Beside::Nothing, 0..PATTERNS));
-}
-
-#[test]
 fn half_of_the_time_is_left_to_a_core_a_tenth_slower() {
     assert!(sweep(1.1, Beside::Nothing, 0..PATTERNS));
 }

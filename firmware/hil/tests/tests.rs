@@ -19,7 +19,6 @@ mod moves;
 mod patterns;
 mod play;
 mod random;
-mod replace;
 mod replace_load;
 mod scenarios;
 mod self_test;
