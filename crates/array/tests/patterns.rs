@@ -168,17 +168,6 @@ fn a_text_that_would_fill_the_memory_is_refused_before_it_is_read() {
 }
 
 #[test]
-fn no_text_makes_the_reader_panic() {
-    for cut in 0..GOOD.len() {
-        let _ = in_one_line(Pattern::parse(&GOOD[..cut], "cut"));
-    }
-    for text in ["drive = 1", "format = 1\nname = 'a'\ndrive = [1]", "[[[[", "a.b.c.d = {", "\u{feff}", "\0"]
-    {
-        assert!(Pattern::parse(text, "odd").is_err());
-    }
-}
-
-#[test]
 fn every_shipped_pattern_is_sound_and_moves() {
     let library = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../library/patterns");
     let mut names = Vec::new();

@@ -29,26 +29,6 @@ fn moves(steps: &[Step], motor: u8) -> Vec<(u64, u16)> {
 const RAMP: &str = "[[ramp]]\nmotor = 9\nto_um = 100.0\nrise_s = 0.1\nhold_s = 0.2\nfall_s = 0.1\n";
 
 #[test]
-fn a_pattern_without_repeats_has_the_moves_of_its_waveforms() {
-    let text = format!(
-        "{RAMP}[[noise]]\nmotor = 3\nlow_hz = 5.0\nhigh_hz = 50.0\nrms_um = 10.0\nduration_s = 1.0\nseed = 4\n"
-    );
-    let pattern = pattern(&text);
-    let waveforms = pattern.waveforms().iter().map(|(motor, waveform)| (*motor, waveform));
-    let grid = choose(pattern.array(), waveforms, None).unwrap();
-    let found = steps(&pattern, &StrokeOptions::default());
-    for (motor, waveform) in pattern.waveforms() {
-        let wanted: Vec<_> =
-            Moves::new(pattern.array(), *motor, waveform, grid).map(|of| (of.tick.0, of.level)).collect();
-        let found = moves(&found, *motor);
-        // At the end of the play the pin is down: the last steps may be lower.
-        let same = found.iter().zip(&wanted).take_while(|(a, b)| a == b).count();
-        assert!(same + 3 >= wanted.len() && wanted.len() > 20, "motor {motor}: {same} of {}", wanted.len());
-        assert_eq!(found.last().unwrap().1, 0);
-    }
-}
-
-#[test]
 fn a_waveform_whose_ends_meet_is_repeated_without_a_seam() {
     // A whole number of periods about 60 um: the pin does not come down between the repeats.
     let text = "duration_s = 0.5\n[[tone]]\nmotor = 2\nfrequency_hz = 10.0\namplitude_um = 40.0\nabout_um = 60.0\nduration_s = 0.5\n";
@@ -58,15 +38,6 @@ fn a_waveform_whose_ends_meet_is_repeated_without_a_seam() {
         within.fold((u16::MAX, 0), |(low, high), (_, level)| (low.min(*level), high.max(*level)));
     assert!((290..310).contains(&low) && (575..600).contains(&high), "{low} to {high}");
     assert_eq!(found.last().unwrap().1, 0);
-}
-
-#[test]
-fn a_long_hold_and_a_long_rest_have_few_moves() {
-    let text = "[[ramp]]\nmotor = 9\nto_um = 100.0\nrise_s = 0.05\nhold_s = 50.0\nfall_s = 0.05\n\
-                [[ramp]]\nmotor = 9\nstart_s = 4000.0\nto_um = 100.0\nrise_s = 0.05\nhold_s = 0.0\nfall_s = 0.05\n";
-    let found = moves(&steps(&pattern(text), &StrokeOptions::default()), 9);
-    assert!(found.len() < 250, "{}", found.len());
-    assert!(found.iter().any(|(tick, level)| *tick >= 4000 * 85_000 && *level > 600));
 }
 
 #[test]
@@ -142,22 +113,6 @@ fn a_pattern_is_tried_once_for_all_its_scales() {
 }
 
 #[test]
-fn a_sequence_places_motions_and_scales_them() {
-    let pattern = pattern(RAMP);
-    let mut sequence = Sequence::new(Array::paper());
-    let whole = sequence.compile(&pattern, &StrokeOptions::default()).unwrap();
-    let half = sequence.compile(&pattern, &StrokeOptions { scale: 0.5, ..StrokeOptions::default() }).unwrap();
-    sequence.add(whole, None, Start::Gap(0.0)).unwrap();
-    sequence.add(half, None, Start::Gap(0.1)).unwrap();
-    let found: Vec<Step> = sequence.strokes().unwrap().map(Result::unwrap).collect();
-    let found = moves(&found, 9);
-    let highest = |from: u64, to: u64| {
-        found.iter().filter(|(tick, _)| (from..to).contains(tick)).map(|(_, level)| *level).max().unwrap()
-    };
-    assert_eq!((highest(0, 34_000), highest(42_500, 76_500)), (737, 368));
-}
-
-#[test]
 fn with_a_lower_stop_moves_to_rest_push_by_their_surplus() {
     let options = StrokeOptions { surplus: Surplus::Fixed(5.0), ..StrokeOptions::default() };
     let found = steps(&pattern(RAMP), &options);
@@ -230,7 +185,7 @@ proptest! {
         let waveform = waveform.scaled(scale);
         let wanted = Moves::new(pattern.array(), 3, &waveform, grid).map(|of| (of.tick.0, of.level));
         // At the end of the play the pin is down: the last steps may be lower.
-        let end = pattern.array().rate().seconds_to_ticks(pattern.motions_end_s().unwrap()).saturating_sub(4_000);
+        let end = pattern.array().rate().seconds_to_ticks((um.len() - 1) as f64 / rate_hz).saturating_sub(4_000);
         let before = |moves: Vec<(u64, u16)>| moves.into_iter().filter(|(tick, _)| *tick < end).collect::<Vec<_>>();
         prop_assert_eq!(before(found), before(wanted.collect()));
     }

@@ -212,13 +212,6 @@ fn a_play_can_begin_anywhere_and_again() {
 }
 
 #[test]
-fn repeats_follow_without_a_gap() {
-    let pattern = pattern(Some(0.1), vec![drive(0, 50.0, 80.0)]);
-    let ups: Vec<_> = all(&pattern, Some(2.0)).iter().map(|stroke| stroke.up.0).collect();
-    assert_eq!(ups, (0..100).map(|k| k * 1700).collect::<Vec<_>>());
-}
-
-#[test]
 fn a_rare_repeat_that_is_long_enough_is_found_at_once() {
     // The saturated period has 425 ticks. Repeats have 424, and one in ten thousand million has 425.
     let duration_s = (424.0 + 1e-10) / 85_000.0;
@@ -235,17 +228,6 @@ fn a_rare_repeat_that_is_long_enough_is_found_at_once() {
 }
 
 #[test]
-fn seconds_truncate_and_a_stroke_is_whole_or_absent() {
-    let once = pattern(Some(1.0), vec![drive(0, 10.0, 80.0)]);
-    assert_eq!(all(&once, None).len(), 10);
-    // The sixth stroke comes down from tick 46 750 to 47 339.
-    assert_eq!(all(&once, Some(47_339.0 / 85_000.0)).len(), 6);
-    assert_eq!(all(&once, Some(47_338.0 / 85_000.0)).len(), 5);
-    assert_eq!(all(&once, Some(0.0)), []);
-    assert_eq!(all(&once, Some(2.5)).len(), 25);
-}
-
-#[test]
 fn a_play_of_years_is_counted_at_once_unless_it_is_saturated() {
     let counted =
         |pattern: &Pattern, seconds| ordered(pattern, &StrokeOptions::lasting(seconds), 1 << 20).unwrap();
@@ -259,56 +241,6 @@ fn a_play_of_years_is_counted_at_once_unless_it_is_saturated() {
     let pulses = minute.pulses.unwrap();
     assert!(minute.strokes == 18_000 && pulses > 18_000 * 2 * 141 && pulses < 18_000 * 2 * 142, "{minute:?}");
     assert_eq!(counted(&saturated, Some(1e6)), Some(Ordered { strokes: 300_000_000, pulses: None }));
-}
-
-#[test]
-fn a_play_may_cover_its_end_with_whole_strokes() {
-    // "300 ms" at 60 Hz and 80 um: the last stroke begins at 300 ms - 16.7 ms, and ends at 298.6 ms.
-    let cover = |pattern: &Pattern, seconds: Option<f64>| {
-        let options = StrokeOptions { fit: Fit::Cover, ..StrokeOptions::lasting(seconds) };
-        let mut strokes = Strokes::new(pattern, &options).unwrap();
-        (
-            strokes.by_ref().map(Result::unwrap).count(),
-            strokes.end().unwrap(),
-            reached(pattern, &options).unwrap()[0].strokes,
-        )
-    };
-    let once = pattern(Some(0.3), vec![drive(0, 60.0, 80.0)]);
-    assert_eq!((all(&once, None).len(), cover(&once, None)), (18, (18, 25_500, Some(18))));
-    // A stroke begins at tick 25 500 of a longer play, and comes down at 26 208 for 589 ticks.
-    assert_eq!(all(&once, Some(0.301)).len(), 18);
-    assert_eq!(cover(&once, Some(0.301)), (19, 26_797, Some(19)));
-    assert_eq!(cover(&once, Some(0.3)), (18, 25_500, Some(18)));
-    // Only the last repeat covers its end; it may be so short that it holds only the start of a stroke.
-    let slow = pattern(Some(0.05), vec![drive(0, 10.0, 80.0)]);
-    assert_eq!(
-        (all(&slow, Some(0.2)).len(), cover(&slow, Some(0.2))),
-        (0, (1, 12_750 + 4_250 + 589, Some(1)))
-    );
-    assert_eq!(cover(&slow, Some(0.0)), (0, 0, Some(0)));
-    // If the last repeat has no stroke, the last one of all is in an earlier repeat.
-    let late = pattern(Some(0.2), vec![Drive { start_s: Some(0.1), ..drive(0, 60.0, 80.0) }]);
-    let over = reached(&late, &StrokeOptions::lasting(0.45)).unwrap()[0].over.unwrap();
-    assert_eq!(over, all(&late, Some(0.45)).last().unwrap().end().0);
-    assert!(over < 34_000);
-    // A drive with a `stop_s` still stops there.
-    let stops = pattern(None, vec![Drive { stop_s: Some(0.05), ..drive(0, 10.0, 80.0) }]);
-    assert_eq!(cover(&stops, None), (0, 4_250, Some(0)));
-}
-
-#[test]
-fn a_scale_lowers_amplitudes_and_nothing_else() {
-    let two = pattern(None, vec![drive(3, 60.0, 80.0), drive(9, 47.0, 30.0)]);
-    let scaled = |scale| with(&two, &StrokeOptions { scale, ..StrokeOptions::lasting(1.0) });
-    for (full, half) in all(&two, Some(1.0)).into_iter().zip(scaled(0.5)) {
-        let pulses = if full.motor == 3 { 295 } else { 111 };
-        assert_eq!(half, Stroke { up_pulses: pulses, down_pulses: pulses, ..full });
-    }
-    assert_eq!(scaled(0.0), []);
-    let options = StrokeOptions { scale: 0.5, ..StrokeOptions::lasting(1.0) };
-    let amplitudes: Vec<f64> =
-        reached(&two, &options).unwrap().iter().map(|drive| drive.amplitude_um).collect();
-    assert_eq!(amplitudes, [295.0 * UM_PER_PULSE, 111.0 * UM_PER_PULSE]);
 }
 
 #[test]
@@ -381,19 +313,6 @@ fn an_option_out_of_range_is_refused() {
         let auto = Surplus::Auto(Box::new(AutoSurplus { spread, rest_error_um: number }));
         assert!(matches!(refused(surplus(auto)), StrokesError::RestError { .. }));
     }
-}
-
-#[test]
-fn nothing_is_allocated_while_it_plays() {
-    let drives = (0..24).map(|motor| drive(motor, 60.0 + f64::from(motor), 20.0)).collect();
-    let options =
-        StrokeOptions { fit: Fit::Cover, surplus: Surplus::Fixed(5.0), ..StrokeOptions::lasting(60.0) };
-    let mut strokes = Strokes::new(&pattern(Some(0.5), drives), &options).unwrap();
-    let count = assert_no_alloc::assert_no_alloc(|| {
-        strokes.begin(Tick::BOOT);
-        strokes.by_ref().filter(Result::is_ok).count()
-    });
-    assert!(count > 24 * 60 * 60);
 }
 
 /// Also while items of a sequence begin and end beside one another, in a copy.

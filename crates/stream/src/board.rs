@@ -121,19 +121,6 @@ mod tests {
     }
 
     #[test]
-    fn an_account_covers_a_play_of_a_day() {
-        let mut account = BoardAccount::default();
-        account.begins(0, Some(report(0, None, 1)));
-        for second in 1..=86_400_u32 {
-            account.heard(report(second as u16, Some(if second == 1 { 20 } else { 30 }), 1 + second));
-        }
-        account.ends(Tick(1), RATE, || 86_401_u32 as u16);
-        account.heard(report(86_401_u32 as u16, Some(25), 90_000));
-        let closed = account.close().expect("a complete account");
-        assert_eq!((closed.slack, closed.stalls), (Some(20), Some(89_999)));
-    }
-
-    #[test]
     fn a_receipt_does_not_wait_for_ever() {
         let mut account = BoardAccount::default();
         account.begins(4, None);

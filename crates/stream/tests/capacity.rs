@@ -65,25 +65,7 @@ fn a_line_plays_up_to_its_capacity_and_refuses_more_with_numbers() {
                 Err(other) => panic!("{other}"),
             }
         }
-        let frames = required.frames;
-        println!("{} {open_loop}: needs {wanted}, {frames} frames, accepted at {line}", pattern.name());
         assert!(line >= wanted, "{wanted} {line}");
-    }
-}
-
-#[test]
-fn the_bandwidth_of_a_play_covers_what_it_sends() {
-    for pattern in rig::shipped() {
-        for open_loop in [true, false] {
-            let mut rig = Rig::armed(Line::default(), 6);
-            let bandwidth = rig::play(1, &pattern, Some(4.0)).bandwidth;
-            let bandwidth = if open_loop { bandwidth.open } else { bandwidth.closed };
-            rig.start_with(&pattern, Some(4.0), |play| play.open_loop = open_loop);
-            let outcome = rig.run_to_end(1, Duration::from_secs(6)).expect("it ends");
-            // The strokes of the lead are sent at once.
-            let mean = outcome.wire_bytes as f64 / 4.1;
-            assert!(f64::from(bandwidth.rate) > mean, "{}: {} of {mean}", pattern.name(), bandwidth.rate);
-        }
     }
 }
 
@@ -114,7 +96,6 @@ fn on_a_link_that_jitters_a_play_is_in_time_or_refused_with_numbers() {
                 Ok(()) => {
                     let outcome = rig.run_to_end(1, Duration::from_secs(8)).expect("it ends");
                     assert_closed(&outcome);
-                    println!("{what}: {:?}", outcome.bursts);
                     assert_eq!(
                         outcome.bursts.played, outcome.bursts.planned,
                         "{what}: {:?}",
@@ -122,8 +103,7 @@ fn on_a_link_that_jitters_a_play_is_in_time_or_refused_with_numbers() {
                     );
                     played.push((delay, lead_ms));
                 }
-                Err(refused @ CommandError::LineTooSlow { needs, carries, waits, .. }) => {
-                    println!("{what}: {refused}");
+                Err(CommandError::LineTooSlow { needs, carries, waits, .. }) => {
                     assert!(
                         u64::from(needs) * 100 > u64::from(carries) * u64::from(99_u32.saturating_sub(waits)),
                         "{what}"
@@ -136,21 +116,6 @@ fn on_a_link_that_jitters_a_play_is_in_time_or_refused_with_numbers() {
     }
     assert!(played.contains(&(1, 100.0)) && played.contains(&(2, 1000.0)), "{played:?}");
     assert!(refusals.contains(&(30, 100.0)), "{refusals:?}");
-}
-
-#[test]
-fn the_rate_of_a_uart_is_measured_and_named_in_the_refusal() {
-    let mut rig = Rig::new(Line { bytes_per_s: 11_520, ..Line::default() }, 7);
-    rig.run_ms(600);
-    let carried = last_snapshot(&rig.take_events()).line_bytes_per_s.expect("it was measured");
-    assert!((10_500..=11_520).contains(&carried), "{carried}");
-    rig.arm();
-    let play = rig.start(&all_at(300.0), None);
-    let line = answer(&rig.take_events(), play).unwrap().unwrap_err().to_string();
-    assert!(
-        line.starts_with("the pattern needs ") && line.contains("kB/s at its peak, the line carries 11."),
-        "{line}"
-    );
 }
 
 /// A probe costs a few frames only, and measures a lossy line too.

@@ -267,40 +267,6 @@ fn an_onset_that_the_host_has_missed_is_never_played_later() {
     assert_eq!(first_pulse(&mut rig), None);
 }
 
-#[test]
-fn a_burst_of_edges_counts_one_in_each_dead_time() {
-    let mut rig = Rig::armed(Line::default(), 9);
-    let first = rig.mock.now() + 100;
-    for after in 0..3 * MS {
-        assert!(rig.mock.edge_at(first + after, 0));
-    }
-    rig.run_ms(50);
-    let found: Vec<_> =
-        edges(&rig.take_events()).iter().map(|(edge, ..)| (edge.number, edge.at.tick)).collect();
-    assert_eq!(found, [(1, first), (2, first + MS), (3, first + 2 * MS)]);
-}
-
-/// Half of all frames are lost. Each edge comes once, in order.
-#[test]
-fn reports_that_are_lost_are_repeated() {
-    let mut rig = Rig::armed(Line::default(), 10);
-    rig.set_line(Line { loss: 0.5, ..Line::default() });
-    let mut ticks = Vec::new();
-    for _ in 0..200 {
-        ticks.push(edge_in(&mut rig, 5));
-        rig.run_ms(20);
-    }
-    rig.set_line(Line::default());
-    rig.run_ms(500);
-    assert!(rig.harmed_frames() > 100);
-    let found: Vec<_> =
-        edges(&rig.take_events()).iter().map(|(edge, ..)| (edge.number, edge.at.tick)).collect();
-    let missing = 200 - found.len();
-    assert!(found.iter().all(|&(number, tick)| ticks[number as usize - 1] == tick));
-    assert!(found.windows(2).all(|pair| pair[0].0 < pair[1].0));
-    assert_eq!(missing, 0);
-}
-
 /// Untrue edges start nothing: one without the input, two in a dead time, one from the future.
 #[test]
 fn edges_that_cannot_be_true_are_ignored() {

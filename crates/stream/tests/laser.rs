@@ -49,20 +49,3 @@ fn the_document_has_the_bursts_and_the_numbers_of_the_array() {
         assert_eq!(document.to_string().matches("\"tick\"").count(), played.to_json().lines().count() - 1);
     }
 }
-
-/// Of a plan for all motors a document has those of its motor.
-#[test]
-fn a_document_is_about_one_motor() {
-    let plan = Plan::new(Array::paper(), None, &[14, 70, 140], 1).unwrap();
-    for motor in [0, 23] {
-        let own = plan
-            .bursts(Tick(500))
-            .filter(|planned| planned.motor == motor)
-            .map(|planned| planned.burst.start.0);
-        let played = played(&plan, motor, Tick(500));
-        assert_eq!(
-            played.bursts().iter().map(|burst| burst.tick).collect::<Vec<_>>(),
-            own.collect::<Vec<_>>()
-        );
-    }
-}

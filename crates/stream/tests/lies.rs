@@ -168,29 +168,9 @@ fn change(message: &DeviceMessage, random: &mut ChaCha8Rng) -> Option<DeviceMess
             }
         }
         Value::String(_) => {
-            let names = [
-                "Disarmed",
-                "Armed",
-                "Returning",
-                "Faulted",
-                "Boot",
-                "Request",
-                "Stop",
-                "Abort",
-                "EStop",
-                "HostTimeout",
-                "NewHost",
-                "Panic",
-                "NotArmed",
-                "PoolFull",
-                "PositionUnknown",
-                "State",
-                "Malformed",
-                "RailOnTime",
-                "RailAtOnce",
-                "ChipAtOnce",
-                "Dense",
-            ];
+            let names = "Disarmed Armed Returning Faulted Boot Request Stop Abort EStop HostTimeout NewHost Panic NotArmed PoolFull \
+                         PositionUnknown State Malformed RailOnTime RailAtOnce ChipAtOnce Dense";
+            let names: Vec<_> = names.split(' ').collect();
             Value::from(names[random.next_u32() as usize % names.len()])
         }
         _ => return None,
@@ -210,7 +190,7 @@ fn leaves<'a>(value: &'a mut Value, into: &mut Vec<&'a mut Value>) {
 #[test]
 fn whatever_field_lies_how_often_the_daemons_side_works_on_or_connects_again() {
     for per_mille in [10, 100, 1000] {
-        let (mut doubted, mut lost, mut plays) = (0, 0, 0);
+        let mut doubted = 0;
         for seed in 0..at_length(2, 8) {
             let mut rig = Rig::new(Line::default(), 100 + seed);
             let mut random = ChaCha8Rng::seed_from_u64(seed);
@@ -221,16 +201,16 @@ fn whatever_field_lies_how_often_the_daemons_side_works_on_or_connects_again() {
                 }
             });
             for round in 0..8 {
-                lost += run_reconnecting(&mut rig, 300);
+                run_reconnecting(&mut rig, 300);
                 rig.send(Command::Arm { assume_rest: true });
-                lost += run_reconnecting(&mut rig, 100);
+                run_reconnecting(&mut rig, 100);
                 let (pattern, seconds) = (rig::pattern(["wave", "pin-60"][round % 2]), Some(0.4));
                 if round % 3 == 0 {
                     rig.start(&pattern, seconds)
                 } else {
                     rig.start_closed(&pattern, seconds)
                 };
-                lost += run_reconnecting(&mut rig, 600);
+                run_reconnecting(&mut rig, 600);
                 rig.send(match round % 3 {
                     0 => Command::Stop,
                     1 => Command::Home,
@@ -239,12 +219,8 @@ fn whatever_field_lies_how_often_the_daemons_side_works_on_or_connects_again() {
             }
             rig.stop_lying();
             doubted += rig.contradictions();
-            plays += 1;
             assert_recovers(&mut rig, &format!("{per_mille} of 1000 messages, seed {seed}"));
         }
-        println!(
-            "{per_mille} of 1000 messages lie: {plays} runs, {doubted} kinds reported, {lost} times reconnected"
-        );
         assert!(doubted > 0);
     }
 }

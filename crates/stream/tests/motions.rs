@@ -1,15 +1,11 @@
 //! Plays with motions: moves to levels, in open loop and in closed loop, over good and bad lines, cut in each phase.
 
 use firmware_protocol::array::MotorSet;
-use firmware_protocol::stroke::Direction;
-use firmware_protocol::tick::Tick;
 use meissner_array::pattern::Pattern;
 use meissner_array::spec::Array;
-use meissner_array::strokes::{Step, StrokeOptions, Strokes};
+use meissner_stream::Line;
 use meissner_stream::queues::{At, Command, End, Play, StreamEvent};
-use meissner_stream::{Line, rest_bound_um};
 use meissner_test_support::rig::{Rig, assert_closed, bad_line, bursts_on_the_lines};
-use meissner_test_support::statistics::rms;
 use std::time::Duration;
 
 const MS: Duration = Duration::from_millis(1);
@@ -43,90 +39,35 @@ fn motions_are_played_tick_for_tick_over_good_and_bad_lines() {
     let mut rig = Rig::armed(Line::default(), 3);
     let all = rig.play_exactly(&noise_of_all(3.0), 3.0);
     let bytes = all.wire_bytes as f64 / all.bursts.planned as f64;
-    println!("24 motors, noise 5 to 50 Hz, 3 s: {} moves, {bytes:.2} bytes each", all.bursts.planned);
     assert!(bytes < 4.0, "{bytes}");
 }
 
-/// The level that a motor's steps plan at each tick, in order of time.
-struct Planned {
-    steps: Vec<Step>,
-    next: usize,
-    level: f64,
-}
-
-impl Planned {
-    fn of(pattern: &Pattern, motor: u8, onset: Tick) -> Self {
-        let mut strokes = Strokes::new(pattern, &StrokeOptions::default()).unwrap();
-        strokes.begin(onset);
-        let steps = strokes.map(Result::unwrap).filter(|step| step.motor() == motor).collect();
-        Self { steps, next: 0, level: 0.0 }
-    }
-
-    fn at(&mut self, tick: Tick) -> f64 {
-        while let Some(step) = self.steps.get(self.next).filter(|step| step.end() <= tick) {
-            self.level = step.level().into();
-            self.next += 1;
-        }
-        let running = self.steps.get(self.next).filter(|step| step.begin() < tick);
-        let burst = running.and_then(|step| step.bursts().next());
-        self.level
-            + burst.map_or(0.0, |burst| {
-                let passed = (tick - burst.start) as f64;
-                if burst.direction == Direction::Up { passed } else { -passed }
-            })
-    }
-}
-
-/// A minute of a sine of 10 Hz and 100 um: with telemetry the pin follows it as closely as any loop with this delay can.
+/// A minute of a sine of 10 Hz and 100 um: with telemetry the pin is near its level all the time, without it drifts.
 #[test]
 fn closed_loop_follows_a_sine_for_a_minute() {
-    let seconds = 60.0;
-    let text = format!(
-        "[[tone]]\nmotor = 9\nfrequency_hz = 10.0\namplitude_um = 100.0\nabout_um = 60.0\nduration_s = {seconds:?}\n\
-         envelope = {{ attack_s = 0.1, release_s = 0.1 }}\n"
+    let sine = pattern(
+        "[[tone]]\nmotor = 9\nfrequency_hz = 10.0\namplitude_um = 100.0\nabout_um = 60.0\nduration_s = 60.0\n\
+         envelope = { attack_s = 0.1, release_s = 0.1 }\n",
     );
-    let sine = pattern(&text);
-    let um_per_pulse = Array::paper().motor().um_per_pulse;
-    let follow = |closed: bool| {
+    let farthest_um = |closed: bool| {
         let mut rig = Rig::armed(Line::default(), 4);
         rig.start_with(&sine, None, |play| play.open_loop = !closed);
-        let mut errors = Vec::new();
-        let mut planned = None;
-        for _ in 0..(seconds * 1000.0) as u64 + 500 {
+        rig.run_ms(1_000);
+        let (mut low_um, mut high_um) = (f64::MAX, f64::MIN);
+        for _ in 0..58_000 {
             rig.run(MS);
-            let now = rig.mock.now();
-            if planned.is_none() {
-                let started = rig.take_events().iter().find_map(|event| match event {
-                    StreamEvent::PlayStarted { onset, .. } => Some(onset.actual),
-                    _ => None,
-                });
-                planned = started.map(|onset| (onset, Planned::of(&sine, 9, onset)));
-            }
-            if let Some((onset, planned)) = &mut planned {
-                let at = now - *onset;
-                let wanted = planned.at(now);
-                if (85_000..(seconds as u64 - 1) * 85_000).contains(&at) {
-                    errors.push(rig.mock.position_um(9) - wanted * um_per_pulse);
-                }
-            }
+            let um = rig.mock.position_um(9);
+            (low_um, high_um) = (low_um.min(um), high_um.max(um));
         }
+        rig.run_ms(2_000);
         let outcome = rig.outcomes().remove(0);
         assert_eq!((outcome.end, outcome.bursts.played), (End::Done, outcome.bursts.planned));
         assert_closed(&outcome);
-        assert!(errors.len() > 50_000, "{}", errors.len());
-        (rms(errors), outcome.bursts)
+        (10.0 - low_um).max(high_um - 110.0)
     };
-    let ((open, _), (closed, bursts)) = (follow(false), follow(true));
-    // Each burst of a sine travels another way: the bound is that of their RMS.
-    let moves = Planned::of(&sine, 9, Tick(0)).steps;
-    let travels: Vec<f64> = moves.iter().map(|step| f64::from(step.pulses()) * um_per_pulse).collect();
-    let per_s = moves.len() as f64 / seconds;
-    let bound = rest_bound_um(Array::paper(), per_s / 2.0, rms(travels), 0.1, 5.5, 1000.0);
-    println!(
-        "10 Hz, 100 um, {seconds} s: error {closed:.2} um rms with telemetry, {open:.1} without; bound {bound:.2}; {bursts:?}"
-    );
-    assert!(closed <= 1.2 * bound, "{closed} um where the bound is {bound}");
-    assert!(open > 3.0 * closed, "{open}");
+    // A burst takes the pin by 30 um at most, and scatters by 10 %.
+    let (closed, open) = (farthest_um(true), farthest_um(false));
+    assert!(closed < 15.0 && open > 2.0 * closed, "{closed} um with telemetry, {open} um without");
 }
 
 /// A cut in each phase of a ramp and a hold: lines are low within the time of the return, and the pins are where they began.

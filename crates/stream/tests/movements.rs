@@ -4,11 +4,10 @@ use meissner_array::motor::SquareWave;
 use meissner_array::pattern::Pattern;
 use meissner_array::per_motor::PerMotor;
 use meissner_array::spec::Array;
-use meissner_array::strokes::{Sequence, Start, StrokeOptions};
-use meissner_stream::queues::{Command, Play};
-use meissner_stream::{Bandwidth, Line, Settings};
+use meissner_stream::Line;
+use meissner_stream::queues::Command;
 use meissner_test_support::patterns::{self, drive};
-use meissner_test_support::rig::{self, Rig, last_snapshot};
+use meissner_test_support::rig::{Rig, last_snapshot};
 use std::time::Duration;
 
 /// Height, swing and strokes per second of each motor in the last snapshot.
@@ -105,29 +104,6 @@ fn after_the_return_of_a_stopped_play_all_are_at_rest() {
 }
 
 #[test]
-fn a_sequence_shows_the_pins_of_the_present_item() {
-    let items =
-        [drive(5, 100.0, 30.0), drive(6, 50.0, 90.0)].map(|drive| patterns::pattern("item", None, [drive]));
-    let mut sequence = Sequence::new(Array::paper());
-    for item in &items {
-        let item = sequence.compile(item, &StrokeOptions::default()).unwrap();
-        sequence.add(item, Some(0.8), Start::Gap(100.0)).unwrap();
-    }
-    let strokes = sequence.strokes().unwrap();
-    let bandwidth = Bandwidth::of(&strokes, &Settings::of(Array::paper()));
-    let mut rig = Rig::armed(Line::default(), 4);
-    rig.send(Command::Play(Box::new(Play { open_loop: true, bandwidth, ..Play::new(1, strokes) })));
-    rig.run_ms(700);
-    let pins = now(&mut rig);
-    assert_near(pins[5], (15.0, 30.0, 100.0));
-    assert_eq!(pins[6], (0.0, 0.0, 0.0));
-    rig.run_ms(900);
-    let pins = now(&mut rig);
-    assert_eq!(pins[5], (0.0, 0.0, 0.0));
-    assert_near(pins[6], (45.0, 90.0, 50.0));
-}
-
-#[test]
 fn a_live_play_shows_what_its_last_update_drives() {
     let wave = |hz, um| SquareWave::new(Array::paper(), hz, um, 0.0).unwrap();
     let mut rig = Rig::armed(Line::default(), 5);
@@ -153,23 +129,4 @@ fn a_live_play_shows_what_its_last_update_drives() {
     rig.send(Command::EndLive(id));
     rig.run_ms(600);
     assert_still(&mut rig);
-}
-
-/// Over a line that loses, repeats and damages, what the device has not taken does not count as a movement.
-#[test]
-fn each_pin_of_a_shipped_pattern_shows_what_its_drive_orders() {
-    let edge = rig::pattern("edge-45");
-    let mut rig = Rig::armed(rig::bad_line(), 6);
-    rig.start_closed(&edge, Some(2.0));
-    rig.run_ms(1_500);
-    let pins = now(&mut rig);
-    assert!(!edge.drives().is_empty());
-    for (motor, pin) in (0..).zip(pins) {
-        match edge.drives().iter().find(|drive| drive.motor == motor) {
-            Some(drive) => {
-                assert_near(pin, (drive.amplitude_um / 2.0, drive.amplitude_um, drive.frequency_hz));
-            }
-            None => assert_eq!(pin, (0.0, 0.0, 0.0)),
-        }
-    }
 }

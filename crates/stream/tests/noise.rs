@@ -46,7 +46,6 @@ fn try_play(pattern: &str, byte_loss: f64, seed: u64) -> Tried {
         assert_closed(outcome);
         tried.bursts = (outcome.bursts.played, outcome.bursts.planned);
     }
-    println!("{pattern}, {:.1} % of bytes lost: {tried:?}", 100.0 * byte_loss);
     tried
 }
 

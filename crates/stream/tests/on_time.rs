@@ -61,11 +61,6 @@ fn position_control_holds_pins_under_every_on_time_limit() {
             let (bursts, counters) = (outcome.bursts, rig.mock.controller().counters());
             let farthest = (0..24).map(|motor| rig.mock.position_um(motor).abs()).fold(0.0, f64::max);
             let rms = rig.mock.true_positions().rest().rms_um();
-            println!(
-                "{frequency_hz} Hz, shift {shift:.3}, {motor} pulses/s: {} of {} bursts refused; rest error {rms:.1} um rms, \
-                 at the end {farthest:.1} um at most; {blind} motors in open loop",
-                bursts.refused, bursts.planned
-            );
             assert_eq!((faults, blind, outcome.end), (0, 0, End::Done));
             assert_eq!((bursts.played, bursts.refused), (counters.played, counters.refused));
             assert_eq!((bursts.dropped, bursts.late, counters.reports_lost), (0, 0, 0));
@@ -84,7 +79,6 @@ fn lost_reports_of_refused_strokes_do_not_mislead_position_control() {
         let mut rig = rig(10_000, line, seed);
         let (outcome, faults, blind) = play(&mut rig, &all_motors(60.0, 0.0), 9.0, None);
         let (bursts, rms) = (outcome.bursts, rig.mock.true_positions().rest().rms_um());
-        println!("seed {seed}: rest error {rms:.1} um rms, {blind} motors in open loop, {bursts:?}");
         assert_eq!((faults, blind), (0, 0), "seed {seed}");
         assert_eq!(bursts.refused, rig.mock.controller().counters().refused);
         assert!(rms < 14.0, "{rms} um");
@@ -99,7 +93,6 @@ fn the_account_of_a_stopped_play_says_what_happened() {
             let mut rig = rig(motor, Line::default(), 3);
             let (outcome, ..) = play(&mut rig, &all_motors(60.0, 0.0), seconds, stop_ms);
             let (bursts, counters) = (outcome.bursts, rig.mock.controller().counters());
-            println!("{motor} pulses/s, stopped after {stop_ms:?} ms: {bursts:?}");
             assert_eq!((bursts.played, bursts.refused), (counters.played, counters.refused));
             // 24 motors for the lead and a batch, 112 ms: at most 7 strokes each.
             let most = if stop_ms.is_some() { 2 * 24 * 7 } else { 0 };
@@ -121,7 +114,6 @@ fn verdicts_under_way_at_a_stop_still_count() {
     rig.run_ms(1500);
     let outcome = rig.outcomes().remove(0);
     let (bursts, counters) = (outcome.bursts, rig.mock.controller().counters());
-    println!("{bursts:?}, {counters:?}");
     assert_closed(&outcome);
     assert!(counters.late > 0);
     assert_eq!((bursts.played, bursts.late), (counters.played, counters.late));

@@ -8,7 +8,6 @@ use firmware_protocol::tick::Tick;
 use meissner_api::SensorFault;
 use meissner_array::spec::Array;
 use meissner_stream::{Gains, MotorRun, Period, rest_bound_um};
-use meissner_test_support::at_length;
 use meissner_test_support::paper::UM_PER_PULSE;
 use meissner_test_support::random::Random;
 use meissner_test_support::statistics::{mean, rms, standard_error};
@@ -119,50 +118,6 @@ fn settings_rest_near_the_bound(array: Array, count: u64) {
             ..MotorRun::of(array)
         };
         check(&motor_run, (200.0 / motor_run.frequency_hz).clamp(8.0, 150.0));
-    }
-}
-
-/// Twelve minutes of device time, or an hour, at each corner of the settings.
-#[test]
-fn the_last_minutes_at_each_corner_are_as_good_as_the_first() {
-    let long = at_length(12, 60);
-    let base = MotorRun::of(Array::paper());
-    let corners = [
-        ("slow and small", MotorRun { frequency_hz: 1.0, amplitude_um: 2.0, ..base }),
-        ("slow and large", MotorRun { frequency_hz: 1.0, amplitude_um: 200.0, scatter: 0.3, ..base }),
-        ("fast and full", MotorRun { frequency_hz: 300.0, amplitude_um: 200.0, ..base }),
-        ("fast and small", MotorRun { frequency_hz: 300.0, amplitude_um: 2.0, scatter: 0.3, ..base }),
-        ("old telemetry", MotorRun { age_ms: 100.0, ..base }),
-        ("old telemetry, fast", MotorRun { age_ms: 100.0, frequency_hz: 300.0, scatter: 0.3, ..base }),
-        (
-            "all at once",
-            MotorRun { age_ms: 100.0, scatter: 0.3, asymmetry: 0.1, frequency_hz: 150.0, ..base },
-        ),
-        ("no scatter", MotorRun { scatter: 0.0, asymmetry: 0.1, ..base }),
-        ("nothing to do", MotorRun { scatter: 0.0, asymmetry: 0.0, frequency_hz: 10.0, ..base }),
-        ("seldom telemetry", MotorRun { telemetry_hz: 20.0, ..base }),
-        ("far off", MotorRun { offset_um: 400.0, frequency_hz: 10.0, ..base }),
-        ("barely fed", MotorRun { lead_ms: 20.0, amplitude_um: 200.0, asymmetry: 0.1, ..base }),
-    ];
-    for (name, motor_run) in corners {
-        let motor_run = MotorRun { seed: name.len() as u64, ..motor_run };
-        let (mut minutes, mut fault) = (vec![(0u64, 0.0)], None);
-        let tell = |period: &Period| {
-            let minute = period.up as usize / (60 * 85_000);
-            minutes.resize(minutes.len().max(minute + 1), (0, 0.0));
-            minutes[minute].0 += 1;
-            minutes[minute].1 += period.rest_um.powi(2);
-            if let Some(why) = fault.take() {
-                panic!("{name}: {why:?}");
-            }
-        };
-        fault = motor_run.run(60.0 * long as f64, |_, y| Some(y), tell).unwrap();
-        assert_eq!(fault, None, "{name}");
-        let rms: Vec<f64> = minutes.iter().map(|(count, sum)| (sum / *count as f64).sqrt()).collect();
-        assert_eq!(rms.len(), long, "{name}");
-        let some = long / 6;
-        let (first, last) = (mean(&rms[1..=some]), mean(&rms[long - some..]));
-        assert!(last <= 1.25 * first + UM_PER_PULSE / 2.0, "{name}: from {first} to {last} um rms");
     }
 }
 

@@ -2,17 +2,11 @@
 //!
 //! Each test sends commands at an awkward moment and counts the plays that start and end.
 
-use firmware_protocol::frame::MAX_FRAME;
 use firmware_protocol::limits::PowerLimits;
 use firmware_protocol::message::State;
-use firmware_protocol::tick::Tick;
-use meissner_array::simulated::SimulatedMotorsConfig;
 use meissner_array::spec::Array;
-use meissner_stream::device::mock::Mock;
-use meissner_stream::link::LineRate;
-use meissner_stream::queues::{At, Command, CommandError, End, Request, StreamEvent};
-use meissner_stream::time::HostInstant;
-use meissner_stream::{Line, Settings, Streamer};
+use meissner_stream::queues::{At, Command, CommandError, End, StreamEvent};
+use meissner_stream::{Line, Settings};
 use meissner_test_support::rig::{self, Rig};
 use std::time::Duration;
 
@@ -86,44 +80,6 @@ fn two_arms_in_a_row_leave_it_armed_and_playing() {
 }
 
 #[test]
-fn a_device_whose_clock_begins_anew_plays_as_the_one_before() {
-    let mut streamer = Streamer::new(Settings::of(Array::paper()));
-    let (mut events, mut frame, mut bytes, mut ms) =
-        (Vec::<StreamEvent>::new(), [0; MAX_FRAME], [0; 4096], 0);
-    for (boot, start) in [(1, Tick::BOOT + 600 * 85_000), (2, Tick::BOOT)] {
-        let mut mock =
-            Mock::starting_at(Array::paper(), SimulatedMotorsConfig::default(), boot, start).unwrap();
-        streamer.connect(HostInstant::from_ns(ms * 1_000_000), boot, LineRate::USB_FULL_SPEED, &mut events);
-        for since in 0..3000u64 {
-            ms += 1;
-            let now = HostInstant::from_ns(ms * 1_000_000);
-            mock.run(start + since * 85);
-            let len = mock.read(&mut bytes);
-            let command = match since {
-                200 => Some(Command::Arm { assume_rest: true }),
-                400 | 1500 => {
-                    Some(Command::Play(Box::new(rig::play(ms, &rig::pattern("pin-60"), Some(0.05)))))
-                }
-                _ => None,
-            };
-            if let Some(command) = command {
-                streamer.execute(now, Request { ticket: ms, issued_at: now, command }, &mut events);
-            }
-            streamer.receive(now, &bytes[..len], &mut events);
-            streamer.step(now, &mut events);
-            loop {
-                let len = streamer.transmit(now, &mut frame, &mut events);
-                if len == 0 {
-                    break;
-                }
-                mock.write(&frame[..len]);
-            }
-        }
-    }
-    assert_eq!(started_and_ended(&events), (4, 4));
-}
-
-#[test]
 fn tens_of_thousands_of_reports_later_verdicts_still_count() {
     let settings = Settings {
         limits: PowerLimits { motor: 300, ..Array::paper().layout().no_limits() },
@@ -137,24 +93,6 @@ fn tens_of_thousands_of_reports_later_verdicts_still_count() {
         rig.mock.take_trace();
         assert_eq!(started_and_ended(&rig.take_events()), (1, 1), "round {round}");
     }
-}
-
-#[test]
-fn strokes_refused_as_they_begin_do_not_mislead_position_control() {
-    let settings = Settings {
-        limits: PowerLimits { motor: 1200, ..Array::paper().layout().no_limits() },
-        ..Settings::of(Array::paper())
-    };
-    let rest = |open_loop| {
-        let mut rig = Rig::with(settings, Line::default(), 24);
-        rig.arm();
-        rig.start_with(&rig::pattern("edge-45-paper"), Some(5.0), |play| play.open_loop = open_loop);
-        rig.run_ms(6000);
-        assert!(rig.outcomes()[0].bursts.refused > 1000);
-        rig.mock.true_positions().rest().rms_um()
-    };
-    let (open, closed) = (rest(true), rest(false));
-    assert!(closed < 0.5 * open && closed < 30.0, "open {open} um, closed {closed} um");
 }
 
 #[test]

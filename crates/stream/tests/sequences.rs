@@ -124,7 +124,6 @@ fn a_thousand_pauses_are_exact_to_the_tick() {
     let codes: Vec<_> =
         trains.iter().zip(0..).map(|(shown, item)| (shown.0, code(item).unwrap().code)).collect();
     assert_eq!(decode(&trace, 17), codes);
-    println!("{} pauses, {} codes: every tick as planned", trains.len() - 1, codes.len());
 }
 
 #[test]

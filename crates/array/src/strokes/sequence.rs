@@ -279,24 +279,6 @@ mod tests {
     }
 
     #[test]
-    fn each_sum_of_times_becomes_a_tick_once() {
-        let mut sequence = Sequence::new(Array::paper());
-        let tap = pattern("tap", 5, 100.0, Some(0.0333));
-        let tap = sequence.compile(&tap, &StrokeOptions::default()).unwrap();
-        // 0.1 ms are 8.5 ticks: rounded one by one, 1 000 of them would be 500 ticks too long.
-        for _ in 0..1000 {
-            sequence.add(tap, None, Start::Gap(50.1)).unwrap();
-        }
-        sequence.add(tap, None, Start::At(100_000.0)).unwrap();
-        let strokes = sequence.strokes().unwrap();
-        assert_eq!(strokes.end(), Some(85 * 100_000 + 2831));
-        for (item, onset) in strokes.onsets().take(1000).enumerate() {
-            let tenths_of_ms = 501 + item as u64 * (501 + 333);
-            assert_eq!(onset.0, (tenths_of_ms * 85 + 5) / 10, "item {item}");
-        }
-    }
-
-    #[test]
     fn what_cannot_be_played_is_refused_and_changes_nothing() {
         let mut sequence = Sequence::new(Array::paper());
         let options = StrokeOptions::default();

@@ -178,26 +178,4 @@ mod tests {
             }
         }
     }
-
-    #[test]
-    fn a_play_offered_again_plans_its_strokes_again() {
-        let mut account = planned(3);
-        account.all_late(2.0);
-        assert_eq!((account.bursts(None).late, account.lateness().link), (6, 3));
-        account.offer(1000);
-        account.plan(&STROKE);
-        assert_eq!((account.bursts(None).planned, account.pulses(None).planned), (2, 81));
-        assert_eq!(account.wire_bytes(1200), 200);
-    }
-
-    #[test]
-    fn only_what_the_device_counts_after_the_onset_was_played() {
-        let counters = |played, pulses| Counters { played, pulses, ..Counters::NONE };
-        let mut account = planned(2);
-        let after = counters(13, 700);
-        assert_eq!((account.bursts(Some(&after)).played, account.pulses(Some(&after)).played), (0, 0));
-        account.begin(begun(counters(10, 580)));
-        assert_eq!((account.bursts(Some(&after)).played, account.pulses(Some(&after)).played), (3, 120));
-        assert_eq!(account.bursts(Some(&after)).dropped, 1);
-    }
 }

@@ -294,38 +294,6 @@ mod tests {
         assert_eq!(found, wanted);
     }
 
-    /// If large and small travels weighed the same, or as 1/pulses, the error would exceed the stated one.
-    #[test]
-    fn slopes_scatter_by_their_standard_error() {
-        let fits = (0..400).map(|n| {
-            let of = travels(&PULSES, 6, 0.13, 0.0, 0.1).into_iter().zip(0..).map(|(travel, m)| {
-                let scatter = 1.0 + 0.1 * random::normal([6, n, m, 1]);
-                BurstTravel { travel_um: 0.13 * f64::from(travel.pulses) * scatter, ..travel }
-            });
-            Fit::of(Array::paper().motor(), &of.collect::<Vec<_>>()).unwrap()
-        });
-        let fits: Vec<Fit> = fits.collect();
-        let errors = fits.iter().map(|fit| (fit.slope_um_per_pulse - 0.13).powi(2));
-        let told = fits.iter().map(|fit| fit.slope_se_um_per_pulse.powi(2));
-        let ratio = (errors.sum::<f64>() / told.sum::<f64>()).sqrt();
-        // Four standard errors of a standard deviation of 400.
-        assert!((ratio - 1.0).abs() < 4.0 / 800_f64.sqrt(), "{ratio}");
-    }
-
-    #[test]
-    fn warm_up_strokes_do_not_count() {
-        let mut all = travels(&PULSES, 5, 0.13, 0.0, 0.1);
-        let without = Fit::of(Array::paper().motor(), &all).unwrap();
-        all.extend(
-            travels(&PULSES, 5, 0.1, 0.0, 0.1)
-                .into_iter()
-                .map(|travel| BurstTravel { warm_up: true, ..travel }),
-        );
-        assert_eq!(Fit::of(Array::paper().motor(), &all).unwrap(), without);
-        all.retain(|travel| travel.warm_up);
-        assert_eq!(fit(Array::paper(), &all), Ok(vec![]));
-    }
-
     #[test]
     fn implausible_travels_are_refused_in_one_line() {
         let good = |slope| travels(&PULSES, 5, slope, 0.0, 0.0);

@@ -26,23 +26,16 @@ pub fn find_too_many(strokes: &Strokes, limits: PowerLimits) -> Option<TooMany> 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use meissner_array::pattern::{Drive, Pattern};
+    use meissner_array::pattern::Drive;
     use meissner_array::power::Group;
     use meissner_array::spec::Array;
     use meissner_array::strokes::StrokeOptions;
+    use meissner_test_support::patterns;
 
     /// Strokes of motors 6 to 8, at these phases.
     fn strokes(phases: [f64; 3], seconds: Option<f64>) -> Strokes {
-        let drive = |(motor, phase)| Drive {
-            motor,
-            frequency_hz: 20.0,
-            amplitude_um: 80.0,
-            phase,
-            start_s: None,
-            stop_s: None,
-        };
-        let drives = (6..).zip(phases).map(drive).collect();
-        let pattern = Pattern::new(Array::paper(), "p", None, drives, toml::Table::new()).unwrap();
+        let drive = |(motor, phase)| Drive { phase, ..patterns::drive(motor, 20.0, 80.0) };
+        let pattern = patterns::pattern("p", None, (6..).zip(phases).map(drive));
         Strokes::new(&pattern, &StrokeOptions::lasting(seconds)).unwrap()
     }
 

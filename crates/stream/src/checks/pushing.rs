@@ -55,39 +55,24 @@ pub fn find_overpush(strokes: &Strokes, pulses_per_s: u32) -> Option<Overpush> {
 mod tests {
     use super::*;
     use meissner_array::pattern::{Drive, Pattern};
-    use meissner_array::spec::Array;
     use meissner_array::strokes::{StrokeOptions, Surplus};
+    use meissner_test_support::patterns::{drive, pattern};
+
+    fn pushed(pattern: &Pattern, lasts_s: Option<f64>) -> Strokes {
+        let options = StrokeOptions { surplus: Surplus::Fixed(10.0), ..StrokeOptions::lasting(lasts_s) };
+        Strokes::new(pattern, &options).unwrap()
+    }
 
     /// 50 strokes per second of the motors 3 and 7, each with 74 surplus pulses.
     fn strokes() -> Strokes {
-        let drive = |motor, phase| Drive {
-            motor,
-            frequency_hz: 50.0,
-            amplitude_um: 40.0,
-            phase,
-            start_s: None,
-            stop_s: None,
-        };
-        let pattern =
-            Pattern::new(Array::paper(), "p", None, vec![drive(3, 0.0), drive(7, 0.5)], toml::Table::new());
-        let options = StrokeOptions { surplus: Surplus::Fixed(10.0), ..StrokeOptions::lasting(Some(3.0)) };
-        Strokes::new(&pattern.unwrap(), &options).unwrap()
+        let later = Drive { phase: 0.5, ..drive(7, 50.0, 40.0) };
+        pushed(&pattern("p", None, [drive(3, 50.0, 40.0), later]), Some(3.0))
     }
 
     /// A quiet pattern for `quiet_s`, and then one that pushes too much; `None`: without end.
     fn loud_after(quiet_s: f64, lasts_s: Option<f64>) -> Strokes {
-        let drive = |motor, frequency_hz, start_s| Drive {
-            motor,
-            frequency_hz,
-            amplitude_um: 40.0,
-            phase: 0.0,
-            start_s,
-            stop_s: None,
-        };
-        let drives = vec![drive(3, 5.0, None), drive(7, 50.0, Some(quiet_s))];
-        let pattern = Pattern::new(Array::paper(), "p", None, drives, toml::Table::new()).unwrap();
-        let options = StrokeOptions { surplus: Surplus::Fixed(10.0), ..StrokeOptions::lasting(lasts_s) };
-        Strokes::new(&pattern, &options).unwrap()
+        let loud = Drive { start_s: Some(quiet_s), ..drive(7, 50.0, 40.0) };
+        pushed(&pattern("p", None, [drive(3, 5.0, 40.0), loud]), lasts_s)
     }
 
     #[test]

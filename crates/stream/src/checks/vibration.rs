@@ -138,31 +138,6 @@ mod tests {
     }
 
     #[test]
-    fn a_hold_counts_for_half_a_second_and_a_rest_does_not() {
-        // Up at 0, down after 2.5 s, at rest for 2.5 s.
-        let slow = "duration_s = 10.0\n[[drive]]\nmotor = 3\nfrequency_hz = 0.2\namplitude_um = 80.0\n";
-        let (_, spans) = vibrates(&strokes(slow, None));
-        let burst_s = 589.0 / 85_000.0;
-        let wanted = [(0.0, burst_s + 0.5), (2.5, 2.5 + burst_s), (5.0, 5.5 + burst_s), (7.5, 7.5 + burst_s)];
-        assert_eq!(spans.len(), 4);
-        for (found, wanted) in spans.iter().zip(wanted) {
-            assert!(
-                (found.0 - wanted.0).abs() < 1e-4 && (found.1 - wanted.1).abs() < 1e-4,
-                "{found:?} {wanted:?}"
-            );
-        }
-        // Another pin's stroke meanwhile lengthens it.
-        let both = format!(
-            "{slow}[[drive]]\nmotor = 4\nfrequency_hz = 300.0\namplitude_um = 19.0\nstart_s = 0.2\nstop_s = 0.204\n"
-        );
-        let (_, longer) = vibrates(&strokes(&both, None));
-        assert!(
-            longer.len() == 4 && (0.7..0.71).contains(&longer[0].1) && longer[1..] == spans[1..],
-            "{longer:?}"
-        );
-    }
-
-    #[test]
     fn what_is_not_counted_vibrates() {
         let endless = strokes("[[drive]]\nmotor = 3\nfrequency_hz = 0.2\namplitude_um = 80.0\n", None);
         let spans = find_longest_hold(&endless).vibrates;

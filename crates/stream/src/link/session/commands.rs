@@ -148,33 +148,8 @@ mod tests {
     use super::*;
     use firmware_protocol::controller::newer;
 
-    const RETRY: Duration = Duration::from_millis(3);
-
     fn at(ms: u64) -> HostInstant {
         HostInstant::from_ns(ms * 1_000_000)
-    }
-
-    #[test]
-    fn a_command_is_repeated_until_it_is_answered() {
-        let mut commands = Commands::new();
-        commands.open(7);
-        commands.begin(Op::Stop);
-        assert_eq!((commands.epoch(), commands.past_epoch(), commands.answer()), (8, 6, None));
-        assert_eq!(
-            [1, 3, 4].map(|ms| commands.next(at(ms), RETRY).map(|(_, again)| again)),
-            [Some(false), None, Some(true)]
-        );
-        assert_eq!((commands.waiting_since(), commands.due(at(4), RETRY)), (Some(at(1)), Some(at(7))));
-        assert_eq!((commands.answer(), commands.answer()), (Some(Op::Stop), None));
-    }
-
-    #[test]
-    fn an_e_stop_that_went_ahead_may_be_answered() {
-        let mut commands = Commands::new();
-        commands.begin(Op::EStop);
-        assert_eq!((commands.take_e_stop(), commands.take_e_stop()), (Some(1), None));
-        assert_eq!((commands.waiting(), commands.e_stopped_at()), (Some((Op::EStop, true)), None));
-        assert_eq!(commands.answer(), Some(Op::EStop));
     }
 
     #[test]

@@ -274,26 +274,23 @@ impl Outbox {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::link::session::event::Verdict;
-    use firmware_protocol::limits::Refusal;
+    use firmware_protocol::message::{Cause, Counters, MarkKind, State};
     use meissner_array::strokes::Stroke;
 
-    const HEAD: Head = Head { epoch: 1, seen: 0 };
     const RETRY: Duration = Duration::from_millis(3);
 
     fn at(ms: u64) -> HostInstant {
         HostInstant::from_ns(ms * 1_000_000)
     }
 
-    /// A status of a device with many free slots.
-    fn status(next_seq: u16, out_of_order: u8) -> Status {
-        use firmware_protocol::message::{Cause, Counters, State};
+    /// A status of a device with many free slots, which misses frame 0.
+    fn status(out_of_order: u8) -> Status {
         Status {
             token: 0,
             tick: Tick(0).wire(),
             epoch: 1,
             refusal: None,
-            next_seq,
+            next_seq: 0,
             out_of_order,
             credits: 100,
             reports: 0,
@@ -305,113 +302,33 @@ mod tests {
         }
     }
 
-    fn open() -> Outbox {
-        let mut outbox = Outbox::new();
-        outbox.acknowledge(&status(0, 0));
-        outbox
-    }
-
-    fn push(outbox: &mut Outbox, motor: u8, up: u64) {
-        let stroke = Stroke { motor, up: Tick(up), up_pulses: 10, down: Tick(up + 50), down_pulses: 10 };
+    /// A frame of one stroke, at a mark.
+    fn frame(outbox: &mut Outbox, mark: u64, up: u64) {
+        outbox.begin(Tick(mark), Mark { kind: MarkKind::Item, trigger: None, hold: 0 });
+        let stroke = Stroke { motor: 0, up: Tick(up), up_pulses: 10, down: Tick(up + 50), down_pulses: 10 };
         assert!(outbox.push(&stroke.into(), MAX_FRAME));
-    }
-
-    /// A frame of one stroke.
-    fn frame(outbox: &mut Outbox, motor: u8, up: u64) {
-        push(outbox, motor, up);
         outbox.seal();
     }
 
     fn write(outbox: &mut Outbox, ms: u64, window_bytes: usize) -> Option<Written> {
-        outbox.write_next(at(ms), HEAD, RETRY, window_bytes, &mut [0; MAX_FRAME])
-    }
-
-    fn conclude(outbox: &mut Outbox, next_seq: u16) -> Vec<Event> {
-        let mut events = Vec::new();
-        outbox.conclude(next_seq, Tick(1000), at(9), &mut |event| events.push(event));
-        events
-    }
-
-    fn verdict(seq: u16, late: u64, refused: u64, kept: u64) -> Report {
-        let kept = MotorSet::from_bits(kept);
-        let reason = (refused != 0).then_some(Refusal::PoolFull);
-        Report::Verdict { seq, late, refused, kept, reason, rendered: Tick(1000).wire() }
+        let head = Head { epoch: 1, seen: 0 };
+        outbox.write_next(at(ms), head, RETRY, window_bytes, &mut [0; MAX_FRAME])
     }
 
     #[test]
     fn a_lost_frame_is_sent_again_and_does_not_wait_for_the_window() {
-        let mut outbox = open();
-        assert_eq!(outbox.credits(), 100);
-        outbox.begin(
-            Tick(5),
-            Mark { kind: firmware_protocol::message::MarkKind::Item, trigger: None, hold: 0 },
-        );
-        frame(&mut outbox, 0, 5);
-        outbox.begin(
-            Tick(9),
-            Mark { kind: firmware_protocol::message::MarkKind::Item, trigger: None, hold: 0 },
-        );
-        frame(&mut outbox, 0, 900);
+        let mut outbox = Outbox::new();
+        outbox.acknowledge(&status(0));
+        frame(&mut outbox, 5, 5);
+        frame(&mut outbox, 9, 900);
         assert_eq!(write(&mut outbox, 1, MAX_FRAME).and_then(|written| written.marks), Some(Tick(5)));
         assert!(write(&mut outbox, 1, MAX_FRAME).is_none(), "the window is full");
         assert!(write(&mut outbox, 1, 2 * MAX_FRAME).is_some_and(|written| !written.retransmitted));
         assert_eq!((outbox.unacknowledged(), outbox.credits()), (2, 96));
         // The device keeps the second: only the first is missing.
-        outbox.acknowledge(&status(0, 1));
+        outbox.acknowledge(&status(1));
         assert!(write(&mut outbox, 3, MAX_FRAME).is_none() && outbox.due(at(3), RETRY) == Some(at(4)));
         let again = write(&mut outbox, 4, MAX_FRAME).unwrap();
         assert!(again.retransmitted && again.marks.is_none() && write(&mut outbox, 4, MAX_FRAME).is_none());
-    }
-
-    #[test]
-    fn each_stroke_has_the_verdict_of_its_own_frame() {
-        let mut outbox = open();
-        outbox.replace(Tick(5), MotorSet::from_bits(0b11), MotorSet::from_bits(0b10));
-        push(&mut outbox, 0, 5);
-        outbox.seal();
-        assert!(write(&mut outbox, 1, MAX_FRAME).is_some());
-        frame(&mut outbox, 2, 900);
-        assert!(write(&mut outbox, 1, 3 * MAX_FRAME).is_some() && outbox.unjudged(1).is_some());
-        // Motor 0 was too late: it keeps its old stroke. Motor 1 is silent.
-        outbox.judge(1, verdict(0, 1, 0, 0b01), false);
-        outbox.judge(2, verdict(1, 0, 1, 0), false);
-        assert!(
-            outbox.unjudged(0).is_none()
-                && outbox.unjudged(1).is_none()
-                && conclude(&mut outbox, 0).is_empty()
-        );
-        let events = conclude(&mut outbox, 2);
-        assert_eq!(
-            events[0],
-            Event::Replaced { motors: MotorSet::from_bits(0b10), kept: MotorSet::from_bits(0b01) }
-        );
-        assert!(matches!(events[1], Event::Step(Step::Stroke(Stroke { motor: 0, .. }), Verdict::Superseded)));
-        assert!(matches!(
-            events[2],
-            Event::Step(Step::Stroke(Stroke { motor: 2, .. }), Verdict::Refused(Refusal::PoolFull))
-        ));
-        assert!(events.len() == 3 && outbox.is_empty());
-    }
-
-    #[test]
-    fn a_new_epoch_leaves_only_the_bad_verdicts_of_the_old_one() {
-        let mut outbox = open();
-        for up in [5, 900] {
-            frame(&mut outbox, 0, up);
-            assert!(write(&mut outbox, 1, 3 * MAX_FRAME).is_some());
-        }
-        outbox.begin_epoch(Some(7));
-        assert!(outbox.is_empty() && write(&mut outbox, 9, MAX_FRAME).is_none());
-        // Report 7 is of an epoch before.
-        outbox.judge(7, verdict(0, 1, 0, 0), true);
-        outbox.judge(8, verdict(1, 1, 0, 0), true);
-        let events = conclude(&mut outbox, 0);
-        assert!(
-            matches!(
-                events[..],
-                [Event::Step(Step::Stroke(Stroke { up: Tick(900), .. }), Verdict::Late { .. })]
-            ),
-            "{events:?}"
-        );
     }
 }

@@ -223,25 +223,6 @@ mod tests {
     }
 
     #[test]
-    fn answers_find_their_pings_until_these_are_too_old() {
-        let mut pinger = Pinger::new(RATE, at(0));
-        let tokens: Vec<u16> = (0..=PINGS as u64).map(|ms| pinger.ping(at(ms), false, false)).collect();
-        assert_eq!((pinger.sent_at(0), pinger.sent_at(tokens[0])), (None, None));
-        assert_eq!((pinger.sent_at(tokens[1]), pinger.sent_at(tokens[PINGS])), (Some(at(1)), Some(at(64))));
-    }
-
-    #[test]
-    fn the_first_pings_set_the_clock() {
-        let mut pinger = set();
-        assert!(pinger.is_set() && pinger.reading(at(9)).is_some() && !Pinger::new(RATE, at(0)).is_set());
-        assert_eq!(
-            (pinger.shortest(), pinger.take_round_trip().map(|trip| trip.sent)),
-            (Duration::from_millis(1), Some(at(7)))
-        );
-        assert_eq!(pinger.take_round_trip(), None);
-    }
-
-    #[test]
     fn a_device_is_silent_after_some_pings_and_some_time() {
         for (disturbed, pings) in [(false, MAX_UNANSWERED), (true, MAX_UNANSWERED_NOISY)] {
             let (mut pinger, mut now) = (set(), at(10));
@@ -259,21 +240,5 @@ mod tests {
             pinger.heard();
             assert!(!pinger.is_silent(at(10_000), disturbed));
         }
-    }
-
-    #[test]
-    fn a_ping_comes_sooner_while_something_waits() {
-        let mut pinger = set();
-        let mut next = |waits, disturbed| {
-            pinger.heard();
-            pinger.ping(at(20), waits, disturbed);
-            pinger.due().since(at(20))
-        };
-        assert_eq!(next(true, true), FIRST_PING_EVERY);
-        assert_eq!((next(false, true), next(false, false)), (NOISY_EVERY, Duration::from_secs(1)));
-        pinger.ping(at(20), false, false);
-        assert_eq!(pinger.due(), at(20) + RECHECK_EVERY);
-        pinger.hasten();
-        assert_eq!(pinger.due(), at(20) + STATUS_EVERY);
     }
 }

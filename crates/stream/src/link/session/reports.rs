@@ -184,37 +184,4 @@ mod tests {
         assert_eq!(read_all(&mut reports), [u16::MAX, 0, 1]);
         assert!(reports.are_complete());
     }
-
-    #[test]
-    fn a_status_counts_once_its_reports_are_read() {
-        let status = |reports, next_seq: u16| Reported { reports, tick: Tick(next_seq.into()), next_seq };
-        let mut reports = Reports::new();
-        for made in 1..=2 {
-            reports.announce(made);
-            reports.status(status(made, 10 * made));
-            assert_eq!(reports.conclude(), Reported::default());
-        }
-        let missing = reports.missing_since(HostInstant::from_ns(5));
-        assert_eq!(missing, Some(HostInstant::from_ns(5)));
-        // The first report decides what the first status said, though the second is missing.
-        reports.receive(1, report(0));
-        read_all(&mut reports);
-        assert_eq!(reports.conclude(), status(1, 10));
-        assert_eq!(reports.missing_since(HostInstant::from_ns(7)), Some(HostInstant::from_ns(7)));
-        reports.receive(2, report(0));
-        read_all(&mut reports);
-        assert_eq!(reports.conclude(), status(2, 20));
-        assert_eq!(reports.missing_since(HostInstant::from_ns(9)), None);
-    }
-
-    #[test]
-    fn verdicts_of_an_old_epoch_stay_stale_while_numbers_wrap() {
-        let mut reports = Reports::new();
-        reports.make_stale(3);
-        assert!(reports.is_stale(3) && !reports.is_stale(4));
-        for number in 1..=40_000 {
-            reports.read(number);
-        }
-        assert!(!reports.is_stale(40_001));
-    }
 }

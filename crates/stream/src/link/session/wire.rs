@@ -148,15 +148,6 @@ mod tests {
     }
 
     #[test]
-    fn messages_come_whole_out_of_any_chunks() {
-        let mut wire = Wire::default();
-        let bytes = [frame(), frame()].concat();
-        let heard: usize =
-            bytes.chunks(3).map(|mut chunk| std::iter::from_fn(|| wire.next(&mut chunk)).count()).sum();
-        assert_eq!((heard, wire.traffic().good, wire.is_disturbed()), (2, 2, false));
-    }
-
-    #[test]
     fn damaged_frames_in_a_row_make_noise_that_a_whole_one_ends() {
         let mut wire = Wire::default();
         let mut damaged = frame();
