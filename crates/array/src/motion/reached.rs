@@ -71,6 +71,8 @@ pub struct Reached {
     /// When the waveform is ahead of the motor's highest speed by more than a burst of `least_pulses`: from and until, s. Range does not
     /// count.
     pub too_slow_s: Vec<(f64, f64)>,
+    /// Moves in all.
+    pub moves: usize,
     /// Moves per second, from the beginning of the waveform until the pin rests again.
     pub moves_per_s: f64,
     /// The most moves that begin within a second.
@@ -243,6 +245,7 @@ impl Reached {
             from_filtered: from_filtered.deviation(),
             step_error_um,
             too_slow_s: too_slow.into_iter().map(|(from, until)| (seconds(from), seconds(until))).collect(),
+            moves: moves.len(),
             moves_per_s: if until > from { moves.len() as f64 / seconds(until - from) } else { 0.0 },
             busiest_second: busiest(moves, rate.per_s()),
             longest_hold_s: rate.ticks_to_seconds(longest_hold(moves)),
