@@ -9,7 +9,8 @@ use anyhow::Result;
 use firmware_protocol::moves::Move;
 use meissner::cli::{FollowingError, steps_of};
 use meissner_array::motion::{
-    Compiled, Envelope, MotionError, Noise, Path, RampHold, Shape, Strength, Tone, Waveform, compile,
+    Envelope, Grid, MotionError, Noise, Path, RampHold, Reached, Shape, Strength, Tone, Waveform, beginning,
+    choose,
 };
 use meissner_array::motor::HalfTick;
 use meissner_array::spec::Array;
@@ -89,7 +90,7 @@ pub fn motion_figures(array: Array) -> Result<MotionFigures, MotionError> {
     let rows = stimuli.iter().map(|(stimulus, motors)| row(array, stimulus, motors));
     let rows = rows.collect::<Result<_, _>>()?;
     let harmonic = |amplitude_um| {
-        let Compiled { grid, moves, .. } = compile(array, &[(9, &hann(amplitude_um)?)], None)?;
+        let (grid, moves, _) = compiled(array, &[(9, hann(amplitude_um)?)])?;
         let step_ms = array.rate().ticks_to_ms(grid.step_ticks.into());
         Ok(HarmonicRow { amplitude_um, step_ms, db: third_harmonic_db(array, &moves[0]) })
     };
@@ -98,10 +99,20 @@ pub fn motion_figures(array: Array) -> Result<MotionFigures, MotionError> {
     Ok(MotionFigures { rows, third_harmonic_db })
 }
 
+/// The grid that the daemon takes, the moves of each motor, and what it reaches.
+fn compiled(
+    array: Array,
+    motors: &[(u8, Waveform)],
+) -> Result<(Grid, Vec<Vec<Move>>, Vec<Reached>), MotionError> {
+    let grid = choose(array, motors.iter().map(|(motor, waveform)| (*motor, waveform)), None)?;
+    let whole = |(motor, waveform): &(u8, Waveform)| beginning(array, *motor, waveform, grid, u64::MAX);
+    let (moves, reached) = motors.iter().map(whole).unzip();
+    Ok((grid, moves, reached))
+}
+
 fn row(array: Array, stimulus: &str, motors: &[(u8, Waveform)]) -> Result<StimulusRow, MotionError> {
-    let of: Vec<(u8, &Waveform)> = motors.iter().map(|(motor, waveform)| (*motor, waveform)).collect();
-    let Compiled { grid, moves, reached } = compile(array, &of, None)?;
-    let worst = |error: fn(&meissner_array::motion::Reached) -> meissner_array::motion::Deviation| {
+    let (grid, moves, reached) = compiled(array, motors)?;
+    let worst = |error: fn(&Reached) -> meissner_array::motion::Deviation| {
         let all = reached.iter().map(error);
         let worst = all.reduce(|worst, of| if of.share > worst.share { of } else { worst });
         FollowingError::from(worst.unwrap_or_default())
@@ -111,7 +122,7 @@ fn row(array: Array, stimulus: &str, motors: &[(u8, Waveform)]) -> Result<Stimul
         stimulus: stimulus.to_owned(),
         motors: motors.len(),
         step_ms: array.rate().ticks_to_ms(grid.step_ticks.into()),
-        highest_um: reached.iter().map(|of| of.highest_um).fold(0.0, f64::max),
+        highest_um: motors.iter().map(|(_, waveform)| waveform.extremes_um()[1]).fold(0.0, f64::max),
         from_asked: worst(|of| of.from_asked),
         from_filtered: worst(|of| of.from_filtered),
         too_slow_s: reached
