@@ -10,7 +10,7 @@ use anyhow::Result;
 use firmware_protocol::moves::Move;
 use meissner::cli::{FollowingError, steps_of};
 use meissner_array::motion::{
-    Compiled, Envelope, MotionError, Noise, Path, RampHold, Shape, Strength, Tone, Waveform, compile,
+    Envelope, MotionError, Noise, Path, RampHold, Reached, Shape, Strength, Tone, Waveform, beginning, choose,
 };
 use meissner_array::motor::HalfTick;
 use meissner_array::pattern::{Form, Motion, Pattern};
@@ -96,8 +96,7 @@ pub fn motion_figures(array: Array) -> Result<MotionFigures, MotionError> {
     let rows = stimuli.iter().map(|(stimulus, motors)| row(array, stimulus, motors));
     let rows = rows.collect::<Result<_, _>>()?;
     let harmonic = |amplitude_um| {
-        let Compiled { grid, moves, .. } = compile(array, &[(9, &hann(amplitude_um)?)], None)?;
-        let step_ms = array.rate().ticks_to_ms(grid.step_ticks.into());
+        let (step_ms, moves, _) = compile(array, &[(9, hann(amplitude_um)?)])?;
         Ok(HarmonicRow { amplitude_um, step_ms, db: third_harmonic_db(array, &moves[0]) })
     };
     let third_harmonic_db =
@@ -105,10 +104,21 @@ pub fn motion_figures(array: Array) -> Result<MotionFigures, MotionError> {
     Ok(MotionFigures { rows, third_harmonic_db })
 }
 
+/// The step of the grid, ms, and for each motor its moves and what it reaches.
+type Compiled = (f64, Vec<Vec<Move>>, Vec<Reached>);
+
+fn compile(array: Array, motors: &[(u8, Waveform)]) -> Result<Compiled, MotionError> {
+    /// Longer than every stimulus.
+    const WHOLE_NS: u64 = 60_000_000_000;
+    let grid = choose(array, motors.iter().map(|(motor, waveform)| (*motor, waveform)), None)?;
+    let of = |(motor, waveform): &(u8, Waveform)| beginning(array, *motor, waveform, grid, WHOLE_NS);
+    let (moves, reached) = motors.iter().map(of).unzip();
+    Ok((array.rate().ticks_to_ms(grid.step_ticks.into()), moves, reached))
+}
+
 fn row(array: Array, stimulus: &str, motors: &[(u8, Waveform)]) -> Result<StimulusRow, MotionError> {
-    let of: Vec<(u8, &Waveform)> = motors.iter().map(|(motor, waveform)| (*motor, waveform)).collect();
-    let Compiled { grid, moves, reached } = compile(array, &of, None)?;
-    let worst = |error: fn(&meissner_array::motion::Reached) -> meissner_array::motion::Deviation| {
+    let (step_ms, moves, reached) = compile(array, motors)?;
+    let worst = |error: fn(&Reached) -> meissner_array::motion::Deviation| {
         let all = reached.iter().map(error);
         let worst = all.reduce(|worst, of| if of.share > worst.share { of } else { worst });
         FollowingError::from(worst.unwrap_or_default())
@@ -117,8 +127,8 @@ fn row(array: Array, stimulus: &str, motors: &[(u8, Waveform)]) -> Result<Stimul
     Ok(StimulusRow {
         stimulus: stimulus.to_owned(),
         motors: motors.len(),
-        step_ms: array.rate().ticks_to_ms(grid.step_ticks.into()),
-        highest_um: reached.iter().map(|of| of.highest_um).fold(0.0, f64::max),
+        step_ms,
+        highest_um: motors.iter().map(|(_, waveform)| waveform.extremes_um()[1]).fold(0.0, f64::max),
         from_asked: worst(|of| of.from_asked),
         from_filtered: worst(|of| of.from_filtered),
         too_slow_s: reached

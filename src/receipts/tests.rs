@@ -10,7 +10,7 @@ use meissner_array::per_motor::PerMotor;
 use meissner_array::spec::Array;
 use meissner_array::strokes::{StrokeOptions, Strokes};
 use meissner_stream::link::{Clock, Traffic};
-use meissner_stream::queues::{End, Movement, Offset, Onset, Play, RestErrors};
+use meissner_stream::queues::{End, Movement, Onset, Play, RestErrors, Stamp};
 use meissner_stream::{PlayBoard, Settings};
 
 /// The same estimate of every motor's rest error.
@@ -100,7 +100,7 @@ fn ended(id: u64, end: End) -> StreamEvent {
         lateness: LateCounts { host: 1, ..LateCounts::default() },
         board: Some(PlayBoard { slack: Some(29), stalls: Some(1), usb_recoveries: None, output_faults: 0 }),
         wire_bytes: 55,
-        offset: Some(Offset { tick: Tick(10_500), at: HostInstant::from_ns(100), uncertainty_ns: 9 }),
+        offset: Some(Stamp { tick: Tick(10_500), at: HostInstant::from_ns(100), uncertainty_ns: 9 }),
         cut_after: (end != End::Done).then_some(8_500),
         rest_at_onset: Some(rest(0.25, ErrorSource::Telemetry)),
         rest_at_end: rest(0.5, ErrorSource::DeadReckoning),

@@ -208,38 +208,3 @@ impl DeviceClock {
         self.tick = self.tick + self.rate.duration_to_ticks(time);
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use meissner_test_support::paper::RATE;
-
-    #[test]
-    fn a_line_that_holds_delivers_everything_at_once_in_order() {
-        let mut line = Direction::new(Line { holds: true, ..Line::default() }, 1);
-        let now = HostInstant::from_ns(1_000_000);
-        line.send(now, &[1, 0]);
-        line.send(now + Duration::from_millis(1), &[2, 0]);
-        let later = now + Duration::from_secs(1);
-        assert!(line.arrived(later).is_empty() && !line.is_empty());
-        line.line.holds = false;
-        assert_eq!(line.arrived(later), [1, 0, 2, 0]);
-        assert!(line.is_empty());
-        assert_eq!(line.harmed(), 2);
-    }
-
-    #[test]
-    fn a_clock_that_drifts_gains_with_the_square_of_time() {
-        let begin = HostInstant::from_ns(7_000_000_000);
-        let mut clock = DeviceClock::started(RATE, begin);
-        clock.drift(begin, 200.0);
-        let after = |clock: &DeviceClock, seconds| {
-            let right = Tick::BOOT + 85_000 * seconds;
-            clock.tick_at(begin + Duration::from_secs(seconds)).since(right)
-        };
-        // 200 millionths more each second: 100 after one, 400 after two.
-        assert_eq!((after(&clock, 1), after(&clock, 2)), (8, 34));
-        clock.set_error(begin + Duration::from_secs(2), 0.0);
-        assert_eq!(after(&clock, 10), 34);
-    }
-}

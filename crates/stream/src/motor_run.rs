@@ -228,39 +228,3 @@ impl Motor {
         false
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use meissner_array::pattern::Pattern;
-    use meissner_array::spec::names;
-    use meissner_array::strokes::{StrokeOptions, Strokes};
-    use meissner_test_support::patterns::drive;
-
-    #[test]
-    fn a_run_plays_the_strokes_that_a_pattern_sends() {
-        for array in names().into_iter().map(|name| Array::named(name).unwrap()) {
-            assert_plays_the_strokes(array);
-        }
-    }
-
-    fn assert_plays_the_strokes(array: Array) {
-        for (frequency_hz, amplitude_um) in [(60.0, 80.0), (7.3, 400.0), (299.0, 30.0), (150.1, 3.3)] {
-            let run = MotorRun { frequency_hz, amplitude_um, closed: false, ..MotorRun::of(array) };
-            let mut played = Vec::new();
-            run.run(
-                1.0,
-                |_, y| Some(y),
-                |period| played.push((period.up - 2 * Times::of(array).finalise_at, period.pulses)),
-            )
-            .unwrap();
-            let drives = vec![drive(0, frequency_hz, amplitude_um)];
-            let pattern = Pattern::new(array, "test", None, drives, toml::Table::new()).unwrap();
-            let sent = Strokes::new(&pattern, &StrokeOptions::lasting(1.0)).unwrap();
-            let sent = sent.map(|step| step.unwrap().stroke().unwrap());
-            let sent: Vec<_> =
-                sent.map(|stroke| (stroke.up.0, [stroke.up_pulses, stroke.down_pulses])).collect();
-            assert!(!played.is_empty() && sent.starts_with(&played), "{frequency_hz} Hz: {played:?}");
-        }
-    }
-}

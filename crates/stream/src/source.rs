@@ -37,6 +37,13 @@ impl Source {
         }
     }
 
+    fn compiled(&self) -> Option<&Strokes> {
+        match self {
+            Self::Compiled(strokes) => Some(strokes),
+            Self::Live(_) => None,
+        }
+    }
+
     /// When each item begins.
     pub fn onsets(&self) -> impl Iterator<Item = Tick> {
         let (compiled, live) = match self {
@@ -48,11 +55,8 @@ impl Source {
 
     /// Ticks from the onset to the end; `None`: without end.
     #[must_use]
-    pub const fn end(&self) -> Option<u64> {
-        match self {
-            Self::Compiled(strokes) => strokes.end(),
-            Self::Live(_) => None,
-        }
+    pub fn end(&self) -> Option<u64> {
+        self.compiled()?.end()
     }
 
     /// A lower bound on the first tick of the next step of `motor`.
@@ -65,10 +69,7 @@ impl Source {
 
     /// When the next item begins, if only items follow.
     pub(crate) fn next_onset(&self) -> Option<Tick> {
-        match self {
-            Self::Compiled(strokes) => strokes.next_onset(),
-            Self::Live(_) => None,
-        }
+        self.compiled()?.next_onset()
     }
 
     /// Goes on to the next item.
@@ -80,43 +81,28 @@ impl Source {
 
     /// The number of the present item.
     pub(crate) fn item(&self) -> usize {
-        match self {
-            Self::Compiled(strokes) => strokes.item(),
-            Self::Live(_) => 0,
-        }
+        self.compiled().map_or(0, Strokes::item)
     }
 
     /// Whether this item drives a motor.
     pub(crate) fn item_drives(&self, item: usize, motor: u8) -> bool {
-        match self {
-            Self::Compiled(strokes) => strokes.item_drives(item, motor),
-            Self::Live(_) => true,
-        }
+        self.compiled().is_none_or(|strokes| strokes.item_drives(item, motor))
     }
 
     /// Whether all steps of this item were returned.
     pub(crate) fn item_is_over(&self, item: usize) -> bool {
-        match self {
-            Self::Compiled(strokes) => strokes.item_is_over(item),
-            Self::Live(_) => false,
-        }
+        self.compiled().is_some_and(|strokes| strokes.item_is_over(item))
     }
 
     /// When this item ends, if it plays nothing.
     pub(crate) fn blank_until(&self, item: usize) -> Option<Tick> {
-        match self {
-            Self::Compiled(strokes) => strokes.blank_until(item),
-            Self::Live(_) => None,
-        }
+        self.compiled()?.blank_until(item)
     }
 
     /// Whether this motor may be driven. A live play may drive any motor.
     #[must_use]
     pub fn drives(&self, motor: u8) -> bool {
-        match self {
-            Self::Compiled(strokes) => strokes.drives(motor),
-            Self::Live(_) => true,
-        }
+        self.compiled().is_none_or(|strokes| strokes.drives(motor))
     }
 
     /// The motors that they may drive, in order.

@@ -11,6 +11,7 @@ use super::waveform::{RATE_HZ, Waveform, check_count};
 use crate::motor::MAX_AMPLITUDE_UM;
 use crate::pattern::{FREQUENCY_HZ, MAX_SECONDS};
 use crate::random;
+use serde::{Deserialize, Serialize};
 use std::f64::consts::{PI, TAU};
 
 /// The most segments of a cosine ramp.
@@ -29,7 +30,8 @@ const AT_ONCE: usize = 8;
 const NOISE_KEY: u64 = 0x6e_6f69_7365;
 
 /// How a ramp goes from one level to the other.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
 pub enum Shape {
     /// At constant speed.
     #[default]

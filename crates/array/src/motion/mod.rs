@@ -8,7 +8,7 @@
 //! first second; and a motor's last move always ends at rest.
 //!
 //! ```
-//! use meissner_array::motion::{Envelope, RampHold, Shape, Tone, Waveform, compile};
+//! use meissner_array::motion::{Envelope, RampHold, Shape, Tone, Waveform, beginning, choose};
 //! use meissner_array::spec::Array;
 //!
 //! let (start_s, to_um, rise_s, hold_s, fall_s, shape) = (0.0, 100.0, 0.1, 0.8, 0.1, Shape::Cosine);
@@ -17,10 +17,10 @@
 //! let (start_hz, end_hz, amplitude_um) = (10.0, 80.0, 20.0);
 //! let chirp = Tone { start_s, duration_s, start_hz, end_hz, amplitude_um, about_um, phase, envelope }.waveform()?;
 //!
-//! let compiled = compile(Array::paper(), &[(9, &Waveform::sum(&[press, chirp])?)], None)?;
-//! assert_eq!(compiled.grid.step_ticks, 170);
-//! assert_eq!(compiled.moves[0].last().unwrap().level, 0);
-//! let reached = &compiled.reached[0];
+//! let (array, waveform) = (Array::paper(), Waveform::sum(&[press, chirp])?);
+//! let grid = choose(array, [(9, &waveform)].into_iter(), None)?;
+//! let (moves, reached) = beginning(array, 9, &waveform, grid, 2_000_000_000);
+//! assert_eq!((grid.step_ticks, moves.last().unwrap().level), (170, 0));
 //! assert!(reached.step_error_um < 0.95 && reached.from_filtered.share < 0.01 && reached.too_slow_s.is_empty());
 //! # Ok::<(), meissner_array::motion::MotionError>(())
 //! ```
@@ -34,7 +34,7 @@ mod waveform;
 pub use error::MotionError;
 pub(crate) use generate::MOST_NOISE_WORK;
 pub use generate::{Envelope, Noise, RampHold, Shape, Strength, Tone};
-pub use moves::{Compiled, Grid, LEAST_ERROR_UM, Moves, TRIED_S, beginning, choose, compile};
+pub use moves::{Grid, LEAST_ERROR_UM, Moves, TRIED_S, beginning, choose};
 pub(crate) use moves::{Rule, SLOWEST_STEP_MS, choose_within};
 pub use reached::{Deviation, Path, Reached};
 pub use waveform::{Knot, MAX_KNOTS, MAX_SAMPLES, RATE_HZ, Section, Waveform};

@@ -29,7 +29,7 @@ use crate::units::TickRate;
 use firmware_protocol::moves::Move;
 use firmware_protocol::tick::Tick;
 
-/// The steps that [`compile`] tries, ms. Shorter ones are more moves than the link takes from the paper's 24 motors, longer ones do not
+/// The steps that [`choose`] tries, ms. Shorter ones are more moves than the link takes from the paper's 24 motors, longer ones do not
 /// vanish in the average of 4.3 ms of the paper's motors.
 const STEPS_MS: [u64; 4] = [SLOWEST_STEP_MS, 3, 2, 1];
 
@@ -47,17 +47,6 @@ pub const LEAST_ERROR_UM: f64 = 0.01;
 pub struct Grid {
     /// The step, at least 1.
     pub step_ticks: u32,
-}
-
-/// The moves of a play's motors, and what each will reach.
-#[derive(Clone, Debug)]
-pub struct Compiled {
-    /// The grid of all moves.
-    pub grid: Grid,
-    /// For each motor that was given, in that order: its moves, from tick 0 on.
-    pub moves: Vec<Vec<Move>>,
-    /// For each motor, what it reaches.
-    pub reached: Vec<Reached>,
 }
 
 /// How long a stretch of each waveform [`choose`] tries, shared among the motors, s.
@@ -107,26 +96,6 @@ pub(crate) fn choose_within<'a>(
     Ok(finest)
 }
 
-/// Compiles the waveforms of some motors on the grid that [`choose`] finds. Compare `step_error_um` to know whether each pin stays within
-/// `error_um` throughout.
-///
-/// # Errors
-/// Those of [`choose`].
-///
-/// # Panics
-/// If the array has no such motor.
-pub fn compile(
-    array: Array,
-    motors: &[(u8, &Waveform)],
-    error_um: Option<f64>,
-) -> Result<Compiled, MotionError> {
-    let grid = choose(array, motors.iter().copied(), error_um)?;
-    let moves = |(motor, waveform): &(u8, &Waveform)| Moves::new(array, *motor, waveform, grid).collect();
-    let moves: Vec<Vec<Move>> = motors.iter().map(moves).collect();
-    let reached = motors.iter().zip(&moves).map(|((_, waveform), moves)| Reached::of(array, waveform, moves));
-    Ok(Compiled { grid, reached: reached.collect(), moves })
-}
-
 /// The moves of a motor in the first so many nanoseconds of its waveform's span, and what it reaches by then: work that does not grow with
 /// a waveform of years. Of a shorter waveform all.
 ///
@@ -141,22 +110,8 @@ pub fn beginning(array: Array, motor: u8, whole: &Waveform, grid: Grid, ns: u64)
     let end =
         cut_ns.map(|ns| tick_of(ns, array.rate()) / u64::from(grid.step_ticks) * u64::from(grid.step_ticks));
     moves.retain(|of| end.is_none_or(|end| of.tick.0 < end));
-    let reached = Reached::before(array, &waveform, &moves, end);
+    let reached = Reached::of(array, &waveform, &moves, end);
     (moves, reached)
-}
-
-impl Compiled {
-    /// Whether each pin stays within so many µm of what its motor can do at best.
-    #[must_use]
-    pub fn all_within(&self, error_um: f64) -> bool {
-        self.reached.iter().all(|reached| reached.step_error_um <= error_um)
-    }
-
-    /// The longest time for which a pin stays above rest between two of its moves, s: the hold that a play has to ask for.
-    #[must_use]
-    pub fn longest_hold_s(&self) -> f64 {
-        self.reached.iter().fold(0.0, |longest, reached| reached.longest_hold_s.max(longest))
-    }
 }
 
 impl Grid {
@@ -343,22 +298,29 @@ mod tests {
         let array = Array::paper();
         let (slow, fast) =
             (ramp().waveform().unwrap(), tone(40.0, 40.0, 80.0, Envelope::Hann).waveform().unwrap());
-        let step = |motors: &[(u8, &Waveform)], error_um| {
-            let compiled = compile(array, motors, error_um).unwrap();
-            assert!(compiled.all_within(error_um.unwrap_or(0.95)), "{:?}", compiled.reached);
-            assert_eq!(compiled.moves.len(), motors.len());
-            compiled.grid.step_ticks / 85
+        let all_within = |motors: &[(u8, &Waveform)], grid, error_um| {
+            motors.iter().all(|(motor, waveform)| {
+                let moves: Vec<_> = Moves::new(array, *motor, waveform, grid).collect();
+                steps_within(array, waveform, &moves, error_um)
+            })
+        };
+        let step = |motors: &[(u8, &Waveform)], error_um: Option<f64>| {
+            let grid = choose(array, motors.iter().copied(), error_um).unwrap();
+            assert!(all_within(motors, grid, error_um.unwrap_or(0.95)), "{grid:?}");
+            grid.step_ticks / 85
         };
         assert_eq!((step(&[(3, &slow)], None), step(&[(4, &fast)], None)), (2, 1));
         assert_eq!(
             (step(&[(3, &slow), (4, &fast)], None), step(&[(3, &slow), (4, &fast)], Some(8.0))),
             (1, 4)
         );
-        // Noise that is too fast at places: no grid is within so little, and the result says so.
+        // Noise that is too fast at places: no grid is within so little.
         let rough = noise(5.0, 150.0, Strength::RmsUm(15.0), 1).waveform().unwrap();
-        let compiled = compile(array, &[(0, &rough)], Some(0.1)).unwrap();
-        assert!(compiled.grid.step_ticks == 85 && !compiled.all_within(0.1));
-        assert!(compile(array, &[(0, &rough)], Some(0.0)).is_err() && compile(array, &[], None).is_ok());
+        let rough = [(0, &rough)];
+        let finest = choose(array, rough.into_iter(), Some(0.1)).unwrap();
+        assert!(finest.step_ticks == 85 && !all_within(&rough, finest, 0.1));
+        assert!(choose(array, rough.into_iter(), Some(0.0)).is_err());
+        assert!(choose(array, [].into_iter(), None).is_ok());
     }
 
     proptest! {

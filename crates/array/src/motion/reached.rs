@@ -79,10 +79,6 @@ pub struct Reached {
     pub busiest_second: usize,
     /// The longest time above rest from the last pulse of a move to the next move, s.
     pub longest_hold_s: f64,
-    /// The lowest displacement asked, µm; below 0 the pin cannot follow.
-    pub lowest_um: f64,
-    /// The highest displacement asked, µm. The motor's travel and `most_pulses` may be less.
-    pub highest_um: f64,
 }
 
 /// Sums for a [`Deviation`].
@@ -221,17 +217,11 @@ pub(super) fn steps_within(array: Array, waveform: &Waveform, moves: &[Move], er
 }
 
 impl Reached {
-    /// What an ideal motor reaches with these moves, which follow the waveform. Takes about 1 ms per second of the waveform.
-    #[must_use]
-    pub fn of(array: Array, waveform: &Waveform, moves: &[Move]) -> Self {
-        Self::before(array, waveform, moves, None)
-    }
-
-    /// The same up to a tick, if one is given.
+    /// What an ideal motor reaches with these moves, which follow the waveform, up to a tick, if one is given. Takes about 1 ms per second of
+    /// the waveform.
     #[expect(clippy::cast_precision_loss, reason = "a count of moves")]
-    pub(super) fn before(array: Array, waveform: &Waveform, moves: &[Move], end: Option<u64>) -> Self {
+    pub(super) fn of(array: Array, waveform: &Waveform, moves: &[Move], end: Option<u64>) -> Self {
         let (motor, rate) = (array.spec().motor(), array.rate());
-        let [lowest_um, highest_um] = waveform.extremes_um();
         let samples = Tracking::new(array, waveform, moves, end);
         let (from, until) = (samples.from, samples.until);
         let mut filtered = Filtered::new(motor);
@@ -259,8 +249,6 @@ impl Reached {
             moves_per_s: if until > from { moves.len() as f64 / seconds(until - from) } else { 0.0 },
             busiest_second: busiest(moves, rate.per_s()),
             longest_hold_s: rate.ticks_to_seconds(longest_hold(moves)),
-            lowest_um,
-            highest_um,
         }
     }
 }
@@ -297,7 +285,7 @@ fn busiest(moves: &[Move], ticks: u64) -> usize {
 mod tests {
     use super::*;
     use crate::motion::generate::tests::{noise, tone};
-    use crate::motion::{Envelope, Grid, Moves, Noise, RampHold, Shape, Strength, compile};
+    use crate::motion::{Envelope, Grid, Moves, RampHold, Shape, Strength, choose};
     use crate::spec::names;
     use std::f64::consts::{PI, TAU};
 
@@ -323,13 +311,15 @@ mod tests {
         RampHold { start_s, to_um, rise_s: seconds, hold_s, fall_s: seconds, shape }.waveform().unwrap()
     }
 
-    fn reached(waveform: &Waveform, error_um: Option<f64>) -> Reached {
-        compile(Array::paper(), &[(9, waveform)], error_um).unwrap().reached.remove(0)
+    fn reached(array: Array, waveform: &Waveform, error_um: Option<f64>) -> Reached {
+        let grid = choose(array, [(0, waveform)].into_iter(), error_um).unwrap();
+        let moves: Vec<_> = Moves::new(array, 0, waveform, grid).collect();
+        Reached::of(array, waveform, &moves, None)
     }
 
     #[test]
     fn a_ramp_of_200_um_in_50_ms_is_followed() {
-        let found = reached(&ramp(200.0, 0.05), None);
+        let found = reached(Array::paper(), &ramp(200.0, 0.05), None);
         assert!(found.step_error_um < 0.95 && found.from_filtered.peak_um < 0.95, "{found:?}");
         assert!(found.from_filtered.correlation.unwrap() > 0.9999 && found.too_slow_s.is_empty());
         // In the ramp, a moving average over 4.3 ms is 2.15 ms late; after it, it has arrived.
@@ -359,76 +349,37 @@ mod tests {
 
     #[test]
     fn chirps_and_noise_are_followed() {
-        let chirp = reached(&tone(10.0, 200.0, 15.0, Envelope::None).waveform().unwrap(), Some(0.5));
+        let chirp =
+            reached(Array::paper(), &tone(10.0, 200.0, 15.0, Envelope::None).waveform().unwrap(), Some(0.5));
         assert!(chirp.from_filtered.correlation.unwrap() > 0.998 && chirp.step_error_um < 1.5, "{chirp:?}");
         for (rms_um, ms) in [(10.0, 1), (10.0, 4), (2.0, 1)] {
             let wave = noise(5.0, 50.0, Strength::RmsUm(rms_um), 3).waveform().unwrap();
             let array = Array::paper();
             let moves: Vec<_> = Moves::new(array, 9, &wave, Grid::of_ms(array, ms)).collect();
-            let found = Reached::of(array, &wave, &moves);
+            let found = Reached::of(array, &wave, &moves, None);
             assert!(found.from_filtered.correlation.unwrap() >= 0.98, "{rms_um} um, {ms} ms: {found:?}");
-        }
-    }
-
-    #[test]
-    fn a_finer_grid_costs_moves_and_saves_error() {
-        let array = Array::paper();
-        let envelope = Envelope::AttackRelease { attack_s: 0.1, release_s: 0.1 };
-        let swelling = |rms_um: f64| {
-            Noise { envelope, ..noise(5.0, 50.0, Strength::RmsUm(rms_um), 3) }.waveform().unwrap()
-        };
-        let waves = [
-            ("ramp 200 um in 50 ms", ramp(200.0, 0.05)),
-            ("Hann 40 Hz, 80 um", tone(40.0, 40.0, 80.0, Envelope::Hann).waveform().unwrap()),
-            ("Hann 40 Hz, 20 um", tone(40.0, 40.0, 20.0, Envelope::Hann).waveform().unwrap()),
-            ("chirp 10-200 Hz, 15 um", tone(10.0, 200.0, 15.0, Envelope::Hann).waveform().unwrap()),
-            ("noise 5-50 Hz, 10 um", swelling(10.0)),
-            ("noise 5-50 Hz, 3 um", swelling(3.0)),
-        ];
-        println!(
-            "waveform               | step ms | moves/s | busiest | RMS um |  RMS % | r      | step error um"
-        );
-        for (name, wave) in waves {
-            let mut last: Option<Reached> = None;
-            for ms in 1..=4 {
-                let moves: Vec<_> = Moves::new(array, 9, &wave, Grid::of_ms(array, ms)).collect();
-                let found = Reached::of(array, &wave, &moves);
-                let Deviation { rms_um, share, correlation, .. } = found.from_filtered;
-                println!(
-                    "{name:22} | {ms:7} | {:7.0} | {:7} | {rms_um:6.3} | {:6.2} | {:.4} | {:.2}",
-                    found.moves_per_s,
-                    found.busiest_second,
-                    100.0 * share,
-                    correlation.unwrap(),
-                    found.step_error_um
-                );
-                if let Some(finer) = last {
-                    assert!(found.moves_per_s < finer.moves_per_s, "{name}, {ms} ms");
-                    assert!(rms_um > 0.97 * finer.from_filtered.rms_um, "{name}, {ms} ms");
-                }
-                last = Some(found);
-            }
         }
     }
 
     #[test]
     fn what_a_motor_cannot_do_is_told() {
         // 200 um at 11.536 mm/s take 17.34 ms; the last 0.95 um of the way count as there.
-        let jump = reached(&ramp(200.0, 0.0), None);
+        let jump = reached(Array::paper(), &ramp(200.0, 0.0), None);
         let [(from, until), (down, _)] = jump.too_slow_s[..] else { panic!("{jump:?}") };
         assert!(
             (from - 0.1).abs() < 3e-4 && (until - 0.1 - 0.01725).abs() < 3e-4 && (down - 0.3).abs() < 3e-4
         );
         assert!(jump.from_asked.peak_um > 195.0 && jump.step_error_um < 0.95, "{jump:?}");
         // 60 um peak to peak at 100 Hz would need 18.8 mm/s.
-        let fast = reached(&tone(100.0, 100.0, 60.0, Envelope::None).waveform().unwrap(), None);
+        let fast =
+            reached(Array::paper(), &tone(100.0, 100.0, 60.0, Envelope::None).waveform().unwrap(), None);
         assert!(fast.too_slow_s.len() > 100 && fast.from_filtered.share > 0.02);
         let low = Waveform::samples(0.0, 10.0, &[0.0, -20.0, 500.0, 500.0, 0.0]).unwrap();
-        let low = reached(&low, None);
-        assert_eq!((low.lowest_um, low.highest_um, low.too_slow_s.len()), (-20.0, 500.0, 0));
+        let low = reached(Array::paper(), &low, None);
+        assert!(low.too_slow_s.is_empty());
         assert!((low.from_filtered.peak_um - (500.0 - 3000.0 * 0.95 / 7.0)).abs() < 0.5, "{low:?}");
-        let rest = reached(&Waveform::default(), None);
-        assert_eq!((rest.from_asked, rest.moves, rest.moves_per_s), (Deviation::default(), 0, 0.0));
+        let rest = reached(Array::paper(), &Waveform::default(), None);
+        assert_eq!((rest.from_asked, rest.moves_per_s), (Deviation::default(), 0.0));
     }
 
     #[test]
@@ -437,11 +388,11 @@ mod tests {
             let found = |start_s| {
                 let (to_um, rise_s, hold_s, fall_s, shape) = (100.0, 0.1, 0.1, 0.1, Shape::Cosine);
                 let wave = RampHold { start_s, to_um, rise_s, hold_s, fall_s, shape }.waveform().unwrap();
-                compile(array, &[(0, &wave)], Some(2.0)).unwrap().reached.remove(0)
+                reached(array, &wave, Some(2.0))
             };
             let [now, later] = [0.0, 36_000.0].map(found);
             assert!(now.step_error_um <= 2.0 && now.from_filtered.peak_um <= 2.2, "{array:?}: {now:?}");
-            assert_eq!((now.moves, now.busiest_second), (later.moves, later.moves));
+            assert_eq!(now.busiest_second, later.busiest_second);
             assert!((now.from_asked.rms_um - later.from_asked.rms_um).abs() < 1e-3, "{now:?} {later:?}");
         }
     }

@@ -2,7 +2,7 @@
 //!
 //! A pattern has a name, perhaps a duration, square-wave drives of motors, motions of motors (format 2), and a free table that says
 //! what made it. [`Pattern::parse`] reads its TOML file and [`Pattern::to_toml`] writes it, without comments; the API shows the same
-//! keys as JSON. [`strokes`](crate::strokes) compiles the drives to strokes, [`Pattern::compile`] the motions to moves.
+//! keys as JSON. [`strokes`](crate::strokes) compiles the drives to strokes and the motions to moves.
 //!
 //! A pattern is complete in itself: samples are in its text. [`Pattern::parse_with_files`] reads one whose waves name files.
 //!
@@ -32,7 +32,7 @@ pub use limits::{
 pub use motion::{Form, Motion, Wave};
 pub use tables::Files;
 
-use crate::motion::{Compiled, MotionError, SLOWEST_STEP_MS, Waveform, compile, s_of};
+use crate::motion::{SLOWEST_STEP_MS, Waveform, s_of};
 use crate::spec::Array;
 use error::KeyError;
 use meissner_input::document::in_range;
@@ -122,13 +122,6 @@ impl Pattern {
         &self.drives
     }
 
-    /// Its drives. A drive without a stop of its own gets the pattern's end: strokes end before that.
-    #[must_use]
-    pub fn drives_with_ends(&self) -> Vec<Drive> {
-        let with_end = |drive: &Drive| Drive { stop_s: drive.stop_s.or(self.duration_s), ..*drive };
-        self.drives.iter().map(with_end).collect()
-    }
-
     /// Its motions, in the order of a file: waves, ramps, tones, noise.
     #[must_use]
     pub fn motions(&self) -> &[Motion] {
@@ -184,23 +177,6 @@ impl Pattern {
             Some(s_of(until) + down_s)
         });
         rests.fold(0.0, f64::max)
-    }
-
-    /// When the last motion ends, s; `None` without a motion.
-    #[must_use]
-    pub fn motions_end_s(&self) -> Option<f64> {
-        let ends = self.waveforms.iter().filter_map(|(_, waveform)| Some(s_of(waveform.span_ns()?.1)));
-        ends.reduce(f64::max)
-    }
-
-    /// Compiles the motions to moves, and tells what each motor reaches; see [`compile`]. The motors are those of
-    /// [`Self::waveforms`], in that order.
-    ///
-    /// # Errors
-    /// If `error_um` is below [`LEAST_ERROR_UM`](crate::motion::LEAST_ERROR_UM).
-    pub fn compile(&self, error_um: Option<f64>) -> Result<Compiled, MotionError> {
-        let motors: Vec<_> = self.waveforms.iter().map(|(motor, waveform)| (*motor, waveform)).collect();
-        compile(self.array, &motors, error_um)
     }
 
     /// What made the pattern.

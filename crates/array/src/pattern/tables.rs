@@ -192,37 +192,18 @@ pub(super) struct RawRamp {
     hold_s: f64,
     fall_s: Option<f64>,
     #[serde(default)]
-    shape: RawShape,
-}
-
-#[derive(Clone, Copy, Default, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-enum RawShape {
-    #[default]
-    Linear,
-    Cosine,
+    shape: Shape,
 }
 
 impl RawRamp {
     pub(super) fn motion(self, array: Array) -> Result<Motion, KeyError> {
         let Self { motor, start_s, to_um, rise_s, hold_s, fall_s, shape } = self;
-        let motor = motor_of(array, motor)?;
-        let (fall_s, shape) = (
-            fall_s.unwrap_or(rise_s),
-            match shape {
-                RawShape::Linear => Shape::Linear,
-                RawShape::Cosine => Shape::Cosine,
-            },
-        );
+        let (motor, fall_s) = (motor_of(array, motor)?, fall_s.unwrap_or(rise_s));
         Ok(Motion { motor, form: Form::Ramp(RampHold { start_s, to_um, rise_s, hold_s, fall_s, shape }) })
     }
 
     fn of(motor: u8, ramp: &RampHold) -> Self {
         let RampHold { start_s, to_um, rise_s, hold_s, fall_s, shape } = *ramp;
-        let shape = match shape {
-            Shape::Linear => RawShape::Linear,
-            Shape::Cosine => RawShape::Cosine,
-        };
         Self { motor: motor.into(), start_s, to_um, rise_s, hold_s, fall_s: Some(fall_s), shape }
     }
 }

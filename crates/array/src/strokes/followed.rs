@@ -55,11 +55,11 @@ impl Run {
 fn of_lane(lane: &MotionLane, measured_s: f64) -> Followed {
     let whole = lane.scaled();
     let (_, reached) = beginning(lane.array(), lane.motor(), &whole, lane.grid(), ns_of(measured_s));
-    let Reached { from_asked, step_error_um, moves_per_s, highest_um, .. } = reached;
+    let Reached { from_asked, step_error_um, moves_per_s, .. } = reached;
     let whole_s = whole.span_ns().map_or(0.0, |(from, until)| s_of(until - from));
     Followed {
         motor: lane.motor(),
-        highest_um: highest_um.max(whole.extremes_um()[1]),
+        highest_um: whole.extremes_um()[1],
         error: from_asked,
         step_error_um,
         too_slow_from_s: whole.too_slow_from_s(lane.array()),

@@ -69,17 +69,6 @@ impl Stroke {
         into.stroke(&self.packed().ok_or(Full)?)
     }
 
-    /// The strokes of a packed list that counts from `base`, each with the number of its first move in the list. Moves that belong to no
-    /// stroke are left out.
-    pub fn of_batch(base: Tick, batch: &[u8]) -> impl Iterator<Item = (usize, Self)> + use<> {
-        let moves = batch::moves(base, batch).unwrap_or_default();
-        (0..moves.len()).filter_map(move |at| {
-            let [up, down] = [moves.get(at)?, moves.get(at + 1).filter(|down| down.joined)?].map(|of| of.of);
-            let (motor, level, surplus) = (up.motor, up.level, down.surplus);
-            Some((at, Self::unpacked(&batch::Stroke { motor, up: up.tick, level, down: down.tick, surplus })))
-        })
-    }
-
     /// The stroke that was sent as this.
     #[must_use]
     pub const fn unpacked(of: &batch::Stroke) -> Self {

@@ -1,22 +1,21 @@
 //! The state of one play that the streamer has taken, and the account of its bursts.
 //!
 //! The streamer tells [`Active`] what it sends and what the device reports; [`Active::close`] makes the [`Outcome`]. Parts own what
-//! they count: `sent` how far the strokes are sent, `account` what became of them, `cut` why the play was cut.
+//! they count: `sent` how far the strokes are sent, `account` what became of them. The first cause of a cut stays, and so does the device's
+//! first report of it, which may come before the cause or after it.
 //!
 //! Invariant: an item has ended only once the device has accepted or rejected all its strokes and is known to have come to the end
 //! of the last, or of a blank item. A play that waits has an onset only if its client asked for one.
 
 mod account;
-mod cut;
 mod sent;
 
 use crate::board::BoardAccount;
 use crate::control::Span;
 use crate::link::ClockEstimate;
-use crate::queues::{At, Edge, End, Item, Offset, Onset, Outcome, Play, RestErrors, Stamp};
+use crate::queues::{At, Edge, End, Item, Onset, Outcome, Play, RestErrors, Stamp};
 use crate::time::HostInstant;
 use account::{Account, Begun};
-use cut::Cut;
 use firmware_protocol::array::MotorSet;
 use firmware_protocol::message::{Counters, Trigger};
 use firmware_protocol::tick::Tick;
@@ -58,7 +57,12 @@ pub(super) struct Active {
     /// The first item that is not known to have ended.
     ending: usize,
     sent: Sent,
-    cut: Cut,
+    /// Why it was cut.
+    cause: Option<EndCause>,
+    /// The device has reported a cut.
+    cut_reported: bool,
+    /// When the device cut the play, and when its last pulse was over.
+    cut_at: Option<(Tick, Option<Tick>)>,
     account: Account,
 }
 
@@ -70,7 +74,7 @@ pub(super) struct Ending {
     /// Bytes sent to the device so far.
     pub(super) wire: u64,
     /// When the last pulse was over.
-    pub(super) offset: Option<Offset>,
+    pub(super) offset: Option<Stamp>,
     /// When it was cut, if it was.
     pub(super) cut: Option<Tick>,
     /// The rest errors.
@@ -101,7 +105,9 @@ impl Active {
             stopped_by: None,
             ending: 0,
             sent: Sent::nothing(Tick(0)),
-            cut: Cut::default(),
+            cause: None,
+            cut_reported: false,
+            cut_at: None,
             account: Account::default(),
         }
     }
@@ -152,7 +158,7 @@ impl Active {
     /// Whether it runs at this tick, as far as is known.
     pub(super) fn runs_at(&self, tick: Tick) -> bool {
         let begun = self.phase != Phase::Waiting && self.onset.is_some_and(|onset| onset <= tick);
-        begun && tick < self.until() && self.cut_at().is_none_or(|(at, _)| tick < at)
+        begun && tick < self.until() && self.cut_at.is_none_or(|(at, _)| tick < at)
     }
 
     /// Whether an edge at `tick` stops it: the first one after its onset, if the play asks for that and is not over `now`.
@@ -205,7 +211,7 @@ impl Active {
         if self.play.at != At::Next || self.margin > longest {
             let late = onset.map_or(0, |onset| rendered - onset);
             self.account.all_late(self.rate().ticks_to_ms(late));
-            self.cut.order(EndCause::OnsetMissed);
+            self.cut(EndCause::OnsetMissed);
         }
         onset
     }
@@ -300,7 +306,7 @@ impl Active {
 
     /// Notes the ends of items, unless the play is cut: the device is known to have come to `known_to`.
     pub(super) fn note_ends(&mut self, known_to: Tick, clock: &ClockEstimate) {
-        if self.cut.is_open() {
+        if self.cause.is_none() && !self.cut_reported {
             self.note_ends_until(known_to, clock);
         }
     }
@@ -308,7 +314,7 @@ impl Active {
     /// The device has reported a cut at `tick`. A report from before the onset concerns another play.
     pub(super) fn was_cut(&mut self, tick: Tick, clock: &ClockEstimate) {
         let concerned = self.onset.is_some_and(|onset| onset < tick);
-        if concerned && self.cut.report() {
+        if concerned && !std::mem::replace(&mut self.cut_reported, true) {
             self.note_ends_until(tick, clock);
             for item in self.play.items.iter_mut().filter(|item| item.last_end > tick) {
                 item.ended = None;
@@ -336,32 +342,34 @@ impl Active {
 
     /// Cuts the play for this cause, unless it is cut.
     pub(super) fn cut(&mut self, cause: EndCause) {
-        self.cut.order(cause);
+        self.cause.get_or_insert(cause);
     }
 
     /// Cuts the play before anything of it is sent: it has no onset.
     pub(super) fn cut_unsent(&mut self, cause: EndCause) {
-        self.cut.order(cause);
+        self.cut(cause);
         self.onset = None;
     }
 
     pub(super) const fn is_cut(&self) -> bool {
-        self.cut.is_ordered()
+        self.cause.is_some()
     }
 
     /// The device cut the play at this time, and its last pulse was over at `over`. The first report stays.
     pub(super) fn note_cut_at(&mut self, at: Tick, over: Option<Tick>) {
-        self.cut.note_at(at, over);
+        self.cut_at.get_or_insert((at, over));
     }
 
     /// The device cut the return at this time, too.
     pub(super) fn note_return_cut_at(&mut self, at: Tick) {
-        self.cut.note_return_at(at);
+        if let Some((_, Some(over))) = &mut self.cut_at {
+            *over = at.min(*over);
+        }
     }
 
     /// When the device cut the play, once it has reported that, and when its last pulse was over.
     pub(super) const fn cut_at(&self) -> Option<(Tick, Option<Tick>)> {
-        self.cut.at()
+        self.cut_at
     }
 
     /// Counts a step sent, or too late to be sent.
@@ -466,13 +474,13 @@ impl Active {
     /// Closes the account with what is known at its end.
     pub(super) fn close(self, ending: Ending) -> (u64, Outcome) {
         let Ending { after, wire, offset, cut, rest, estimated } = ending;
-        let Self { mut play, phase, onset, mut account, cut: why, started_by, stopped_by, .. } = self;
+        let Self { mut play, phase, onset, mut account, cause, started_by, stopped_by, .. } = self;
         if let Some(cut) = cut {
             for pin in &mut play.pins {
                 *pin = pin.filter(|[first, _]| *first < cut).map(|[first, end]| [first, end.min(cut)]);
             }
         }
-        let (cause, board) = (why.into_cause(), account.board().close());
+        let board = account.board().close();
         let begun = account.begun();
         let started = begun.map(|begun| begun.onset);
         let outcome = Outcome {

@@ -94,34 +94,3 @@ impl Sent {
         self.last_end
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use meissner_array::motor::SquareWave;
-    use meissner_array::per_motor::PerMotor;
-    use meissner_array::spec::Array;
-    use meissner_array::strokes::LiveStrokes;
-
-    #[test]
-    fn a_stroke_is_the_next_until_it_is_counted_or_put_back() {
-        let wave = SquareWave::new(Array::paper(), 60.0, 80.0, 0.0).expect("a drive");
-        let mut source = Source::Live(Box::new(LiveStrokes::new(PerMotor::all(Array::paper(), wave))));
-        source.begin(Tick(100));
-        let mut sent = Sent::nothing(Tick(100));
-        let first = sent.next(&mut source).expect("no limit is broken").expect("a stroke");
-        assert_eq!(sent.next(&mut source), Ok(Some(first)));
-        assert_eq!(sent.next_up(first.motor()), Some(first.begin()));
-        sent.put_back(&mut source);
-        assert_eq!(sent.next_up(first.motor()), None);
-        assert_eq!(sent.next(&mut source), Ok(Some(first)), "it was not lost");
-        sent.count(&first, true);
-        assert!(!sent.is_decided());
-        let second = sent.next(&mut source).expect("no limit is broken").expect("a stroke");
-        assert_ne!(second, first);
-        sent.count(&second, false);
-        assert_eq!(sent.last_end(), first.end().max(second.end()));
-        sent.decided();
-        assert!(sent.is_decided(), "a stroke that was not sent gets no verdict");
-    }
-}

@@ -93,21 +93,13 @@ pub struct PlayedPlan {
     motor: u8,
     pulses: Vec<u16>,
     repetitions: u16,
-    /// The kind of device, for example `serial`.
-    device: String,
-    /// Its firmware: version and build.
-    firmware: String,
-    /// Which device: a board's serial number.
-    identity: String,
-    /// The boot that the ticks belong to.
-    boot: u32,
-    /// When the plan began, UTC.
-    date: String,
+    #[serde(flatten)]
+    on: PlayedOn,
     bursts: Vec<PlayedBurst>,
 }
 
 /// The device that played a plan.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct PlayedOn {
     /// The kind of device, for example `serial`.
     pub device: String,
@@ -126,7 +118,6 @@ impl PlayedPlan {
     /// motors.
     #[must_use]
     pub fn new(plan: &Plan, motor: u8, onset: Tick, on: PlayedOn) -> Self {
-        let PlayedOn { device, firmware, identity, boot, date } = on;
         let bursts = plan.bursts(onset).filter(|planned| planned.motor == motor).map(PlayedBurst::from);
         Self {
             format: FORMAT,
@@ -138,11 +129,7 @@ impl PlayedPlan {
             motor,
             pulses: plan.pulses().to_vec(),
             repetitions: plan.repetitions(),
-            device,
-            firmware,
-            identity,
-            boot,
-            date,
+            on,
             bursts: bursts.collect(),
         }
     }

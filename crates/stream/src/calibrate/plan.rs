@@ -105,21 +105,6 @@ pub enum PlanError {
         /// The plan's array.
         array: Array,
     },
-    /// A burst would begin while the last one still shows.
-    #[error(
-        "the motors of the array {} settle {settled_ticks} ticks after a burst: for a calibration with bursts of {pulses} pulses it \
-         must be fewer than {most}", .array.name()
-    )]
-    Settling {
-        /// The plan's array.
-        array: Array,
-        /// How long its motors settle.
-        settled_ticks: u64,
-        /// Pulses of the longest burst.
-        pulses: u16,
-        /// From the end of such a burst to the next one, ticks.
-        most: u64,
-    },
     /// A slope needs two numbers of pulses.
     #[error("one number of pulses gives no slope: name two numbers of pulses or more")]
     OneNumber,
@@ -197,12 +182,6 @@ impl Plan {
         let apart = array.rate().per_s() / BURSTS_PER_S;
         if spec.transient_rest_ticks <= apart {
             return Err(PlanError::Transients { array });
-        }
-        let longest = pulses.iter().copied().max().unwrap_or_default();
-        let most = apart.saturating_sub(longest.into());
-        let settled_ticks = spec.settled_ticks();
-        if settled_ticks >= most {
-            return Err(PlanError::Settling { array, settled_ticks, pulses: longest, most });
         }
         let groups = MAX_GROUPS.min(MAX_DRIVES / motors);
         let most = groups / pulses.len();

@@ -105,22 +105,3 @@ pub fn travels_by_sensor(plan: &Plan, motors: &mut SimulatedMotors) -> Vec<Burst
     }
     travels
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use meissner_array::spec::Array;
-
-    #[test]
-    fn travel_counts_in_the_direction_of_the_burst() {
-        let of = |direction| PlannedBurst {
-            motor: 3,
-            burst: Burst { start: Tick(10), direction, pulses: 70 },
-            warm_up: false,
-        };
-        assert_eq!(BurstTravel::between(&of(Direction::Up), 1.0, 10.5).travel_um, 9.5);
-        assert_eq!(BurstTravel::between(&of(Direction::Down), 10.5, 1.0).travel_um, 9.5);
-        // 4.3 ms are 365.5 ticks.
-        assert_eq!(of(Direction::Up).rests_at(Array::paper()), Tick(10 + 70 + 366));
-    }
-}

@@ -144,18 +144,6 @@ impl Clock {
         Some(self.fit?.tick_at(at))
     }
 
-    /// When a device tick begins on the host's clock.
-    #[must_use]
-    pub fn instant_of(&self, tick: Tick) -> Option<HostInstant> {
-        Some(self.fit?.instant_of(tick))
-    }
-
-    /// The bound of the estimate's error at a host instant.
-    #[must_use]
-    pub fn uncertainty(&self, at: HostInstant) -> Option<Duration> {
-        Some(self.fit?.uncertainty(at))
-    }
-
     /// The device's rate against nominal, ppm; `None` until measured.
     #[must_use]
     pub fn drift_ppm(&self) -> Option<f64> {
@@ -231,7 +219,8 @@ mod tests {
         for later in [7_000_000_000, 8_000_000_000u64] {
             let at = HostInstant::from_ns(later);
             let error = clock.tick_at(at).unwrap().since(true_tick(RATE, 40.0, later));
-            let bound = clock.uncertainty(at).unwrap().as_nanos() as f64 * ticks_per_ns(RATE) + 1.0;
+            let bound =
+                clock.estimate().unwrap().uncertainty(at).as_nanos() as f64 * ticks_per_ns(RATE) + 1.0;
             assert!((error as f64).abs() <= bound, "{error} ticks off, bound {bound}");
             assert!(bound < 25.0);
         }
@@ -258,8 +247,8 @@ mod tests {
                     let tick = true_tick(rate, ppm, at_ns + later) + 1;
                     let begins = (tick.0 - Tick::BOOT.0) as f64 / ticks_per_ns(rate) / (1.0 + ppm * 1e-6);
                     let at = HostInstant::from_ns(begins.round() as u64);
-                    let error = clock.instant_of(tick).unwrap().ns_since(at).abs();
-                    let bound = clock.uncertainty(at).unwrap().as_nanos() as f64;
+                    let error = clock.estimate().unwrap().instant_of(tick).ns_since(at).abs();
+                    let bound = clock.estimate().unwrap().uncertainty(at).as_nanos() as f64;
                     assert!(error <= bound + 10.0, "line {line}, trip {i}: {error} ns off, bound {bound} ns");
                 }
             }
@@ -267,21 +256,11 @@ mod tests {
     }
 
     #[test]
-    fn one_round_trip_gives_an_estimate() {
-        let mut clock = Clock::new(RATE);
-        assert_eq!(clock.tick_at(HostInstant::from_ns(5)), None);
-        trip(&mut clock, 0.0, 1_000_000, 100_000, 100_000);
-        let at = HostInstant::from_ns(3_000_000);
-        assert!(clock.tick_at(at).unwrap().since(true_tick(RATE, 0.0, 3_000_000)).abs() <= 9);
-        assert!(clock.drift_ppm().is_none());
-    }
-
-    #[test]
     fn conversions_are_inverse_across_the_wrap() {
         let mut clock = Clock::new(RATE);
         trip(&mut clock, 0.0, 1_000_000, 0, 0);
         for tick in [Tick::BOOT + 85, Tick(1 << 32), Tick((1 << 32) + 12_345)] {
-            let at = clock.instant_of(tick).unwrap();
+            let at = clock.estimate().unwrap().instant_of(tick);
             assert!(clock.tick_at(at + Duration::from_micros(6)).unwrap().since(tick).abs() <= 1);
             // A tick lasts 11.8 us.
             let nearest = |at| clock.estimate().unwrap().nearest_tick(at);

@@ -4,7 +4,7 @@
 
 use crate::board::PlayBoard;
 use crate::link::{ClockEstimate, Traffic};
-use crate::queues::play::{Edge, Play};
+use crate::queues::play::{Edge, Play, Stamp};
 use crate::settings::Settings;
 use crate::time::HostInstant;
 use firmware_protocol::board::Board;
@@ -81,19 +81,8 @@ impl From<Edge> for EdgeRecord {
     }
 }
 
-/// When the last pulse of a play was over.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Offset {
-    /// The first tick after it, with the return of a play that was cut.
-    pub tick: Tick,
-    /// The same on `CLOCK_MONOTONIC`.
-    pub at: HostInstant,
-    /// Its uncertainty, ns.
-    pub uncertainty_ns: u64,
-}
-
-impl From<Offset> for OffsetRecord {
-    fn from(offset: Offset) -> Self {
+impl From<Stamp> for OffsetRecord {
+    fn from(offset: Stamp) -> Self {
         Self { tick: offset.tick.0, monotonic_ns: offset.at.as_ns(), uncertainty_ns: offset.uncertainty_ns }
     }
 }
@@ -140,7 +129,7 @@ pub struct Outcome {
     /// The edge that stopped it.
     pub stopped_by: Option<Edge>,
     /// When its last pulse was over; `None`: nothing was played, or the link was lost before the device reported it.
-    pub offset: Option<Offset>,
+    pub offset: Option<Stamp>,
     /// From the onset to the cut that ended it, ticks; `None` if nothing cut it. If the link was lost: until the host noticed.
     pub cut_after: Option<u64>,
     /// Its bursts.

@@ -171,7 +171,7 @@ impl Streamer {
                     // Sent with the next step.
                     self.operations.queue(now, 0, Op::Stop, emit);
                 }
-                if !self.known.gives_triggers() {
+                if self.known.no_trigger_output {
                     play.items.iter_mut().for_each(|item| item.trigger = None);
                 }
                 self.plays.push_back(Active::new(play, given, (tick, requested), margin));
@@ -185,7 +185,7 @@ impl Streamer {
     /// # Errors
     /// If the line does not carry the play.
     pub(super) fn margin(&self, session: &Session, play: &Play) -> Result<Duration, CommandError> {
-        let closed_loop = !play.open_loop && self.control.corrects(self.known.sends_telemetry());
+        let closed_loop = !play.open_loop && self.control.corrects(self.known.telemetry);
         let required = if closed_loop { play.bandwidth.closed } else { play.bandwidth.open };
         let (needs, frames) = (required.rate, required.frames);
         let Some((carries, waits)) = session.rate_beside(frames) else { return Ok(FIRST_MARGIN) };
@@ -223,7 +223,7 @@ impl Streamer {
             return Err(CommandError::BehindEndless);
         }
         let has_code = |item: &Item| item.trigger.is_some_and(|trigger| trigger.code > 0);
-        if !self.known.gives_triggers() && play.items.iter().any(has_code) {
+        if self.known.no_trigger_output && play.items.iter().any(has_code) {
             return Err(CommandError::NoTriggerOutput);
         }
         let rate = self.rate();
@@ -232,7 +232,7 @@ impl Streamer {
         let margin = self.margin(session, play)?;
         let requested = match play.at {
             At::Next => return Ok(((tick, None), margin)),
-            At::Edge(_) if !self.known.has_trigger_input() => return Err(CommandError::NoTriggerInput),
+            At::Edge(_) if !self.known.trigger_input => return Err(CommandError::NoTriggerInput),
             At::Edge(ns) => {
                 let (delay, least) = (edge_delay(rate, ns), margin + EDGE_REPORTED);
                 return match delay {
@@ -323,7 +323,7 @@ impl Streamer {
         if by_stop {
             return Ok(Some(Op::Seek { pulses: self.settings.seek_pulses() }));
         }
-        let Some((_, tick)) = self.known.status() else { return Err(CommandError::NoDevice) };
+        let Some((_, tick)) = self.known.status else { return Err(CommandError::NoDevice) };
         if self.array().numbers().all(|motor| self.control.offset_um(motor, tick).is_none()) {
             return Err(CommandError::NoPositionEstimate);
         }
@@ -340,8 +340,8 @@ impl Streamer {
 
     fn arm(&mut self, now: HostInstant, rest: Rest) -> OpResult {
         self.ready()?;
-        let is_known = self.known.status().is_some_and(|(status, _)| status.position_known);
-        if rest == Rest::Unchecked && self.known.status().is_none() {
+        let is_known = self.known.status.is_some_and(|(status, _)| status.position_known);
+        if rest == Rest::Unchecked && self.known.status.is_none() {
             // It may know where its pins are.
             return Err(CommandError::NoDevice);
         }

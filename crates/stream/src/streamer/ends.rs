@@ -3,8 +3,8 @@
 //! Invariant: the account of a play closes with device counters that include all of this play and nothing of the next.
 
 use crate::active::{Active, Ending, Phase};
-use crate::link::{Clock, Contradiction, Session};
-use crate::queues::{CommandError, Emit, Offset, StreamEvent};
+use crate::link::{Contradiction, Session};
+use crate::queues::{CommandError, Emit, Stamp, StreamEvent};
 use crate::streamer::Streamer;
 use firmware_protocol::message::{Counters, State};
 use firmware_protocol::tick::Tick;
@@ -31,8 +31,8 @@ impl Streamer {
         }
         let Some(mut active) = self.plays.remove(index) else { return Ok(()) };
         active.cut_unsent(EndCause::Withdrawn);
-        let after = self.known.status().map(|(status, _)| status.counters);
-        let rest = self.control.rest_error_um(self.known.status().map_or(Tick(0), |(_, at)| at));
+        let after = self.known.status.map(|(status, _)| status.counters);
+        let rest = self.control.rest_error_um(self.known.status.map_or(Tick(0), |(_, at)| at));
         let (id, outcome) =
             active.close(Ending { after, wire: 0, offset: None, cut: None, rest, estimated: false });
         emit.event(StreamEvent::PlayEnded { id, outcome });
@@ -53,7 +53,8 @@ impl Streamer {
             let next = self.plays.iter().find_map(Active::counters_at_onset);
             let (after, estimated) = (next.or(after), next.is_none() && lost.is_some());
             let over = active.cut_at().and_then(|(_, over)| over);
-            let offset = over.zip(link).map(|(tick, (session, _))| offset(session.clock(), tick));
+            let clock = link.and_then(|(session, _)| session.clock().estimate());
+            let offset = over.zip(clock).map(|(tick, clock)| Stamp::new(tick, &clock));
             let lost = lost.filter(|&lost| active.until() > lost);
             let cut = active.cut_at().map(|(at, _)| at).or(lost);
             let (id, outcome) = active.close(Ending { after, wire, offset, cut, rest, estimated });
@@ -74,7 +75,7 @@ impl Streamer {
             // A play without strokes never starts: the counters at the next onset separate its neighbours.
             let later = || self.plays.iter().skip(1);
             let next_counters = later().find_map(Active::counters_at_onset);
-            let Some((status, at)) = self.known.status() else { return };
+            let Some((status, at)) = self.known.status else { return };
             let after = if first.is_cut() {
                 let settled = !self.operations.is_in_flight()
                     && self.operations.is_empty()
@@ -117,7 +118,7 @@ impl Streamer {
             let over = over.filter(|&over| over <= tick);
             let cut = active.cut_at().map(|(at, _)| at);
             let rest = self.control.rest_error_um(tick);
-            let offset = over.map(|over| offset(session.clock(), over));
+            let offset = over.zip(session.clock().estimate()).map(|(over, clock)| Stamp::new(over, &clock));
             let after = Some(next_counters.unwrap_or(after));
             let estimated = false;
             let (id, outcome) = active.close(Ending { after, wire, offset, cut, rest, estimated });
@@ -133,7 +134,7 @@ impl Streamer {
 
     /// Whether the device is off and nothing is under way, or there is none.
     pub(super) fn is_off(&self) -> bool {
-        match (&self.session, self.known.status()) {
+        match (&self.session, self.known.status) {
             (Some(session), Some((status, _))) => {
                 let quiet = matches!(status.state, State::Disarmed | State::Faulted);
                 quiet && session.is_answered() && self.operations.is_empty() && self.plays.is_empty()
@@ -141,10 +142,4 @@ impl Streamer {
             _ => true,
         }
     }
-}
-
-/// The end of the last pulse, by the device's clock as it is known now.
-fn offset(clock: &Clock, tick: Tick) -> Offset {
-    let at = clock.instant_of(tick).unwrap_or_default();
-    Offset { tick, at, uncertainty_ns: clock.uncertainty(at).unwrap_or_default().as_nanos() as u64 }
 }

@@ -42,7 +42,7 @@ impl Streamer {
                 if self.known.opened(&hello) {
                     self.control.restarted();
                 }
-                self.control.connected(self.known.sends_telemetry());
+                self.control.connected(self.known.telemetry);
                 emit.event(StreamEvent::Connected(hello));
                 if self.latch.is_closed() {
                     self.queue_op(now, 0, Op::EStop, emit);
@@ -66,7 +66,7 @@ impl Streamer {
                     if result.is_ok() && seeks(&done.op) {
                         // The answer comes when the pins are at the stop.
                         self.homing.begin_seek(done.ticket, &done.op, emit);
-                        if let Some((status, _)) = self.known.status() {
+                        if let Some((status, _)) = self.known.status {
                             self.homing.settle_seek(now, &status, &mut self.control, emit);
                         }
                     } else {
@@ -80,7 +80,7 @@ impl Streamer {
                         (self.tick_at(now).unwrap_or_default(), result.map_err(CommandError::Device));
                     self.homing.moved(tick, done.op, result, &mut self.control, emit);
                     // The device may have disarmed in the meantime.
-                    if let (true, Some((status, _))) = (self.operations.is_empty(), self.known.status())
+                    if let (true, Some((status, _))) = (self.operations.is_empty(), self.known.status)
                         && !matches!(status.state, State::Armed | State::Returning)
                     {
                         self.operations.want_armed(false);
@@ -149,7 +149,7 @@ impl Streamer {
             }
             Event::Edge { tick, number } => self.edge(now, tick, number, emit),
             Event::Board(board) => {
-                self.known.board_heard(board);
+                self.known.board = Some(board);
                 self.plays.iter_mut().for_each(|active| active.board().heard(board));
             }
             // The streamer asks for none.
@@ -166,7 +166,7 @@ impl Streamer {
     /// The device has flushed its queue, at most the render horizon after its last status: counts what was played until now.
     fn cut_control(&mut self, now: HostInstant) {
         let now = self.tick_at(now);
-        let reported = self.known.status().map(|(_, tick)| tick + u64::from(HORIZON));
+        let reported = self.known.status.map(|(_, tick)| tick + u64::from(HORIZON));
         self.control.cut(reported.or(now).unwrap_or_default(), now);
     }
 
@@ -219,7 +219,7 @@ impl Streamer {
 
     /// Notes which pins stand above rest while the device does nothing, and since when.
     fn note_standing(&mut self, now: HostInstant) {
-        if let Some((status, tick)) = self.known.status()
+        if let Some((status, tick)) = self.known.status
             && matches!(status.state, State::Disarmed | State::Faulted)
             && self.operations.is_empty()
             && status.position_known

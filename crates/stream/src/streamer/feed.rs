@@ -120,7 +120,7 @@ impl Streamer {
         let active = &mut self.plays[index];
         active.offer(onset, wire);
         if let Some(session) = &mut self.session {
-            active.board().begins(session.ask_board(), self.known.board());
+            active.board().begins(session.ask_board(), self.known.board);
             session.begin(onset, active.trigger(), active.play().hold);
         }
     }

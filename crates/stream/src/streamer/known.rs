@@ -13,11 +13,11 @@ use firmware_protocol::tick::Tick;
 #[derive(Debug, Default)]
 pub(super) struct Known {
     /// The last status and its tick.
-    status: Option<(Status, Tick)>,
-    board: Option<Board>,
-    telemetry: bool,
-    trigger_input: bool,
-    no_trigger_output: bool,
+    pub(super) status: Option<(Status, Tick)>,
+    pub(super) board: Option<Board>,
+    pub(super) telemetry: bool,
+    pub(super) trigger_input: bool,
+    pub(super) no_trigger_output: bool,
     boot: Option<u32>,
     /// The boot that the estimates of positions belong to.
     reckoned_boot: Option<u32>,
@@ -36,30 +36,6 @@ impl Known {
     /// The device is gone.
     pub(super) const fn closed(&mut self) {
         (self.status, self.board) = (None, None);
-    }
-
-    pub(super) const fn status(&self) -> Option<(Status, Tick)> {
-        self.status
-    }
-
-    pub(super) const fn board(&self) -> Option<Board> {
-        self.board
-    }
-
-    pub(super) const fn sends_telemetry(&self) -> bool {
-        self.telemetry
-    }
-
-    pub(super) const fn has_trigger_input(&self) -> bool {
-        self.trigger_input
-    }
-
-    pub(super) const fn gives_triggers(&self) -> bool {
-        !self.no_trigger_output
-    }
-
-    pub(super) const fn board_heard(&mut self, board: Board) {
-        self.board = Some(board);
     }
 
     /// Takes a status; returns whether it differs from the one before.

@@ -127,13 +127,13 @@ impl Streamer {
         self.disconnect_reason = Some(cause.clone());
         self.cut_all(cause);
         self.forget_live(emit);
-        let counters = self.known.status().map(|(status, tick)| {
+        let counters = self.known.status.map(|(status, tick)| {
             let lost = lost.unwrap_or(tick);
             let (bursts, pulses) = self.control.played_since_counters(tick, lost, stopped.is_some());
             let counters = status.counters;
             Counters { played: counters.played + bursts, pulses: counters.pulses + pulses, ..counters }
         });
-        let lost = lost.or(self.known.status().map(|(_, tick)| tick)).unwrap_or_default();
+        let lost = lost.or(self.known.status.map(|(_, tick)| tick)).unwrap_or_default();
         // The device may have played all that it had, or lost its power at any moment of it.
         let highest = self.control.highest(Tick(u64::MAX));
         self.control.reckon_to(lost);
@@ -169,11 +169,11 @@ impl Streamer {
 
     /// Whether a device has answered the handshake and reported its status.
     fn is_connected(&self) -> bool {
-        self.known.status().is_some() && self.session.as_ref().is_some_and(Session::can_command)
+        self.known.status.is_some() && self.session.as_ref().is_some_and(Session::can_command)
     }
 
     pub(super) fn state(&self) -> State {
-        match self.known.status() {
+        match self.known.status {
             _ if self.latch.is_closed() => State::Faulted,
             Some((status, _)) => status.state,
             None => State::Disarmed,
@@ -197,7 +197,7 @@ impl Streamer {
         }
         if self.homing.is_resetting()
             && self.operations.is_empty()
-            && let Some((status, _)) = self.known.status()
+            && let Some((status, _)) = self.known.status
             && let Some(op) = self.homing.step_reset(&status, self.arm_op(false, false), emit)
         {
             self.queue_op(now, 0, op, emit);
@@ -265,7 +265,7 @@ impl Streamer {
         let open = self.session.as_ref().filter(|session| session.is_open());
         let tick = self.tick_at(now).unwrap_or_default();
         let rest = self.control.rest_error_um(tick);
-        let status = self.known.status().map(|(status, _)| status);
+        let status = self.known.status.map(|(status, _)| status);
         let running =
             self.plays.iter().rev().find(|active| {
                 !active.is_cut() && active.started().is_some_and(|onset| onset.actual <= tick)
@@ -298,7 +298,7 @@ impl Streamer {
             pins_seen: self.control.sees_all(),
             line_bytes_per_s: self.session.as_ref().and_then(Session::capacity),
             traffic: self.session.as_ref().map(Session::traffic).unwrap_or_default(),
-            board: self.known.board(),
+            board: self.known.board,
             device_bad_frames: status.map_or(0, |status| status.counters.bad_frames),
         }
     }

@@ -61,7 +61,7 @@ impl BurstController {
         }
         let ideal_um = f64::from(pulses) * self.um_per_pulse();
         let rest = self.return_rest(pulses, tick);
-        self.estimator.shift(self.short_um(pulses, tick));
+        self.estimator.shift(ideal_um * (1.0 - rest * self.estimator.gain(Direction::Down)));
         self.reckoned_um[gain_index(Direction::Down)] += rest * ideal_um;
         self.estimator.moved(tick);
     }

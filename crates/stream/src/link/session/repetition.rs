@@ -54,20 +54,3 @@ impl Repetition {
         self.last.map_or(now, |last| last + self.every)
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn it_keeps_its_interval_and_ends() {
-        let at = |ms: u64| HostInstant::from_ns(ms * 1_000_000);
-        let mut hellos = Repetition::new(Duration::from_millis(50));
-        assert_eq!((hellos.first(), hellos.due(at(7))), (None, at(7)));
-        let turns = [7, 56, 57, 90, 107].map(|ms| hellos.next(at(ms), 2));
-        assert_eq!(turns, [Turn::Send(1), Turn::Wait, Turn::Send(2), Turn::Wait, Turn::Spent]);
-        // Who is allowed more goes on.
-        assert_eq!(hellos.next(at(107), 3), Turn::Send(3));
-        assert_eq!((hellos.first(), hellos.due(at(0))), (Some(at(7)), at(157)));
-    }
-}
