@@ -185,6 +185,7 @@ pub struct LiveApplied {
 #[schema(examples(json!({"seq": 5, "merged_into": 7})))]
 pub struct LiveAnswer {
     /// The message's number; null: the answer is about the play, or the number cannot be read.
+    #[schema(required)]
     pub seq: Option<u64>,
     /// It is on the device.
     #[serde(default, skip_serializing_if = "Option::is_none")]

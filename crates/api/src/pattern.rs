@@ -138,7 +138,7 @@ pub struct PatternList {
 })))]
 pub struct PatternDetails {
     /// The pattern, with the keys of its file.
-    #[schema(value_type = Object)]
+    #[schema(value_type = std::collections::BTreeMap<String, Value>)]
     pub pattern: Value,
     /// SHA-256 of the pattern's file, in hexadecimal.
     pub sha256: String,

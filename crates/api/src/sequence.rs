@@ -98,7 +98,7 @@ pub struct SequenceRequest {
 #[serde(deny_unknown_fields)]
 pub struct SequenceItem {
     /// The pattern's name, or the pattern itself; false or null: nothing is played for `seconds`, for example in a catch trial.
-    #[schema(schema_with = pattern_choice::schema_or_blank)]
+    #[schema(required, schema_with = pattern_choice::schema_or_blank)]
     #[serde(deserialize_with = "pattern_choice::or_blank")]
     pub pattern: Option<PatternChoice>,
     /// Play the text with this SHA-256 (hexadecimal): the stored pattern, or else the text that the session record keeps. Without
