@@ -26,10 +26,8 @@ pub struct ArrayDetails {
     /// The rows and columns, if the pins stand in such: a motor's number is `columns` × row + column. Null: they stand elsewhere.
     pub grid: Option<ArrayGrid>,
     /// Smallest distance of two pins, mm.
-    #[schema(minimum = 0.0)]
     pub pitch_mm: f64,
     /// Radius of a pin's tip, mm.
-    #[schema(minimum = 0.0)]
     pub pin_radius_mm: f64,
     /// Rate of the pulses and of the ticks of the device's clock, Hz.
     #[schema(minimum = 20000, maximum = 200_000)]
@@ -83,7 +81,6 @@ pub struct ArrayMotor {
     #[schema(minimum = 0.0, maximum = 500.0)]
     pub window_ms: f64,
     /// Speed of a shaft while its motor has pulses, mm/s.
-    #[schema(minimum = 0.0)]
     pub speed_mm_s: f64,
     /// The largest amplitude of a drive, µm peak to peak.
     #[schema(minimum = 1.0, maximum = 5000.0)]

@@ -26,7 +26,6 @@ pub struct Provenance {
     #[schema(minimum = 2, maximum = 100)]
     pub groups: u64,
     /// The motor model's travel per pulse, µm; a gain of 1 moves a pin this far.
-    #[schema(minimum = 0.0)]
     pub um_per_pulse: f64,
     /// When the calibration was measured, UTC, for example `2026-03-04T12:00:00Z`.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -42,7 +41,6 @@ pub struct MeasuredPoint {
     /// Their mean travel in their direction, µm.
     pub travel_um: f64,
     /// Standard deviation of their travels, µm; 0 for one burst.
-    #[schema(minimum = 0.0)]
     pub sd_um: f64,
     /// Number of bursts.
     #[schema(minimum = 1)]
@@ -53,12 +51,10 @@ pub struct MeasuredPoint {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct FittedLine {
     /// Travel per pulse, µm per pulse.
-    #[schema(minimum = 0.0)]
     pub slope_um_per_pulse: f64,
     /// The line at 0 pulses, µm.
     pub offset_um: f64,
     /// Bursts that the line goes through.
-    #[schema(minimum = 0)]
     pub bursts: u64,
     /// What was measured, by length; empty if the file holds none, as files of older versions.
     #[schema(max_items = 100)]
@@ -72,22 +68,16 @@ pub struct CalibratedMotor {
     #[schema(minimum = 0, maximum = 63)]
     pub motor: u8,
     /// Gain upwards, a ratio.
-    #[schema(minimum = 0.0)]
     pub gain_up: f64,
     /// Standard error of `gain_up`, a ratio.
-    #[schema(minimum = 0.0)]
     pub gain_up_se: f64,
     /// Gain downwards, a ratio.
-    #[schema(minimum = 0.0)]
     pub gain_down: f64,
     /// Standard error of `gain_down`, a ratio.
-    #[schema(minimum = 0.0)]
     pub gain_down_se: f64,
     /// Standard deviation of single bursts upwards, as a share of their travel.
-    #[schema(minimum = 0.0)]
     pub relative_sd_up: f64,
     /// Standard deviation of single bursts downwards, as a share of their travel.
-    #[schema(minimum = 0.0)]
     pub relative_sd_down: f64,
     /// The line upwards, and the points that it goes through.
     pub up: FittedLine,

@@ -132,7 +132,6 @@ pub enum Event {
         /// The session that it belongs to; null without one.
         session: Option<String>,
         /// The number of the first one here, from 0.
-        #[schema(minimum = 0)]
         first: usize,
         /// The items.
         #[schema(max_items = 32)]
@@ -175,7 +174,6 @@ pub enum Event {
     #[schema(examples(json!({"event": "drifted", "um": 21.5})))]
     Drifted {
         /// Largest expected offset from rest of all motors, root mean square, µm.
-        #[schema(minimum = 0.0)]
         um: f32,
     },
     /// A session has begun.
@@ -239,7 +237,6 @@ pub enum Event {
         /// Why it cannot be written, or what is missing there; null if all is well.
         problem: Option<String>,
         /// Entries that it lost since the daemon started.
-        #[schema(minimum = 0)]
         lost: u64,
     },
     /// How a rendering stands: at its start, when its pattern can be played, and at its end.
@@ -256,7 +253,6 @@ pub enum Event {
         /// Whether the pattern can be played as `rendering:ID`.
         found: bool,
         /// Time since its start, s.
-        #[schema(minimum = 0.0)]
         seconds: f64,
         /// Why it failed, in one line; null if it did not.
         problem: Option<String>,

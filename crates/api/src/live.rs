@@ -113,7 +113,6 @@ pub struct LiveRequest {
     pub session: Option<String>,
     /// The trial's number.
     #[serde(default, deserialize_with = "given", skip_serializing_if = "Option::is_none")]
-    #[schema(minimum = 0)]
     pub trial: Option<u64>,
     /// Up to 16 labels of the trial, of 1 to 100 characters.
     #[serde(default, deserialize_with = "null_as_default", skip_serializing_if = "BTreeMap::is_empty")]
@@ -186,6 +185,7 @@ pub struct LiveApplied {
 #[schema(examples(json!({"seq": 5, "merged_into": 7})))]
 pub struct LiveAnswer {
     /// The message's number; null: the answer is about the play, or the number cannot be read.
+    #[schema(required)]
     pub seq: Option<u64>,
     /// It is on the device.
     #[serde(default, skip_serializing_if = "Option::is_none")]

@@ -7,13 +7,10 @@ use utoipa::ToSchema;
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct UpdateTimes {
     /// Half of them took at most so long, ms.
-    #[schema(minimum = 0.0)]
     pub p50_ms: f64,
     /// 99 % of them took at most so long, ms.
-    #[schema(minimum = 0.0)]
     pub p99_ms: f64,
     /// The longest took so long, ms.
-    #[schema(minimum = 0.0)]
     pub longest_ms: f64,
 }
 

@@ -94,7 +94,7 @@ pub fn document() -> Value {
     for (name, schema) in schemas["schemas"].as_object_mut().into_iter().flatten() {
         // An answer to a message has one of its keys.
         if name != "LiveAnswer" {
-            require_all(schema);
+            complete(schema);
         }
         refuse_null(schema);
     }
@@ -134,15 +134,27 @@ fn refuse_null(schema: &mut Value) {
     }
 }
 
+/// Offsets and differences may be below 0, and so may a reached lead; other numbers may not.
+const SIGNED: [&str; 7] =
+    ["level", "rt_ms", "lead_ms", "onset_um", "offset_um", "rest_error_um", "travel_um"];
+
 /// The daemon writes every key of its answers, without a value as null; only `mine` of a session is in the status alone. The types of requests
 /// refuse unknown keys.
-fn require_all(schema: &mut Value) {
+fn complete(schema: &mut Value) {
     for parts in ["oneOf", "allOf"] {
-        schema.get_mut(parts).and_then(Value::as_array_mut).into_iter().flatten().for_each(require_all);
+        schema.get_mut(parts).and_then(Value::as_array_mut).into_iter().flatten().for_each(complete);
     }
-    let Some(properties) = schema.get("properties").and_then(Value::as_object) else { return };
-    if schema.get("additionalProperties").is_none() {
-        schema["required"] = properties.keys().filter(|key| *key != "mine").cloned().collect();
+    let is_answer = schema.get("additionalProperties").is_none();
+    let Some(properties) = schema.get_mut("properties").and_then(Value::as_object_mut) else { return };
+    for (_, property) in properties.iter_mut().filter(|(key, _)| !SIGNED.contains(&key.as_str())) {
+        let kinds = property.get("type").map(Value::to_string).unwrap_or_default();
+        if (kinds.contains("number") || kinds.contains("integer")) && property.get("minimum").is_none() {
+            property["minimum"] = 0.into();
+        }
+    }
+    if is_answer {
+        let required: Vec<_> = properties.keys().filter(|key| *key != "mine").cloned().collect();
+        schema["required"] = required.into();
     }
 }
 

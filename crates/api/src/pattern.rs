@@ -30,13 +30,10 @@ pub struct PatternSummary {
     /// SHA-256 of the pattern's file, in hexadecimal.
     pub sha256: String,
     /// When the last whole stroke of one run ends, ms; null: the pattern has no end, or no stroke.
-    #[schema(minimum = 0.0)]
     pub compiled_ms: Option<f64>,
     /// The smallest amplitude that a drive reaches, peak to peak, µm; null without drives.
-    #[schema(minimum = 0.0)]
     pub reached_min_um: Option<f64>,
     /// The largest amplitude that a drive reaches, peak to peak, µm; null without drives.
-    #[schema(minimum = 0.0)]
     pub reached_max_um: Option<f64>,
 }
 
@@ -50,14 +47,11 @@ pub struct ReachedDrive {
     #[schema(minimum = 0, maximum = 63)]
     pub motor: u8,
     /// Amplitude as ordered, peak to peak, µm.
-    #[schema(minimum = 0.0)]
     pub ordered_um: f64,
     /// Amplitude that an ideal motor reaches in the steady state, peak to peak, µm: in whole pulses, as many as fit, which
     /// the motor follows as the array's description says. 0: the drive gives no stroke.
-    #[schema(minimum = 0.0)]
     pub reached_um: f64,
     /// By how much its down bursts are longer than its up bursts, µm; a lower stop takes that.
-    #[schema(minimum = 0.0)]
     pub surplus_um: f64,
     /// Number of its strokes; null: without end.
     pub strokes: Option<u64>,
@@ -70,25 +64,18 @@ pub struct FollowedMotion {
     #[schema(minimum = 0, maximum = 63)]
     pub motor: u8,
     /// The highest displacement asked, µm above rest.
-    #[schema(minimum = 0.0)]
     pub highest_um: f64,
     /// Root mean square of what the pin does less what was asked, µm: the motor's speed, its lag and smoothing, and the steps count.
-    #[schema(minimum = 0.0)]
     pub error_um: f64,
     /// It as a share of the RMS of what was asked about its mean; 0 if that does not move.
-    #[schema(minimum = 0.0)]
     pub error_share: f64,
     /// The largest difference from what a motor of this speed would do without steps, µm.
-    #[schema(minimum = 0.0)]
     pub step_error_um: f64,
     /// From when on the motor is too slow for it first, s; null: it is fast enough throughout.
-    #[schema(minimum = 0.0)]
     pub too_slow_from_s: Option<f64>,
     /// Moves per second.
-    #[schema(minimum = 0.0)]
     pub moves_per_s: f64,
     /// How much of it the errors and the moves are of, from its beginning, s: the motors of a pattern share four minutes.
-    #[schema(minimum = 0.0)]
     pub measured_s: f64,
 }
 
@@ -106,10 +93,8 @@ pub struct RailLoad {
     #[schema(minimum = 0.0, maximum = 64.0)]
     pub mean_at_once: f64,
     /// Highest current, mA.
-    #[schema(minimum = 0.0)]
     pub most_ma: f64,
     /// Mean current, mA.
-    #[schema(minimum = 0.0)]
     pub mean_ma: f64,
 }
 
@@ -153,14 +138,13 @@ pub struct PatternList {
 })))]
 pub struct PatternDetails {
     /// The pattern, with the keys of its file.
-    #[schema(value_type = Object)]
+    #[schema(value_type = std::collections::BTreeMap<String, Value>)]
     pub pattern: Value,
     /// SHA-256 of the pattern's file, in hexadecimal.
     pub sha256: String,
     /// Whether the pattern belongs to the built-in library.
     pub library: bool,
     /// When the last whole stroke of one run ends, ms; null: the pattern has no end, or no stroke.
-    #[schema(minimum = 0.0)]
     pub compiled_ms: Option<f64>,
     /// What each drive reaches in one run.
     #[schema(max_items = 4096)]

@@ -13,14 +13,11 @@ pub struct PlanCheck {
     /// How many items the plan has.
     pub items: usize,
     /// How long it lasts, ms.
-    #[schema(minimum = 0.0)]
     pub ordered_ms: f64,
     /// The largest estimate of a pin's distance from rest by dead reckoning, root mean square, µm: at the end of the plan, or when it
     /// stops. 0 with a lower stop.
-    #[schema(minimum = 0.0)]
     pub drift_um: f32,
     /// The estimate above which the daemon ends plays and refuses them, µm.
-    #[schema(minimum = 0.0)]
     pub drift_limit_um: f32,
     /// The motor of that pin.
     pub motor: u8,
@@ -31,7 +28,6 @@ pub struct PlanCheck {
     /// Where the plan would stop; null: it comes to its end.
     pub stopped_at: Option<PlanStop>,
     /// How far the estimate was followed, ms, if the plan is longer than the daemon follows; else null.
-    #[schema(minimum = 0.0)]
     pub followed_ms: Option<f64>,
 }
 
@@ -43,6 +39,5 @@ pub struct PlanStop {
     /// Its pattern.
     pub pattern: String,
     /// When, ms from the onset of the plan.
-    #[schema(minimum = 0.0)]
     pub after_ms: f64,
 }

@@ -114,13 +114,10 @@ pub struct OrderedCounts {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct DurationRecord {
     /// As ordered, by the request or else by the pattern, ms; null: without end.
-    #[schema(minimum = 0.0)]
     pub ordered: Option<f64>,
     /// As compiled, to the end of the last whole stroke, ms; null: without end.
-    #[schema(minimum = 0.0)]
     pub compiled: Option<f64>,
     /// As played, from the onset to the offset, ms; null until the play is over, or without an offset.
-    #[schema(minimum = 0.0)]
     pub played: Option<f64>,
 }
 
@@ -190,7 +187,6 @@ pub struct LateStroke {
     /// Start of the stroke's upward burst, ticks.
     pub tick: u64,
     /// How late the stroke came, ms.
-    #[schema(minimum = 0.0)]
     pub late_ms: f64,
     /// Where the time was lost.
     pub cause: LateCause,
@@ -307,7 +303,6 @@ pub struct LateCounts {
     /// Number of strokes late because the device gave no credits.
     pub device: u64,
     /// The largest delay, ms; 0 without late strokes.
-    #[schema(minimum = 0.0)]
     pub worst_ms: f64,
 }
 
@@ -328,7 +323,6 @@ pub struct LinkTraffic {
     /// Size of all frames, bytes.
     pub bytes_to_device: u64,
     /// Size of all frames per planned burst, bytes; null without bursts.
-    #[schema(minimum = 0.0)]
     pub bytes_per_burst: Option<f64>,
 }
 
@@ -404,7 +398,6 @@ pub struct Receipt {
     /// The session that the play belongs to; null without one.
     pub session: Option<String>,
     /// The trial's number; null if none was given.
-    #[schema(minimum = 0)]
     pub trial: Option<u64>,
     /// The trial's labels.
     pub labels: BTreeMap<String, String>,
@@ -423,7 +416,6 @@ pub struct Receipt {
     /// When the play began; null before.
     pub onset: Option<OnsetRecord>,
     /// Time from the request to the onset, ms; null before the onset.
-    #[schema(minimum = 0.0)]
     pub onset_latency_ms: Option<f64>,
     /// The ordered delay from an edge of the trigger input to the onset, ms; null: the play waits for none.
     #[schema(minimum = 0.0, maximum = 3_600_000.0)]
@@ -437,7 +429,6 @@ pub struct Receipt {
     pub offset: Option<OffsetRecord>,
     /// Time from the onset to the cut that ended the play, ms; null if the play came to its end or never began. If the link was
     /// lost: until the daemon noticed.
-    #[schema(minimum = 0.0)]
     pub cut_after_ms: Option<f64>,
     /// How long the play was to last, and lasted.
     pub duration_ms: DurationRecord,
@@ -473,7 +464,6 @@ pub struct Receipt {
     /// What the trigger output gave at the onset; null: nothing, or not yet.
     pub trigger: Option<TriggerRecord>,
     /// The boot of the device that took the play: ticks of two plays of one boot are on one clock. Null: the daemon does not know it.
-    #[schema(minimum = 0)]
     pub boot: Option<u32>,
     /// How many items the sequence was to play; null for other plays.
     #[schema(minimum = 1, maximum = 4096)]

@@ -159,7 +159,6 @@ pub struct Rendering {
     /// Whether the pattern can be played as `rendering:ID`: already while the rendering runs.
     pub found: bool,
     /// Time since its start, at most up to its end, s.
-    #[schema(minimum = 0.0)]
     pub seconds: f64,
     /// Why it failed, in one line; null if it did not.
     pub problem: Option<String>,
@@ -177,10 +176,8 @@ pub struct Rendered {
     /// SHA-256 of that text, in hexadecimal.
     pub sha256: String,
     /// Its duration, s.
-    #[schema(minimum = 0.0)]
     pub duration_s: f64,
     /// The greatest height of a pin, µm.
-    #[schema(minimum = 0.0)]
     pub highest_um: f64,
     /// Lines that draw the object where its touch begins, mm; none for a height map or a profile.
     pub outline: Vec<Vec<[f64; 2]>>,
@@ -205,7 +202,6 @@ pub struct JudgedPattern {
     #[schema(minimum = -1.0, maximum = 1.0)]
     pub r: Option<f64>,
     /// The size of their difference over the size of the object's.
-    #[schema(minimum = 0.0)]
     pub error: Option<f64>,
     /// By class, SA1, RA and PC: `r` in bins of 36 ms.
     pub r_by_class: [Option<f64>; 3],
@@ -219,7 +215,6 @@ pub struct JudgedPattern {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct ObjectResponse {
     /// How much of the touch the spikes cover from its beginning, s: at most 3, and at most 150000 spikes.
-    #[schema(minimum = 0.0)]
     pub seconds: f64,
     /// By afferent: its place in mm from the array's middle, x across the finger and y towards the fingertip.
     pub places_mm: Vec<[f64; 2]>,
@@ -250,7 +245,6 @@ pub struct PatternPreview {
     #[schema(minimum = 0.0, maximum = 2.0)]
     pub seconds: f64,
     /// The time between two heights, ms.
-    #[schema(minimum = 0.0)]
     pub step_ms: f64,
     /// By motor of the pattern's array: the heights of its pin above rest by the motor model, µm, to 0.1. After the pattern's end pins rest.
     pub heights_um: Vec<Vec<f64>>,

@@ -80,7 +80,6 @@ pub struct PlayRequest {
     pub session: Option<String>,
     /// The trial's number.
     #[serde(default, deserialize_with = "given", skip_serializing_if = "Option::is_none")]
-    #[schema(minimum = 0)]
     pub trial: Option<u64>,
     /// Up to 16 labels of the trial, of 1 to 100 characters.
     #[serde(default, deserialize_with = "null_as_default", skip_serializing_if = "BTreeMap::is_empty")]

@@ -78,7 +78,6 @@ pub struct SequenceRequest {
     pub session: Option<String>,
     /// The trial's number.
     #[serde(default, deserialize_with = "given", skip_serializing_if = "Option::is_none")]
-    #[schema(minimum = 0)]
     pub trial: Option<u64>,
     /// Up to 16 labels of the trial, of 1 to 100 characters.
     #[serde(default, deserialize_with = "null_as_default", skip_serializing_if = "BTreeMap::is_empty")]
@@ -99,7 +98,7 @@ pub struct SequenceRequest {
 #[serde(deny_unknown_fields)]
 pub struct SequenceItem {
     /// The pattern's name, or the pattern itself; false or null: nothing is played for `seconds`, for example in a catch trial.
-    #[schema(schema_with = pattern_choice::schema_or_blank)]
+    #[schema(required, schema_with = pattern_choice::schema_or_blank)]
     #[serde(deserialize_with = "pattern_choice::or_blank")]
     pub pattern: Option<PatternChoice>,
     /// Play the text with this SHA-256 (hexadecimal): the stored pattern, or else the text that the session record keeps. Without
@@ -274,15 +273,12 @@ pub struct ItemRecord {
     #[schema(minimum = 0.0, maximum = 1.0)]
     pub scale: f64,
     /// The largest amplitude of its drives or level of its motions as ordered, µm.
-    #[schema(minimum = 0.0)]
     pub ordered_um: f64,
     /// The largest amplitude that they reach in whole pulses, µm.
-    #[schema(minimum = 0.0)]
     pub reached_um: f64,
     /// When it was to begin, ticks from the sequence's onset.
     pub planned_onset_ticks: u64,
     /// How long it was to last, ms: a whole number of ticks.
-    #[schema(minimum = 0.0)]
     pub ordered_ms: f64,
     /// What became of it.
     pub state: ItemState,

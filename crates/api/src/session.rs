@@ -95,7 +95,6 @@ pub struct Session {
     /// The session's labels.
     pub labels: BTreeMap<String, String>,
     /// The seed that was recorded; null if there was none.
-    #[schema(minimum = 0)]
     pub seed: Option<u64>,
     /// Whether the session began as an exclusive one.
     pub exclusive: bool,
@@ -108,22 +107,17 @@ pub struct Session {
     /// Why it ended: `request`, `daemon-ended`, or `unknown` (the daemon was killed, or could not write it); null while it runs.
     pub reason: Option<String>,
     /// Plays that were accepted.
-    #[schema(minimum = 0)]
     pub plays: u64,
     /// Vibration in the session, s.
-    #[schema(minimum = 0.0)]
     pub vibration_s: f64,
     /// Whether an exclusive session's owner was silent for so long that others may act.
     pub released: bool,
     /// When others may act unless the owner sends a request, s from now; null: they may, or the session is over.
-    #[schema(minimum = 0.0)]
     pub release_in_s: Option<f64>,
     /// Entries of the session that the record is known to have lost: the disk did not take them, or they were removed. 0 too without a
     /// record.
-    #[schema(minimum = 0)]
     pub lost: u64,
     /// Plays of the session whose ends the record is known to have lost.
-    #[schema(minimum = 0)]
     pub plays_lost: u64,
     /// In the status: whether the client that asks shows the token of this session. Missing elsewhere.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -145,7 +139,6 @@ pub struct SessionList {
     /// The sessions.
     pub sessions: Vec<Session>,
     /// Gaps in the numbers of the record's entries, where whole sessions may be missing, and lines and files that cannot be read.
-    #[schema(minimum = 0)]
     pub unreadable: u64,
     /// The first 100 of them, one line each.
     #[schema(max_items = 100)]
@@ -166,7 +159,6 @@ pub struct RecordedPlay {
     /// The user who ordered it; null: not known.
     pub user: Option<String>,
     /// The trial's number; null if none was given.
-    #[schema(minimum = 0)]
     pub trial: Option<u64>,
     /// The trial's labels.
     pub labels: BTreeMap<String, String>,
@@ -180,7 +172,6 @@ pub struct RecordedPlay {
     #[schema(minimum = 20000, maximum = 200_000)]
     pub tick_hz: u32,
     /// Requested duration, s; null: as long as the pattern lasts.
-    #[schema(minimum = 0.0)]
     pub seconds: Option<f64>,
     /// `done`, `stopped` or `aborted`; `unknown` if its end is missing from the record.
     pub state: String,
@@ -188,19 +179,14 @@ pub struct RecordedPlay {
     #[schema(value_type = Option<String>)]
     pub cause: Option<EndCause>,
     /// The tick at which the play began, ticks; null if it never began.
-    #[schema(minimum = 0)]
     pub onset_tick: Option<u64>,
     /// The onset on the host's `CLOCK_MONOTONIC`, ns.
-    #[schema(minimum = 0)]
     pub onset_monotonic_ns: Option<u64>,
     /// Uncertainty of the onset on the host's clock, ns.
-    #[schema(minimum = 0)]
     pub onset_uncertainty_ns: Option<u64>,
     /// The onset on the host's wall clock as of the record's line, Unix time, ns.
-    #[schema(minimum = 0)]
     pub onset_wall_ns: Option<i64>,
     /// Time from the onset to the report of the end, s: some 10 ms more than the play.
-    #[schema(minimum = 0.0)]
     pub reported_after_s: Option<f64>,
     /// What happened to the bursts; null if the end is missing.
     pub bursts: Option<BurstCounts>,
@@ -209,26 +195,20 @@ pub struct RecordedPlay {
     /// Whether what was played is an estimate, because the link was lost.
     pub estimated: bool,
     /// By how much the latest stroke came late, ms; 0 if none did.
-    #[schema(minimum = 0.0)]
     pub worst_late_ms: Option<f64>,
     /// Largest estimated offset of a pin from rest at the end, µm.
-    #[schema(minimum = 0.0)]
     pub rest_error_max_um: Option<f32>,
     /// The item's number in its sequence, from 0; null of a play as a whole.
-    #[schema(minimum = 0)]
     pub item: Option<u64>,
     /// Of a sequence as a whole: how many rows of items follow. Otherwise 0.
-    #[schema(minimum = 0)]
     pub items: u64,
     /// Of a sequence as a whole: how many items it was to play. Rows of items that never began, or whose lines the record lost, are
     /// missing. Null of other plays.
     #[schema(minimum = 1, maximum = 4096)]
     pub items_planned: Option<u64>,
     /// The largest amplitude of its drives as ordered, µm; null if that is not recorded.
-    #[schema(minimum = 0.0)]
     pub ordered_um: Option<f64>,
     /// The largest amplitude that they reach in whole pulses, µm.
-    #[schema(minimum = 0.0)]
     pub reached_um: Option<f64>,
     /// The factor of the amplitudes; null of a sequence as a whole.
     #[schema(minimum = 0.0, maximum = 1.0)]
@@ -240,41 +220,31 @@ pub struct RecordedPlay {
     /// Whether it was to play without corrections from telemetry.
     pub open_loop: bool,
     /// Duration as ordered, ms; null: without end, or not recorded.
-    #[schema(minimum = 0.0)]
     pub ordered_ms: Option<f64>,
     /// Duration as played, from onset to offset, ms.
-    #[schema(minimum = 0.0)]
     pub played_ms: Option<f64>,
     /// Time from the onset to the cut that ended the play, ms; null if it was not cut.
-    #[schema(minimum = 0.0)]
     pub cut_after_ms: Option<f64>,
     /// When the last pulse was over, ticks.
-    #[schema(minimum = 0)]
     pub offset_tick: Option<u64>,
     /// The same on the host's `CLOCK_MONOTONIC`, ns.
-    #[schema(minimum = 0)]
     pub offset_monotonic_ns: Option<u64>,
     /// What the trigger output gave at the onset; null: nothing.
     pub trigger: Option<TriggerRecord>,
     /// What pattern and order say; null of an item, or if it was not counted.
     pub ordered: Option<OrderedCounts>,
     /// When the item was to begin, ticks from the sequence's onset; null of a play as a whole.
-    #[schema(minimum = 0)]
     pub planned_onset_ticks: Option<u64>,
     /// Number of strokes that came late; null if the end is missing.
-    #[schema(minimum = 0)]
     pub late_strokes: Option<u64>,
     /// Number of the item's strokes that the device refused; null of a play as a whole, which counts bursts.
-    #[schema(minimum = 0)]
     pub refused_strokes: Option<u64>,
     /// The boot of the device whose ticks these are; null if the record does not tell.
-    #[schema(minimum = 0)]
     pub boot: Option<u32>,
     /// Whether the daemon has the pattern's text still, stored or in the session record, so that it can play it again. Of a sequence as
     /// a whole and of a blank item: true.
     pub pattern_kept: bool,
     /// The first pulse of a pin, ticks; null if no pin moved, or if that is not recorded.
-    #[schema(minimum = 0)]
     pub first_pulse_tick: Option<u64>,
     /// The edge of the trigger input after which the play began; null: it waited for none. The items of a sequence repeat it.
     pub start_edge: Option<EdgeRecord>,
@@ -326,16 +296,12 @@ pub struct SessionPlays {
     #[schema(max_items = 100)]
     pub missing: Vec<String>,
     /// Plays whose ends are missing, of the session's `plays`. Those of a session that runs may be under way.
-    #[schema(minimum = 0)]
     pub plays_missing: u64,
     /// Entries that the record lost during the session: the disk or the queue was full, or a file was removed. Plays may be among them.
-    #[schema(minimum = 0)]
     pub lost: u64,
     /// Entries that the record left out during the session, to stay within its bound: commands and what devices did, never plays.
-    #[schema(minimum = 0)]
     pub left_out: u64,
     /// As in the list of sessions: of the whole record.
-    #[schema(minimum = 0)]
     pub unreadable: u64,
     /// The first 100 of them, one line each.
     #[schema(max_items = 100)]

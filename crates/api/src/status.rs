@@ -41,7 +41,6 @@ pub struct RunningPlay {
     /// The pattern's name.
     pub pattern: String,
     /// Time since the onset, s.
-    #[schema(minimum = 0.0)]
     pub played_s: f64,
 }
 
@@ -53,10 +52,8 @@ pub struct PlayAccepted {
     #[schema(minimum = 1)]
     pub id: u64,
     /// Duration as ordered, by the request or else by the pattern, ms; null: without end.
-    #[schema(minimum = 0.0)]
     pub ordered_ms: Option<f64>,
     /// Duration as compiled, to the end of the last whole stroke, ms; null: without end.
-    #[schema(minimum = 0.0)]
     pub compiled_ms: Option<f64>,
     /// How the motors follow their motions, by motor; empty without motions. Of a sequence those of the item in which the motor is off the
     /// most.
@@ -90,13 +87,10 @@ pub struct Realtime {
 #[schema(examples(json!({"height_um": 31.0, "swing_um": 62.0, "hz": 60.0})))]
 pub struct PinMovement {
     /// Middle between the highest and the lowest point, µm above rest.
-    #[schema(minimum = 0.0)]
     pub height_um: f64,
     /// From the lowest to the highest point, µm. 0: the pin does not move.
-    #[schema(minimum = 0.0)]
     pub swing_um: f64,
     /// Strokes per second; of a movement with fewer than two rises half as many as its changes of direction.
-    #[schema(minimum = 0.0)]
     pub hz: f64,
 }
 
@@ -106,10 +100,8 @@ pub struct PinMovement {
 #[schema(examples(json!({"height_um": 200.0, "age_s": 12.5})))]
 pub struct StandingPins {
     /// Height of the highest one, µm above rest. It may be lower if the device could not say when it stopped.
-    #[schema(minimum = 0.0)]
     pub height_um: f64,
     /// For how long the daemon knows of them, s.
-    #[schema(minimum = 0.0)]
     pub age_s: f64,
 }
 
@@ -181,7 +173,6 @@ pub struct ClockSample {
     /// The host's wall clock, Unix time, ns.
     pub wall_ns: u64,
     /// Uncertainty of `tick` against `monotonic_ns`, µs.
-    #[schema(minimum = 0.0)]
     pub uncertainty_us: f64,
 }
 
@@ -201,28 +192,22 @@ pub struct ParticipantStatus {
     #[schema(minimum = 0.5, maximum = 3600.0)]
     pub pause_s: f64,
     /// Vibration since the last pause, s.
-    #[schema(minimum = 0.0)]
     pub continuous_used_s: f64,
     /// Vibration that is left before a pause, s.
-    #[schema(minimum = 0.0)]
     pub continuous_left_s: f64,
     /// Longest vibration in a session, s.
     #[schema(minimum = 0.1, maximum = 86400.0)]
     pub max_session_s: f64,
     /// Vibration in the running session, s; null without one.
-    #[schema(minimum = 0.0)]
     pub session_used_s: Option<f64>,
     /// Vibration that is left in the running session, s; null without one.
-    #[schema(minimum = 0.0)]
     pub session_left_s: Option<f64>,
     /// Longest vibration in a local calendar day, s.
     #[schema(minimum = 0.1, maximum = 86400.0)]
     pub max_day_s: f64,
     /// Vibration today, s.
-    #[schema(minimum = 0.0)]
     pub day_used_s: f64,
     /// Vibration that is left today, s.
-    #[schema(minimum = 0.0)]
     pub day_left_s: f64,
 }
 
@@ -236,7 +221,6 @@ pub struct ArmedStatus {
     #[schema(minimum = 1.0)]
     pub silence_s: Option<f64>,
     /// What is left of that time unless a request comes, s; null: no end.
-    #[schema(minimum = 0.0)]
     pub left_s: Option<f64>,
 }
 
@@ -290,7 +274,6 @@ pub struct Status {
     /// Emergency stops that were ordered since the daemon began.
     pub estops: u64,
     /// By when the device had confirmed the last emergency stop, ms after its order: all lines were off by then. Null: it has confirmed none.
-    #[schema(minimum = 0.0)]
     pub estop_off_ms: Option<f64>,
     /// Whether the device knows where its pins are: `known` or `unknown`.
     pub position: String,
@@ -320,7 +303,6 @@ pub struct Status {
     /// The device's clock now, ticks since the device's start; null without a device.
     pub tick: Option<u64>,
     /// Uncertainty of `tick`, µs; null without a device.
-    #[schema(minimum = 0.0)]
     pub clock_uncertainty_us: Option<f64>,
     /// The clocks of device and host at the instant of `tick`; null without a device.
     pub clock: Option<ClockSample>,
@@ -336,7 +318,6 @@ pub struct Status {
     /// The device's counters; null until it has reported them.
     pub board: Option<BoardStatus>,
     /// Estimate by dead reckoning above which no play drives a pin, µm (configuration key `drift_limit_um`).
-    #[schema(minimum = 0.0)]
     pub drift_limit_um: f32,
     /// The motors, by number; empty until a device has connected.
     #[schema(max_items = 64)]
@@ -354,7 +335,6 @@ pub struct Status {
     /// Why the daemon cannot write the session record, or which entries it has found missing; null if all is well, or it keeps none.
     pub logbook_problem: Option<String>,
     /// Entries that the session record lost since the daemon started: the disk or the queue was full, or somebody removed them.
-    #[schema(minimum = 0)]
     pub logbook_lost: u64,
     /// The socket the daemon listens on.
     pub socket: String,

@@ -113,7 +113,6 @@ pub struct TriggerRecord {
     /// The tick at which the output rose, ticks.
     pub tick: u64,
     /// Width of the pulse, or of each of the ten cells of a code, ms.
-    #[schema(minimum = 0.0)]
     pub width_ms: f64,
     /// The code; null: one pulse.
     #[schema(minimum = 1, maximum = 255)]

@@ -155,7 +155,6 @@ async fn watch(manager: Manager, engine: Arc<Engine>, every: Duration) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use meissner_stream::Settings;
     use meissner_stream::queues::queues;
 
     #[test]
@@ -179,12 +178,7 @@ mod tests {
     #[test]
     fn no_watchdog_notification_without_a_run_of_the_streamers_loop() {
         let (port, commands, _events) = queues().unwrap();
-        let engine = Arc::new(Engine::new(
-            commands,
-            Settings::of(meissner_array::spec::Array::paper()),
-            "mock".to_owned(),
-            None,
-        ));
+        let engine = Arc::new(Engine::of_paper(commands));
         let (sender, queue) = bounded(QUEUE);
         let runtime = crate::daemon::system::runtime::runtime().unwrap();
         runtime.block_on(async {

@@ -68,6 +68,12 @@ pub(in crate::daemon) struct Engine {
 }
 
 impl Engine {
+    /// On the paper's array, without a calibration.
+    #[cfg(test)]
+    pub(in crate::daemon) fn of_paper(commands: CommandQueue) -> Self {
+        Self::new(commands, Settings::of(meissner_array::spec::Array::paper()), "mock".to_owned(), None)
+    }
+
     pub(in crate::daemon) fn new(
         commands: CommandQueue,
         settings: Settings,
@@ -235,12 +241,7 @@ mod tests {
     #[test]
     fn calls_that_wait_at_the_end_are_answered() {
         let (_port, commands, _events) = queues().unwrap();
-        let engine = Engine::new(
-            commands,
-            Settings::of(meissner_array::spec::Array::paper()),
-            "mock".to_owned(),
-            None,
-        );
+        let engine = Engine::of_paper(commands);
         let home = engine.send(Command::Home).unwrap();
         let number = engine.estops.request(Origin::UNKNOWN);
         let stop = engine.lock().commands.wait_for_estop(number);
@@ -256,12 +257,7 @@ mod tests {
     #[test]
     fn a_full_queue_takes_emergency_stops_and_answers_each() {
         let (mut port, commands, mut events) = queues().unwrap();
-        let engine = Engine::new(
-            commands,
-            Settings::of(meissner_array::spec::Array::paper()),
-            "mock".to_owned(),
-            None,
-        );
+        let engine = Engine::of_paper(commands);
         let mut waiting = 0;
         let busy = loop {
             match engine.send(Command::Stop) {

@@ -88,7 +88,6 @@ mod tests {
     use super::*;
     use crate::session_record::{Location, SessionRecord};
     use meissner_api::Realtime;
-    use meissner_stream::Settings;
     use meissner_stream::queues::queues;
     use serde_json::Value;
     use std::fs;
@@ -102,12 +101,7 @@ mod tests {
         let folder = dir.path().join("logbook");
         let location = Location { dir: folder.clone(), days: 1, make_parents: false };
         let record = SessionRecord::start(Some(location), Arc::default()).unwrap();
-        let engine = Engine::new(
-            commands,
-            Settings::of(meissner_array::spec::Array::paper()),
-            "mock".to_owned(),
-            None,
-        );
+        let engine = Engine::of_paper(commands);
         let engine = Arc::new(engine.with(record.clone(), Realtime::default(), PathBuf::new()));
         drop(LoggedRequest::new(&engine, "home", Peer::local(7, 0)));
         record.close(Duration::from_secs(300));

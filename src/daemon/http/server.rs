@@ -257,7 +257,6 @@ async fn closed(closing: &mut watch::Receiver<bool>) {
 mod tests {
     use super::*;
     use crate::daemon::sockets::stream::Stream;
-    use meissner_stream::Settings;
     use meissner_stream::queues::queues;
     use tokio::io::{AsyncReadExt, AsyncWriteExt};
 
@@ -271,12 +270,7 @@ mod tests {
             end.set_nonblocking(true).unwrap();
         }
         let (_port, commands, _events) = queues().unwrap();
-        let engine = Engine::new(
-            commands,
-            Settings::of(meissner_array::spec::Array::paper()),
-            "mock".to_owned(),
-            None,
-        );
+        let engine = Engine::of_paper(commands);
         let peer = Peer::local(1, 0);
         let orders = Orders::new(Arc::clone(&engine.estops), Arc::clone(&engine.gate), peer, None);
         let (connection, ahead, activity) =

@@ -252,12 +252,7 @@ mod tests {
     #[test]
     fn a_session_counts_a_play_whose_answer_comes_late() {
         let (mut port, commands, mut events) = queues().unwrap();
-        let engine = Engine::new(
-            commands,
-            Settings::of(meissner_array::spec::Array::paper()),
-            "mock".to_owned(),
-            None,
-        );
+        let engine = Engine::of_paper(commands);
         let session = SessionRequest { participant: "P07".to_owned(), ..SessionRequest::default() };
         let id = engine.lock().start_session(session, None).unwrap().0.id;
         let (request, stored) = pin(Some(id));
@@ -273,12 +268,7 @@ mod tests {
     #[test]
     fn a_stop_refuses_a_play_whose_request_came_before() {
         let (mut port, commands, _events) = queues().unwrap();
-        let engine = Engine::new(
-            commands,
-            Settings::of(meissner_array::spec::Array::paper()),
-            "mock".to_owned(),
-            None,
-        );
+        let engine = Engine::of_paper(commands);
         let (request, stored) = pin(None);
         let client = Peer::local(1, 0);
         let caller = Caller::new(client, None, None, None);
@@ -300,12 +290,7 @@ mod tests {
         );
         let record = record.unwrap();
         let (mut port, commands, _events) = queues().unwrap();
-        let engine = Engine::new(
-            commands,
-            Settings::of(meissner_array::spec::Array::paper()),
-            "mock".to_owned(),
-            None,
-        );
+        let engine = Engine::of_paper(commands);
         let engine = engine.with(record.clone(), Realtime::default(), PathBuf::new());
         let mut play = || {
             let (request, stored) = pin(None);

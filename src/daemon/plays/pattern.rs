@@ -10,7 +10,7 @@ use crate::exposure::Vibration;
 use crate::receipts::{Order, counts, fit, motions, too_slow};
 use crate::session_record::Peer;
 use crate::store::Stored;
-use meissner_api::{Code, Fit, PlayAccepted, PlayRequest, Problem, Receipt, TriggerRequest};
+use meissner_api::{Code, PlayAccepted, PlayRequest, Problem, Receipt};
 use meissner_array::pattern::Pattern;
 use meissner_array::strokes::{StrokeOptions, Strokes};
 use meissner_stream::queues::{HOLD_ALWAYS, Item};
@@ -26,44 +26,24 @@ impl Compiled {
         client: Peer,
         lane: &'static Lane,
     ) -> Result<Self, Problem> {
-        let asked = Asked::of(request);
+        // Its pattern is a name by now.
+        let request = request.clone();
         let receipt = terms.receipt(stored.pattern.name(), &stored.sha256, request.seconds);
-        lane.computing(move || compile(&asked, receipt, stored, basis, client)).await?
-    }
-}
-
-/// What a request says of the pattern.
-struct Asked {
-    seconds: Option<f64>,
-    scale: f64,
-    fit: Fit,
-    trigger: Option<TriggerRequest>,
-    endless: bool,
-    strict: bool,
-    hold_ms: Option<f64>,
-}
-
-impl Asked {
-    fn of(request: &PlayRequest) -> Self {
-        let &PlayRequest { seconds, fit, trigger, endless, strict, hold_ms, .. } = request;
-        Self { seconds, scale: request.scale.unwrap_or(1.0), fit, trigger, endless, strict, hold_ms }
+        lane.computing(move || compile(&request, receipt, stored, basis, client)).await?
     }
 }
 
 fn compile(
-    asked: &Asked,
+    asked: &PlayRequest,
     receipt: Receipt,
     stored: Stored,
     (settings, surplus, reach): Basis,
     client: Peer,
 ) -> Result<Compiled, Problem> {
     stored.check_array(settings.array)?;
-    let options = StrokeOptions {
-        surplus,
-        fit: fit(asked.fit),
-        scale: asked.scale,
-        ..StrokeOptions::lasting(asked.seconds)
-    };
+    let scale = asked.scale.unwrap_or(1.0);
+    let options =
+        StrokeOptions { surplus, fit: fit(asked.fit), scale, ..StrokeOptions::lasting(asked.seconds) };
     let bad = |error| Problem::new(Code::BadRequest, format!("`seconds`: {error}"));
     let (pattern, name) = (&*stored.pattern, stored.pattern.name());
     let order = Order::of(pattern, &options).map_err(bad)?;
@@ -77,7 +57,7 @@ fn compile(
         return Err(empty("its motions are too low, or begin after its end"));
     }
     let array = settings.array;
-    let mut receipt = Receipt { scale: Some(asked.scale), motions: motions(&strokes.followed()), ..receipt };
+    let mut receipt = Receipt { scale: Some(scale), motions: motions(&strokes.followed()), ..receipt };
     let slow: Vec<String> = receipt.motions.iter().filter_map(|motion| too_slow(motion, array)).collect();
     if let Some(line) = slow.first().filter(|_| asked.strict) {
         return Err(Problem::new(Code::TooSlow, format!("`{name}`: {line}, or play it without `strict`")));
@@ -87,7 +67,7 @@ fn compile(
     order.enter(&mut receipt, asked.fit, counts(pattern, &options, &strokes));
     let lines = unchecked.into_iter().chain(slow.into_iter().take(MAX_LINES));
     receipt.warnings.splice(0..0, lines);
-    let largest = (largest_um(pattern, asked.scale, &reach), name.to_owned());
+    let largest = (largest_um(pattern, scale, &reach), name.to_owned());
     let bandwidth = Bandwidth::of(&strokes, &settings);
     let Stored { pattern, sha256, text, .. } = stored;
     let bytes = pattern.motion_bytes();

@@ -334,18 +334,12 @@ mod tests {
     use crate::daemon::engine::Engine;
     use crate::daemon::sockets::activity::BLOCKED;
     use crate::session_record::Peer;
-    use meissner_stream::Settings;
     use meissner_stream::queues::queues;
     use tokio::io::{AsyncReadExt, AsyncWriteExt};
 
     fn orders() -> Orders {
         let (_port, commands, _events) = queues().unwrap();
-        let engine = Engine::new(
-            commands,
-            Settings::of(meissner_array::spec::Array::paper()),
-            "mock".to_owned(),
-            None,
-        );
+        let engine = Engine::of_paper(commands);
         Orders::new(Arc::clone(&engine.estops), Arc::clone(&engine.gate), Peer::local(1, 0), None)
     }
 

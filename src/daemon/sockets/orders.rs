@@ -82,7 +82,6 @@ impl Orders {
 mod tests {
     use super::*;
     use crate::daemon::engine::Engine;
-    use meissner_stream::Settings;
     use meissner_stream::queues::queues;
 
     const ESTOP: &str = "POST /v1/estop HTTP/1.1\r\nhost: x\r\n\r\n";
@@ -91,12 +90,7 @@ mod tests {
 
     fn orders() -> (Orders, Arc<EStops>) {
         let (_port, commands, _events) = queues().unwrap();
-        let engine = Engine::new(
-            commands,
-            Settings::of(meissner_array::spec::Array::paper()),
-            "mock".to_owned(),
-            None,
-        );
+        let engine = Engine::of_paper(commands);
         let estops = Arc::clone(&engine.estops);
         (Orders::new(Arc::clone(&estops), Arc::clone(&engine.gate), Peer::local(1, 0), None), estops)
     }

@@ -4,7 +4,6 @@ use super::{Acceptor, Bounds, Counts, Handover, Sockets};
 use crate::daemon::engine::Engine;
 use crate::daemon::engine::estop::Origin;
 use meissner_client::estop;
-use meissner_stream::Settings;
 use meissner_stream::queues::{Command, CommandError, Emit, StreamEvent, ThreadQueues, queues};
 use std::io::{Read, Write};
 use std::os::unix::net::{UnixListener, UnixStream};
@@ -37,8 +36,7 @@ fn an_emergency_stop_needs_no_server_no_runtime_and_no_lock() {
     let dir = tempfile::tempdir().unwrap();
     let (socket, stop) = (dir.path().join("m"), dir.path().join("m.estop"));
     let (mut port, commands, _events) = queues().unwrap();
-    let engine =
-        Engine::new(commands, Settings::of(meissner_array::spec::Array::paper()), "mock".to_owned(), None);
+    let engine = Engine::of_paper(commands);
     let (bounds, counts) = (Bounds::within(200), Arc::new(Counts::default()));
     let sockets = Sockets { api: listener(&socket), estop: Some(listener(&stop)), tcp: None };
     let (estops, gate) = (Arc::clone(&engine.estops), Arc::clone(&engine.gate));
@@ -93,8 +91,7 @@ fn a_request_that_has_come_is_read_before_its_connection_is_dropped() {
     let dir = tempfile::tempdir().unwrap();
     let socket = dir.path().join("m");
     let (mut port, commands, _events) = queues().unwrap();
-    let engine =
-        Engine::new(commands, Settings::of(meissner_array::spec::Array::paper()), "mock".to_owned(), None);
+    let engine = Engine::of_paper(commands);
     let (bounds, counts) = (Bounds::within(52), Arc::new(Counts::default()));
     let (estops, gate) = (Arc::clone(&engine.estops), Arc::clone(&engine.gate));
     let sockets = Sockets { api: listener(&socket), estop: None, tcp: None };
