@@ -99,8 +99,8 @@ name = "good" =>
     1: `name` is missing: add name = "...", the name of the file
 "good" => "Good"
     1: `name` is `Good`: must be 1 to 64 of a-z, 0-9 and -
-reach_mm = 1.5 => reach = 1.5
-    5: unknown key `reach`: did you mean `reach_mm`?
+reach_mm = 1.5 => reach_m = 1.5
+    5: unknown key `reach_m`: did you mean `reach_mm`?
 reach_mm = 1.5 => reach_mm = -1
     5: `reach_mm` is -1: must be 0 to 24 mm
 reach_mm = 1.5 => reach_mm = nan
@@ -122,7 +122,7 @@ amplitude_um = 80 => radius_mm = 3
 [3, 0.5] => [3, 0.5], [4, 4]
     3: `points` is a list of 3: must be the 2 ends of a segment
 [3, 0.5] => [9.1, 0.5]
-    3: `points` puts a point at [9.1116, -2.8206] mm in frame 1 of 8: {pad}
+    3: `points` has a point at [9.1116, -2.8206] mm in frame 1 of 8: {pad}
 seed = 3 => seeds = 3
     9: `population`: unknown key `seeds`: did you mean `seed`?
 seed = 3 => seed = -3
@@ -140,7 +140,7 @@ duration_s = 1 => duration_s = 0
 speed_mm_s = 6 => speed_mm_s = inf
     16: `motion.speed_mm_s` is inf: must be -1000 to 1000 mm/s
 speed_mm_s = 6 => speed_mm_s = 48
-    3: `points` puts a point at [-2.9913, -20.7711] mm in frame 1 of 8: {pad}
+    3: `points` has a point at [-2.9913, -20.7711] mm in frame 1 of 8: {pad}
 direction_deg = 90 => direction_deg = 361
     17: `motion.direction_deg` is 361: must be -360 to 360 degrees
 turn_deg_s => turn
@@ -175,13 +175,13 @@ fn every_refusal_is_one_line_with_the_place_the_problem_and_the_remedy() {
 /// Objects that no search takes, with a bar for each line break, and their messages.
 const BAD_SHAPES: &str = r#"
 shape = "dots" | points = [[0, 0], |  [0, 12.1]]
-    3: `points` puts a point at [0, 12.1] mm: {pad}
+    3: `points` has a point at [0, 12.1] mm: {pad}
 shape = "disc" | radius_mm = 1 | center_mm = [0, -12.1]
-    4: `center_mm` puts a point at [0, -12.1] mm: {pad}
+    4: `center_mm` has a point at [0, -12.1] mm: {pad}
 shape = "disc" | radius_mm = 20
     2: `reach_mm` is 1.5: all 306 afferents are within reach of the shape; lower it
 shape = "braille" | character = "c" | center_mm = [6, 0]
-    3: `character` puts a point at [8.9, 5.8] mm: {pad}
+    3: `character` has a point at [8.9, 5.8] mm: {pad}
 shape = "grating" | period_mm = 6 | reach_mm = 3
     4: `reach_mm` is 3: all 306 afferents are within reach of the shape; lower it
 shape = "edge"
@@ -198,7 +198,7 @@ fn objects_that_no_search_takes_are_refused_in_one_line_too() {
         assert_eq!(named(&rest.replace(" | ", "\n")).unwrap_err(), format!("bad.toml:{line}"), "{rest}");
     }
     let many = named(&format!("shape = \"dots\"\npoints = {:?}", [[0.0, 0.0]; 65])).unwrap_err();
-    assert_eq!(many, "bad.toml:3: `points` makes 65 points: a search takes at most 64");
+    assert_eq!(many, "bad.toml:3: `points` has 65 points: a search takes at most 64");
 }
 
 /// What an object says of its place and its scan, a search takes.

@@ -25,7 +25,7 @@ pub enum Problem {
     Name { found: String },
     #[error("is unknown: {0}")]
     Array(#[source] UnknownArray),
-    #[error("makes {count} points: a search takes at most {MAX_POINTS}")]
+    #[error("has {count} points: a search takes at most {MAX_POINTS}")]
     Count { count: usize },
     #[error("is a path, and a search follows none: add [motion] with duration_s, speed_mm_s or turn_deg_s")]
     Path,
@@ -35,7 +35,7 @@ pub enum Problem {
     TwoNames(#[from] TwoNames),
     /// A point off the pad; `frame` is the frame and their count, if several.
     #[error(
-        "puts a point at [{}, {}] mm{}: must be on the pad, an ellipse {PAD_WIDTH_MM} mm wide and {PAD_LENGTH_MM} mm \
+        "has a point at [{}, {}] mm{}: must be on the pad, an ellipse {PAD_WIDTH_MM} mm wide and {PAD_LENGTH_MM} mm \
          long about the array's middle",
         number(.at[0]), number(.at[1]), in_frame(*.frame)
     )]
