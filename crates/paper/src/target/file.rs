@@ -9,7 +9,7 @@ use crate::target::limits::{MAX_FRAMES, MAX_POINTS};
 use crate::target::motion::{Frame, Motion};
 use meissner_array::pattern::Pattern;
 use meissner_array::spec::Array;
-use meissner_input::document::{self, Table, from_toml, given, in_range};
+use meissner_input::document::{self, Table, from_toml, given, in_range, line_of};
 use meissner_skin::membrane;
 use meissner_skin::{RawAfferent, as_written, one_name};
 use meissner_touch::{Drawn, Scan, Shape, on_pad};
@@ -30,7 +30,12 @@ impl Target {
     /// # Errors
     /// The first thing that is wrong with it, in one line.
     pub fn read(text: &str, file: &str) -> Result<Self, TargetError> {
-        read(text).map_err(|fault: KeyError| fault.in_text(text).in_file(Some(file)))
+        read(text).map_err(|fault: KeyError| {
+            let fault = fault.in_text(text);
+            // A missing key has no line: the error then names the line of the shape.
+            let line = fault.line.or_else(|| line_of(text, "shape"));
+            KeyError { line, ..fault }.in_file(Some(file))
+        })
     }
 
     /// The target that a pattern was made for, on the pattern's array, if its provenance holds one that can be read.
