@@ -1,8 +1,7 @@
 #!/usr/bin/env bash
 # Makes the patterns of the library again, and prints the time of each. The bytes are the same unless the model, the
-# search, targets or objects have changed. Usage: docs/library.sh [--rendered] [DIR]. It makes TARGET-paper.toml of
-# library/targets/, without DIR in library/patterns/paper/; with --rendered it makes OBJECT-rendered.toml of
-# library/objects/, without DIR in library/patterns/rendered/.
+# search or objects have changed. Usage: docs/library.sh [--rendered] [DIR]. It makes OBJECT-paper.toml, without DIR in
+# library/patterns/paper/; with --rendered OBJECT-rendered.toml, without DIR in library/patterns/rendered/.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 if [ "${1:-}" = --rendered ]; then
@@ -16,12 +15,12 @@ fi
 out=${1:-library/patterns/paper}
 cargo build --release --quiet
 begun=$SECONDS
-for target in library/targets/*.toml; do
-    target/release/meissner optimise "$target" --robust -o "$out/$(basename "$target" .toml)-paper.toml" --json | python3 -c '
+for object in library/objects/*.toml; do
+    target/release/meissner optimise "$object" --robust -o "$out/$(basename "$object" .toml)-paper.toml" --json | python3 -c '
 import json, sys
 made = json.load(sys.stdin)
 print("%-16s contrast %6.1f (naive %6.1f), held out %6.1f  %5d evaluations %5.1f s" % (
     made["target"], made["cost_hz"], made["baselines"][0]["cost_hz"],
     sum(made["robustness"]["held_out_hz"]) / len(made["robustness"]["held_out_hz"]), sum(made["evaluations"]), made["wall_s"]))'
 done
-echo "all of library/targets/: $((SECONDS - begun)) s"
+echo "all of library/objects/: $((SECONDS - begun)) s"

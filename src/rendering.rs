@@ -1,20 +1,18 @@
 //! Renderings of objects: what the command `render` and the daemon's process for them share.
 //!
-//! An object is shipped ([`shipped`]), or read by its user. [`contact`] presses it on the finger, [`levels`] finds
+//! An object is shipped ([`shipped_text`]), or read by its user. [`contact`] presses it on the finger, [`levels`] finds
 //! the heights of the pins by one [`Way`], and [`pattern`] makes the pattern that plays them, with its [`provenance`].
 //!
 //! Invariant: equal keys, files, array and way give the same bytes. An error is one line without the object's name.
 
-use include_dir::{Dir, File, include_dir};
 use meissner_array::pattern::{Pattern, PatternError};
 use meissner_array::spec::Array;
+use meissner_paper::shipped_text;
 use meissner_render::{LONGEST_S, Levels, Method, STEP_S, TRACE_MM_S, TraceError, render, trace};
 use meissner_touch::{Contact, ContactError, Object, Touch, no_files};
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 use toml::Table;
-
-static SHIPPED: Dir<'_> = include_dir!("$CARGO_MANIFEST_DIR/library/objects");
 
 /// The first finger that judges a pattern: no table of rates was made with it and those after it.
 pub(crate) const FIRST_FINGER: u64 = 5000;
@@ -57,20 +55,10 @@ pub(crate) enum RenderingError {
     Pattern(#[from] PatternError),
 }
 
-/// The file of a shipped object.
-pub(crate) fn shipped(name: &str) -> Option<&'static str> {
-    SHIPPED.get_file(format!("{name}.toml")).and_then(File::contents_utf8)
-}
-
 /// The keys of a shipped object.
 pub(crate) fn shipped_keys(name: &str) -> Option<Map<String, Value>> {
-    let keys: Table = shipped(name)?.parse().ok()?;
+    let keys: Table = shipped_text(name)?.parse().ok()?;
     serde_json::to_value(keys).ok()?.as_object().cloned()
-}
-
-/// The names of the shipped objects.
-pub(crate) fn shipped_names() -> impl Iterator<Item = &'static str> {
-    SHIPPED.files().filter_map(|file| file.path().file_stem()?.to_str())
 }
 
 /// The contact of an object with the finger. Of rough objects it takes some seconds; `progress` is called with the completed share.

@@ -168,7 +168,7 @@ fn a_mistake_is_reported_in_one_line_before_the_work() {
     fs::write(place("off.toml"), "name = \"a\"\nshape = \"dots\"\npoints = [[8, 11]]\n").unwrap();
     let line = |arguments: &[&str]| complaint(meissner().arg("optimise").args(arguments));
     assert!(line(&["egde-45"]).contains("did you mean `edge-45`"));
-    assert!(line(&["./edge-45"]).contains("cannot be read; name a target file"));
+    assert!(line(&["./edge-45"]).contains("cannot be read; name an object file"));
     assert!(line(&[&place("wrong.toml")]).contains("wrong.toml:2: `shape`"));
     assert!(line(&[&place("off.toml")]).contains("off.toml:3: `points"));
     assert!(line(&["dot", "-o", &place("My Dot.toml")]).contains("not a pattern's name"));
@@ -180,7 +180,7 @@ fn a_mistake_is_reported_in_one_line_before_the_work() {
     for other in [place("itself.toml"), place("./itself.toml")] {
         let found = line(&[&place("itself.toml"), "-o", &other]);
         assert!(
-            found.contains("itself.toml: this is the target's file: write the pattern to another\n"),
+            found.contains("itself.toml: this is the object's file: write the pattern to another\n"),
             "{found}"
         );
     }

@@ -2,13 +2,14 @@
 
 use super::{files, progress};
 use crate::file::{dir_of, open_regular};
-use crate::rendering::{self, keys_or_name, shipped, shipped_names};
-use anyhow::{Result, anyhow, bail};
+use crate::rendering::{self, keys_or_name};
+use anyhow::{Result, anyhow};
 use meissner_input::message::nearest;
+use meissner_paper::{shipped_names, shipped_text};
 use meissner_touch::{Contact, Object};
 use std::io::Read;
 use std::path::Path;
-use toml::{Table, Value};
+use toml::Value;
 
 /// The most bytes of a file that an object names: a height map of the largest size as 64-bit numbers.
 const MAX_NAMED_BYTES: u64 = 160 << 20;
@@ -44,16 +45,12 @@ pub(super) fn keys(argument: &str, name: &str) -> Result<Value> {
 }
 
 /// The text of a file, or of a shipped object.
-fn text(argument: &str) -> Result<String> {
+pub(super) fn text(argument: &str) -> Result<String> {
     if files::is_file(argument) {
-        let text = files::text(Path::new(argument), meissner_touch::MAX_FILE_BYTES as u64, "object")?;
-        if text.parse::<Table>().is_ok_and(|table| !table.contains_key("kind")) {
-            bail!("{argument}: this is no object: an object file has the key `kind = \"object\"`");
-        }
-        return Ok(text);
+        return files::text(Path::new(argument), meissner_touch::MAX_FILE_BYTES as u64, "object");
     }
-    shipped(argument).map(ToOwned::to_owned).ok_or_else(|| {
-        let nearest = nearest(&shipped_names().collect::<Vec<_>>(), argument);
+    shipped_text(argument).map(ToOwned::to_owned).ok_or_else(|| {
+        let nearest = nearest(&shipped_names(), argument);
         anyhow!(
             "no object is called `{}`: did you mean `{nearest}`? The name of a file has a slash or ends in .toml",
             argument.escape_debug()

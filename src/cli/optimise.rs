@@ -1,6 +1,6 @@
-//! `optimise`: finds a pattern for a target and writes it to a file. It needs no daemon.
+//! `optimise`: finds a pattern for an object and writes it to a file. It needs no daemon.
 //!
-//! A target is the name of a shipped one, or a file. All arguments are checked before the search. Ctrl-C ends the search, but not
+//! An object is the name of a shipped one, or a file. All arguments are checked before the search. Ctrl-C ends the search, but not
 //! the program, which then judges and writes the best pattern so far. With `-o` the pattern goes to that file and a summary to
 //! stdout; without it, the pattern goes to stdout and the summary to stderr.
 //!
@@ -10,18 +10,17 @@ use super::arguments::{ArrayOption, Output, SETTINGS, choice, positive};
 use super::ending::on_interrupt;
 use super::output::{is_broken_pipe, say, say_file, say_json, tell};
 use super::progress::Search;
-use super::{files, pattern_file, text};
-use anyhow::{Result, anyhow, bail};
+use super::{files, object, pattern_file, text};
+use anyhow::{Result, bail};
 use clap::Args;
 use meissner_array::pattern::Pattern;
-use meissner_input::message::nearest;
 use meissner_paper::{
-    Baseline, Budget, Ended, Found, MAX_BYTES, Made, Request, Robustness, Setting, Step, Target, Verdict,
-    make, populations, shipped, shipped_names,
+    Baseline, Budget, Ended, Found, Made, Request, Robustness, Setting, Step, Target, Verdict, make,
+    populations,
 };
 use serde::Serialize;
 use std::ops::ControlFlow;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::process::{self, ExitCode};
 use std::str::FromStr;
 use std::sync::Arc;
@@ -30,7 +29,7 @@ use std::time::Instant;
 
 #[derive(Debug, Args)]
 pub(super) struct Optimise {
-    /// Find a pattern for this target: the name of a shipped one, or a file (TOML)
+    /// Find a pattern for this object: the name of a shipped one, or a file (TOML)
     target: String,
     /// Write the pattern to PATTERN and name it after the file [default: stdout]
     #[arg(short = 'o', long = "output", value_name = "PATTERN")]
@@ -155,10 +154,10 @@ fn lowered(of_file: &Target, target: &Target) -> Option<String> {
 pub(super) fn run(asked: &Optimise) -> Result<ExitCode> {
     let begun = Instant::now();
     let array = asked.array.find()?;
-    let of_file = target(&asked.target)?;
+    let of_file = Target::read(&object::text(&asked.target)?, &asked.target)?;
     let target = array.map_or_else(|| Ok(of_file.clone()), |array| of_file.with_array(array))?;
     if let Some(file) = asked.file.as_deref().filter(|file| files::is_itself(&asked.target, file)) {
-        bail!("{}: this is the target's file: write the pattern to another", files::shown(file));
+        bail!("{}: this is the object's file: write the pattern to another", files::shown(file));
     }
     let start = asked.resume.as_deref().map(pattern_file::of_file).transpose()?.map(|found| found.pattern);
     if let Some(pattern) = start.as_ref().filter(|pattern| !pattern.motions().is_empty()) {
@@ -245,24 +244,6 @@ pub(super) fn run(asked: &Optimise) -> Result<ExitCode> {
     said.or_else(|error| if is_broken_pipe(&error) { Ok(()) } else { Err(error) })?;
     // The exit code that shells use for a program ended by Ctrl-C.
     Ok(if made.ended() == Ended::Interrupted { ExitCode::from(130) } else { ExitCode::SUCCESS })
-}
-
-/// Reads a target from a file, or takes a shipped one.
-fn target(argument: &str) -> Result<Target> {
-    if files::is_file(argument) {
-        let text = files::text(Path::new(argument), MAX_BYTES as u64, "target")?;
-        if text.parse::<toml::Table>().is_ok_and(|table| table.contains_key("kind")) {
-            bail!("{argument}: this is an object: make a pattern of it with `meissner render`");
-        }
-        return Ok(Target::read(&text, argument)?);
-    }
-    shipped(argument).ok_or_else(|| {
-        let nearest = nearest(&shipped_names(), argument);
-        anyhow!(
-            "no target is called `{}`: did you mean `{nearest}`? The name of a file has a slash or ends in .toml",
-            argument.escape_debug()
-        )
-    })
 }
 
 /// The figures of the naive rules.

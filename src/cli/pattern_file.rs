@@ -44,15 +44,16 @@ pub(super) fn of_argument(argument: &str) -> Result<Found> {
 /// Reads a pattern file.
 pub(super) fn of_file(file: &Path) -> Result<Found> {
     let text = files::text(file, MAX_PACKED_BYTES as u64, "pattern")?;
-    // A target file has no key `format`, so the parser's error would mislead.
+    // An object file has no key `format`, so the parser's error would mislead.
     if text.len() <= MAX_FILE_BYTES
         && text
             .parse::<Table>()
             .is_ok_and(|table| table.contains_key("shape") && !table.contains_key("format"))
     {
-        let (what, command) =
-            if text.contains("\"object\"") { ("an object", "render") } else { ("a target", "optimise") };
-        bail!("{}: this is {what}: make a pattern of it with `meissner {command}`", files::shown(file));
+        bail!(
+            "{}: this is an object: make a pattern of it with `meissner render` or `meissner optimise`",
+            files::shown(file)
+        );
     }
     of_text(text, &file.to_string_lossy(), dir_of(file))
 }

@@ -52,7 +52,7 @@ fn read_toml(text: &str, place: &str) -> Result<&'static str, String> {
         Pattern::parse_with_files(text, place, &mut file).map(|_| "pattern").map_err(|error| word(&error))
     } else if has("[[items]]") {
         SequenceRequest::parse_file(text).map(|_| "sequence").map_err(|error| word(&error))
-    } else if has("kind = \"object\"") {
+    } else if has("shape =") && has("[touch]") {
         let mut file = |_: &str| Ok(b"0,1\n".to_vec());
         Object::read(text, place, &mut file).map(|_| "object").map_err(|error| word(&error))
     } else if has("shape =") {

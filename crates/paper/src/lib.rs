@@ -7,8 +7,8 @@
 //! The modules, each after those it uses:
 //!
 //! 1. `partition`: a [`Partition`] of afferents into ON and OFF; rates give its [`Verdict`].
-//! 2. `target`: reads and checks target files; cuts a moving target into [`Frame`]s.
-//! 3. `shipped`: reads the targets that are built in, the files of `library/targets/`, among them the [`YARDSTICK`].
+//! 2. `target`: reads what a search needs of object files; cuts a moving target into [`Frame`]s.
+//! 3. `shipped`: the objects that are built in, the files of `library/objects/`, among them the [`YARDSTICK`].
 //! 4. `point`: a [`Point`] says how each motor vibrates. `space`: a [`Space`] is the set of points that a search may choose.
 //! 5. `objective`: an [`Objective`] simulates the contrast of points. `moves`: the points to try next.
 //! 6. `search`: [`search()`] goes from a start to better points.
@@ -59,6 +59,6 @@ pub use partition::{Partition, Verdict};
 pub use point::{Point, Vibration};
 pub use prediction::{MOST_OBSERVED_S, Play, PredictedResponse, PredictionError, Rates, predict_response};
 pub use search::{Brief, Ended, Found, Limit, Spent, Step, resume, search};
-pub use shipped::{YARDSTICK, shipped, shipped_names};
+pub use shipped::{YARDSTICK, shipped, shipped_names, shipped_text};
 pub use space::{Setting, Space, Window};
-pub use target::{Frame, MAX_BYTES, MAX_FRAMES, MAX_POINTS, Problem, Target, TargetError};
+pub use target::{Frame, MAX_FRAMES, MAX_POINTS, Problem, Target, TargetError};

@@ -1,24 +1,28 @@
-//! The targets that are built into the program.
+//! The objects that are built into the program.
 
 use crate::target::Target;
 use include_dir::{Dir, File, include_dir};
 
-/// The target files of the repository.
-static LIBRARY: Dir<'_> = include_dir!("$CARGO_MANIFEST_DIR/../../library/targets");
+/// The object files of the repository.
+static LIBRARY: Dir<'_> = include_dir!("$CARGO_MANIFEST_DIR/../../library/objects");
 
-/// The shipped target used to compare methods and patterns: an edge at 45°, 12 mm long, through the array's middle.
+/// The shipped object used to compare methods and patterns: an edge at 45°, 12 mm long, through the array's middle.
 pub const YARDSTICK: &str = "edge-45";
 
-/// The shipped target of that name, if there is one.
+/// The target of the shipped object of that name, if there is one.
 #[must_use]
 #[expect(clippy::missing_panics_doc, reason = "a test reads all shipped targets")]
 pub fn shipped(name: &str) -> Option<Target> {
-    let file = LIBRARY.get_file(format!("{name}.toml"))?;
-    let text = file.contents_utf8().expect("targets are text");
-    Some(Target::read(text, &file.path().to_string_lossy()).expect("shipped targets are valid"))
+    Some(Target::read(shipped_text(name)?, name).expect("shipped targets are valid"))
 }
 
-/// The names of the shipped targets, sorted.
+/// The file of the shipped object of that name, if there is one.
+#[must_use]
+pub fn shipped_text(name: &str) -> Option<&'static str> {
+    LIBRARY.get_file(format!("{name}.toml")).and_then(File::contents_utf8)
+}
+
+/// The names of the shipped objects, sorted.
 #[must_use]
 pub fn shipped_names() -> Vec<&'static str> {
     let paths = LIBRARY.files().map(File::path);

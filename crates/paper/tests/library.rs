@@ -3,7 +3,6 @@ use meissner_paper::{
     Budget, Conditions, MODEL, Request, Rule, Setting, Target, judge, make, populations, pulses_per_s,
     robustness, shipped, shipped_names,
 };
-use meissner_touch::{Object, Touch, no_files, surface_of};
 use rayon::ThreadPoolBuilder;
 use std::ops::ControlFlow::Continue;
 use std::path::{Path, PathBuf};
@@ -102,26 +101,6 @@ fn the_library_has_the_rule_of_thumb_for_every_target() {
             made == fs::read_to_string(path).unwrap(),
             "{name}: its first lines say how to write it again"
         );
-    }
-}
-
-/// For each target there is an object, the thing that it stands for.
-#[test]
-fn every_target_has_an_object() {
-    for name in shipped_names() {
-        let file = fs::read_to_string(path("objects", name)).expect(name);
-        let object = Object::read(&file, name, &mut no_files);
-        let object = object.unwrap_or_else(|error| panic!("{name}: {error}"));
-        assert_eq!(object.name(), name);
-        let target = shipped(name).unwrap();
-        assert_eq!(target.moves(), !object.touch().stays_in_place(), "{name}");
-        if target.moves() {
-            continue;
-        }
-        // The same places of the skin as the target's shape.
-        let of_shape = Object::new(name, surface_of(target.shape()), Touch::default());
-        let sizes = [&object, &of_shape].map(|object| object.grains(0.2).len() as f64);
-        assert!((sizes[0] / sizes[1] - 1.0).abs() < 0.1, "{name}: {sizes:?}");
     }
 }
 

@@ -1,7 +1,6 @@
 use meissner_array::pattern::Pattern;
 use meissner_array::spec::{Array, ArraySpec};
-use meissner_input::document;
-use meissner_paper::{Budget, Problem, Request, Rule, Target, make};
+use meissner_paper::{Budget, Request, Rule, Target, make};
 use meissner_skin::membrane::{AfferentModel, Rectify};
 use meissner_touch::Shape;
 use proptest::prelude::*;
@@ -83,14 +82,8 @@ name = "good" =>
     1: `name` is missing: add name = "...", the name of the file
 "good" => "Good"
     1: `name` is `Good`: must be 1 to 64 of a-z, 0-9 and -
-shape = "segment" =>
-    1: `shape` is missing: add shape = "segment", "polyline", "disc", "dots", "braille" or "grating"
-"segment" => "segmnet"
-    2: `shape` is `segmnet`: must be segment, polyline, disc, dots, braille or grating
-"segment" => 1
-    2: `shape` is integer `1`: must be the name of a shape, such as "segment"
-reach_mm = 1.5 => reach = 1.5
-    5: unknown key `reach`: did you mean `reach_mm`?
+reach_mm = 1.5 => reach_m = 1.5
+    5: unknown key `reach_m`: did you mean `reach_mm`?
 reach_mm = 1.5 => reach_mm = -1
     5: `reach_mm` is -1: must be 0 to 24 mm
 reach_mm = 1.5 => reach_mm = nan
@@ -109,20 +102,10 @@ amplitude_um = 80 => duration_s = 1
     6: `duration_s` is there, but `[motion]` has its own: leave it out
 amplitude_um = 80 => radius_mm = 3
     6: `radius_mm` is a key of shape = disc, and this is a segment: leave it out, or change `shape`
-amplitude_um = 80 => center_mm = [0, 0]
-    6: `center_mm` is a key of shape = disc or braille, and this is a segment: leave it out, or change `shape`
 [3, 0.5] => [3, 0.5], [4, 4]
     3: `points` is a list of 3: must be the 2 ends of a segment
-[3, 0.5] => [3, 0.5, 4]
-    4: `points[1]` is a list of 3: must be [x, y], in mm
-[3, 0.5] => [3]
-    4: `points[1]` is a list of 1: must be [x, y], in mm
-[3, 0.5] => 3
-    4: `points[1]` is integer `3`: must be [x, y], in mm
-[3, 0.5] => [3, "a"]
-    4: `points[1][1]` is string "a": must be a number
 [3, 0.5] => [9.1, 0.5]
-    4: `points[1]` is at [9.1116, -2.8206] mm in frame 1 of 8: {pad}
+    3: `points` has a point at [9.1116, -2.8206] mm in frame 1 of 8: {pad}
 seed = 3 => seeds = 3
     9: `population`: unknown key `seeds`: did you mean `seed`?
 seed = 3 => seed = -3
@@ -140,7 +123,7 @@ duration_s = 1 => duration_s = 0
 speed_mm_s = 6 => speed_mm_s = inf
     16: `motion.speed_mm_s` is inf: must be -1000 to 1000 mm/s
 speed_mm_s = 6 => speed_mm_s = 48
-    3: `points[0]` is at [-2.9913, -20.7711] mm in frame 1 of 8: {pad}
+    3: `points` has a point at [-2.9913, -20.7711] mm in frame 1 of 8: {pad}
 direction_deg = 90 => direction_deg = 361
     17: `motion.direction_deg` is 361: must be -360 to 360 degrees
 turn_deg_s => turn
@@ -172,56 +155,47 @@ fn every_refusal_is_one_line_with_the_place_the_problem_and_the_remedy() {
     }
 }
 
-/// Targets, with a bar for each line break, and their messages.
+/// Objects that no search takes, with a bar for each line break, and their messages.
 const BAD_SHAPES: &str = r#"
-shape = "dots"
-    2: `points` is missing: add points = [[x, y], ...], in mm from the array's middle
-shape = "dots" | points = []
-    3: `points` is a list of 0: must be 1 to 64 dots
-shape = "polyline" | points = [[0, 0]]
-    3: `points` is a list of 1: must be the 2 to 64 points of a polyline
-shape = "dots" | points = [[0, 0], |  [0, nan]]
-    4: `points[1]` is at [0, NaN] mm: {pad}
-shape = "disc"
-    2: `radius_mm` is missing: add a radius, 0 to 24 mm
-shape = "disc" | radius_mm = nan
-    3: `radius_mm` is NaN: must be 0 to 24 mm
+shape = "dots" | points = [[0, 0], |  [0, 12.1]]
+    3: `points` has a point at [0, 12.1] mm: {pad}
 shape = "disc" | radius_mm = 1 | center_mm = [0, -12.1]
-    4: `center_mm` is at [0, -12.1] mm: {pad}
+    4: `center_mm` has a point at [0, -12.1] mm: {pad}
 shape = "disc" | radius_mm = 20
     2: `reach_mm` is 1.5: all 306 afferents are within reach of the shape; lower it
-shape = "braille"
-    2: `character` is missing: add a letter, or a six-dot Braille character
-shape = "braille" | character = "B"
-    3: `character` is `B`: must be a letter a to z, or a six-dot Braille character, U+2801 to U+283F
-shape = "braille" | character = "⠀"
-    3: `character` is `⠀`: must be a letter a to z, or a six-dot Braille character, U+2801 to U+283F
-shape = "braille" | character = "b" | dot_pitch_mm = 0
-    4: `dot_pitch_mm` is 0: must be 0.1 to 24 mm
 shape = "braille" | character = "c" | center_mm = [6, 0]
-    3: `character`: dot 4 is at [8.9, 5.8] mm: {pad}
-shape = "grating"
-    2: `period_mm` is missing: add the distance from line to line, in mm
-shape = "grating" | period_mm = 0
-    3: `period_mm` is 0: must be 0.1 to 1000 mm
-shape = "grating" | period_mm = 6 | angle_deg = inf
-    4: `angle_deg` is inf: must be -360 to 360 degrees
-shape = "grating" | period_mm = 6 | offset_mm = nan
-    4: `offset_mm` is NaN: must be -1000 to 1000 mm
+    3: `character` has a point at [8.9, 5.8] mm: {pad}
 shape = "grating" | period_mm = 6 | reach_mm = 3
     4: `reach_mm` is 3: all 306 afferents are within reach of the shape; lower it
-shape = "grating" | period_mm = 6 | points = []
-    4: `points` is a key of shape = segment, polyline or dots, and this is a grating: leave it out, or change `shape`
+shape = "edge"
+    2: `shape` is edge, in which a search finds no line: draw it as bar, segment, polyline, disc, dots, grating or braille
+shape = "texture" | file = "a.npy" | mm_per_pixel = 1
+    2: `shape` is texture, in which a search finds no line: draw it as bar, segment, polyline, disc, dots, grating or braille
+shape = "disc" | radius_mm = 2 | touch.path = { poses = [[0, 0, 0, 0, 0], [1, 0, 0, 90, 500]] }
+    4: `touch` is a path, and a search follows none: add [motion] with duration_s, speed_mm_s or turn_deg_s
 "#;
 
 #[test]
-fn targets_of_other_shapes_are_refused_in_one_line_too() {
+fn objects_that_no_search_takes_are_refused_in_one_line_too() {
     for (rest, line) in cases(BAD_SHAPES) {
         assert_eq!(named(&rest.replace(" | ", "\n")).unwrap_err(), format!("bad.toml:{line}"), "{rest}");
     }
-    let long = Target::read(&" ".repeat(meissner_paper::MAX_BYTES + 1), "long.toml").unwrap_err();
-    assert_eq!(long.problem, document::Problem::Own(Problem::TooLarge { bytes: 65537 }));
-    assert_eq!(long.to_string(), "long.toml: 65537 bytes are too many: a target file has at most 65536");
+    let many = named(&format!("shape = \"dots\"\npoints = {:?}", [[0.0, 0.0]; 65])).unwrap_err();
+    assert_eq!(many, "bad.toml:3: `points` has 65 points: a search takes at most 64");
+}
+
+/// What an object says of its place and its scan, a search takes.
+#[test]
+fn an_object_is_a_target_where_it_lies_and_moves() {
+    let bar = "kind = \"object\"\nshape = \"bar\"\nlength_mm = 6\nwidth_mm = 1\ncenter_mm = [1, 2]";
+    let touch = "touch.scan = { depth_um = 500, speed_mm_s = 6, direction_deg = 90, duration_s = 1 }";
+    let motion = "motion = { duration_s = 1, speed_mm_s = 6, direction_deg = 90 }";
+    let segment = "shape = \"segment\"\npoints = [[-2, 2], [4, 2]]";
+    assert_eq!(named(&format!("{bar}\n{touch}")), named(&format!("{segment}\n{motion}")));
+    let upright = named(&format!("{bar}\nangle_deg = 90")).unwrap();
+    assert_eq!(upright.shape(), &Shape::Polyline(vec![[1.0, -1.0], [1.0, 5.0]]));
+    let lines = named("shape = \"lines\"\nlines = [[[-2, 2], [4, 2]]]\nwidth_mm = 1");
+    assert_eq!(lines, named(segment));
 }
 
 #[test]
@@ -233,10 +207,10 @@ fn every_shipped_target_is_valid() {
         assert_eq!(target.name(), name);
         assert_eq!(target.warnings(), [""; 0], "{name}");
         reads_back(&target);
-        let file = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("../../library/targets/{name}.toml"));
+        let file = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("../../library/objects/{name}.toml"));
         let head =
             fs::read_to_string(file).unwrap().lines().take_while(|line| line.starts_with("# ")).count();
-        assert!((1..=2).contains(&head), "{name}: describes the target in one or two lines");
+        assert!((1..=2).contains(&head), "{name}: describes the object in one or two lines");
         for seed in 0..20 {
             target.with_population_seed(seed).unwrap();
         }
@@ -258,9 +232,9 @@ fn the_yardstick_is_an_edge_of_12_mm_at_45_degrees() {
 
 #[test]
 fn the_target_of_the_reference_page_is_read() {
-    let blocks = include_str!("../../../docs/reference/target.md").split("```toml\n").skip(1);
+    let blocks = include_str!("../../../docs/reference/object.md").split("```toml\n").skip(1);
     let mut targets =
-        blocks.filter_map(|rest| rest.split("```").next()).filter(|text| text.contains("\nshape ="));
+        blocks.filter_map(|rest| rest.split("```").next()).filter(|text| text.contains("[motion]"));
     let target = read(targets.next().unwrap()).unwrap();
     assert_eq!((target.name(), target.frames().len()), ("slow-hand", 13));
 }

@@ -13,5 +13,5 @@ mod rules;
 mod search;
 /// Shapes and partitions against slow computations: samples of an outline, pairs of afferents.
 mod shapes;
-/// Target files: the messages of refused files, and the shipped targets.
+/// Objects that a search takes: the messages of refused files, and the shipped ones.
 mod targets;

@@ -53,8 +53,8 @@ pub use contact::{Contact, ContactError, DEPTHS, MAX_BYTES, bytes, solve};
 pub use grains::Grains;
 pub use imprint::Imprint;
 pub use object::{
-    DOT_MM, HeightMap, LINE_MM, MARGIN_MM, MAX_FILE_BYTES, MAX_PIXELS, MAX_POINTS, MAX_SIDE_MM, Object,
-    ObjectError, Open, PITCHES_MM, Problem, Surface, no_files, surface_of,
+    DOT_MM, Drawn, HeightMap, LINE_MM, MARGIN_MM, MAX_FILE_BYTES, MAX_PIXELS, MAX_POINTS, MAX_SIDE_MM,
+    Object, ObjectError, Open, PITCHES_MM, Problem, Surface, no_files, surface_of,
 };
 pub use response::respond;
 pub use shape::{Shape, direction, distance, on_pad, to_segment};

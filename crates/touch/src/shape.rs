@@ -141,6 +141,20 @@ pub fn direction(deg: f64) -> [f64; 2] {
     [libm::cos(angle), libm::sin(angle)]
 }
 
+/// The same, from the sines of 0 to 90 degrees alone: exact for level and upright, and equal parts at 45 degrees.
+pub(crate) fn level_direction(deg: f64) -> [f64; 2] {
+    let sine = |deg: f64| {
+        let sine = |deg: f64| libm::sin(deg.to_radians());
+        match deg.rem_euclid(360.0) {
+            deg if deg <= 90.0 => sine(deg),
+            deg if deg <= 180.0 => sine(180.0 - deg),
+            deg if deg <= 270.0 => -sine(deg - 180.0),
+            deg => -sine(360.0 - deg),
+        }
+    };
+    [sine(deg + 90.0), sine(deg)]
+}
+
 /// A length minus the nearest whole number of periods.
 fn within_period(length: f64, period: f64) -> f64 {
     length - period * (length / period).round()

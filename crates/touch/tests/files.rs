@@ -62,6 +62,12 @@ fn every_shape_makes_grains_of_its_size() {
         ("shape = \"bar\"\nlength_mm = 12\nwidth_mm = 0.8", 9.6),
         ("shape = \"gap\"\nlength_mm = 10\nwidth_mm = 0.8\ngap_mm = 2", 16.0),
         ("shape = \"edge\"\nangle_deg = 30", pad / 2.0),
+        (
+            "shape = \"segment\"\npoints = [[-3, 0], [3, 4]]\nwidth_mm = 1",
+            7.2111 + std::f64::consts::PI / 4.0,
+        ),
+        ("shape = \"polyline\"\npoints = [[-3, 0], [3, 0], [3, 0]]", 4.8 + 0.16 * std::f64::consts::PI),
+        ("shape = \"disc\"\nradius_mm = 3\ncenter_mm = [1, 0]", 9.0 * std::f64::consts::PI),
         ("shape = \"dots\"\npoints = [[0, 0], [4, 1]]\ndiameter_mm = 2", 2.0 * std::f64::consts::PI),
         ("shape = \"grating\"\nperiod_mm = 4\nridge_mm = 1\nangle_deg = 90", pad / 4.0),
         ("shape = \"braille\"\ntext = \"b ⠿\"\ndiameter_mm = 1", 8.0 * std::f64::consts::PI / 4.0),
@@ -170,7 +176,7 @@ fn what_is_wrong_is_said_in_one_line() {
         (object(bar).replace("\"o\"", "\"O\""), "o.toml:2: `name` is `O`: must be 1 to 64 of a-z, 0-9 and -"),
         (
             object("shape = \"ball\""),
-            "o.toml:3: `shape`: unknown variant `ball`, expected one of `bar`, `edge`, `dots`, `gap`, `grating`, `braille`, `lines`, `polygon`, `heightmap`, `texture`",
+            "o.toml:3: `shape`: unknown variant `ball`, expected one of `bar`, `edge`, `segment`, `polyline`, `disc`, `dots`, `gap`, `grating`, `braille`, `lines`, `polygon`, `heightmap`, `texture`",
         ),
         (
             object("shape = \"dots\"\npoints = []\ndiameter_mm = 1"),

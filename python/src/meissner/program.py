@@ -146,7 +146,7 @@ def design(
     name: str | None = None,
     array: str | os.PathLike[str] | None = None,
 ) -> Design:
-    """Find a pattern for a target shape: the name of a shipped target, or the path of a target file.
+    """Find a pattern for a target shape: the name of a shipped object, or the path of an object file.
 
     It runs `meissner optimise` on this machine. `setting` is as there. `budget` is a number of evaluations or seconds as in `"20s"`; without it the search goes on until
     nothing improves. `name`: the pattern's; without it `TARGET-found`. `array`: the name of a shipped array, or the file of a

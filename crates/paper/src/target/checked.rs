@@ -124,7 +124,6 @@ impl Target {
         if !pattern::is_name(&self.name) {
             return Err(KeyError::key("name", Problem::Name { found: quote(&self.name) }));
         }
-        check_shape(&self.shape)?;
         within("reach_mm", self.reach_mm, &(0.0..=PAD_LENGTH_MM), "0 to 24 mm")?;
         let most_um = self.array.motor().travel_um;
         in_range(
@@ -167,18 +166,6 @@ impl Target {
     /// The number of a frame, from 1, and the count of frames, if there are several.
     pub(super) fn frame_number(&self, index: usize) -> Option<(usize, usize)> {
         (self.frames.len() > 1).then(|| (index + 1, self.frames.len()))
-    }
-}
-
-fn check_shape(shape: &Shape) -> Result<(), KeyError> {
-    match *shape {
-        Shape::Polyline(_) | Shape::Dots(_) => Ok(()),
-        Shape::Disc { radius_mm, .. } => within("radius_mm", radius_mm, &(0.0..=PAD_LENGTH_MM), "0 to 24 mm"),
-        Shape::Grating { period_mm, angle_deg, offset_mm } => {
-            within("period_mm", period_mm, &(0.1..=1e3), "0.1 to 1000 mm")?;
-            within("angle_deg", angle_deg, &(-360.0..=360.0), "-360 to 360 degrees")?;
-            within("offset_mm", offset_mm, &(-1e3..=1e3), "-1000 to 1000 mm")
-        }
     }
 }
 

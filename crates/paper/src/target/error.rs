@@ -1,10 +1,10 @@
-//! Errors of target files: one line that says what is wrong, where, and what to do.
+//! Errors of objects that a search takes: one line that says what is wrong, where, and what to do.
 //!
-//! [`document`] has the errors that any file may have; this module has those of shapes and afferents.
+//! [`document`] has the errors that any file may have; `meissner-touch` has those of shapes, this module has those of a search.
 //!
 //! Invariant: the text of a [`TargetError`] has no line break.
 
-use crate::target::limits::MAX_BYTES;
+use crate::target::limits::MAX_POINTS;
 use meissner_array::spec::UnknownArray;
 use meissner_input::document::{self, in_range};
 use meissner_input::message::short_number;
@@ -18,27 +18,25 @@ pub type TargetError = document::DocumentError<Problem>;
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[expect(missing_docs, reason = "the messages say it")]
 pub enum Problem {
-    #[error("{bytes} bytes are too many: a target file has at most {MAX_BYTES}")]
-    TooLarge { bytes: usize },
+    #[error(transparent)]
+    Object(#[from] meissner_touch::Problem),
     #[error("is {found}: must be 1 to 64 of a-z, 0-9 and -")]
     Name { found: String },
     #[error("is unknown: {0}")]
     Array(#[source] UnknownArray),
-    #[error("is a key of shape = {of}, and this is a {shape}: leave it out, or change `shape`")]
-    Foreign { of: &'static str, shape: &'static str },
-    #[error("is a list of {count}: must be {wanted}")]
-    Count { count: usize, wanted: &'static str },
-    #[error("is {found}: must be a letter a to z, or a six-dot Braille character, U+2801 to U+283F")]
-    Character { found: String },
+    #[error("has {count} points: a search takes at most {MAX_POINTS}")]
+    Count { count: usize },
+    #[error("is a path, and a search follows none: add [motion] with duration_s, speed_mm_s or turn_deg_s")]
+    Path,
     #[error("is there, but `[motion]` has its own: leave it out")]
     DurationOfMotion,
-    /// A point off the pad: `dot` is its number in a Braille character, `frame` the frame and their count, if several.
+    /// A point off the pad; `frame` is the frame and their count, if several.
     #[error(
-        "{}is at [{}, {}] mm{}: must be on the pad, an ellipse {PAD_WIDTH_MM} mm wide and {PAD_LENGTH_MM} mm \
+        "has a point at [{}, {}] mm{}: must be on the pad, an ellipse {PAD_WIDTH_MM} mm wide and {PAD_LENGTH_MM} mm \
          long about the array's middle",
-        dot_number(*.dot), number(.at[0]), number(.at[1]), in_frame(*.frame)
+        number(.at[0]), number(.at[1]), in_frame(*.frame)
     )]
-    OffPad { dot: Option<u8>, at: [f64; 2], frame: Option<(usize, usize)> },
+    OffPad { at: [f64; 2], frame: Option<(usize, usize)> },
     #[error(
         "is {reach_mm}: none of the {of} afferents is within reach of the shape{}; raise it, or take another \
          population.seed",
@@ -47,10 +45,6 @@ pub enum Problem {
     NoneOn { of: usize, frame: Option<(usize, usize)>, reach_mm: f64 },
     #[error("is {reach_mm}: all {of} afferents are within reach of the shape{}; lower it", in_frame(*.frame))]
     AllOn { of: usize, frame: Option<(usize, usize)>, reach_mm: f64 },
-}
-
-fn dot_number(dot: Option<u8>) -> String {
-    dot.map_or_else(String::new, |dot| format!("dot {dot} "))
 }
 
 fn in_frame(frame: Option<(usize, usize)>) -> String {

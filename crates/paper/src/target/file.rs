@@ -1,24 +1,19 @@
-//! Reading and writing target files.
+//! Reads what a search needs of an object file, and writes it.
 //!
-//! The shape decides which keys a file may have: a key of another shape is refused. A point off the pad is refused, too; the error
-//! names the key that placed it. [`Target::checked`] checks the rest.
-//!
-//! Invariant: no key is ignored.
+//! `meissner-touch` reads the shape and refuses unknown keys; this module reads the keys of a search. It refuses a point off the pad;
+//! the error names the key that placed it. [`Target::checked`] checks the rest.
 
 use crate::target::checked::Target;
-use crate::target::error::{KeyError, Problem, TargetError, within};
-use crate::target::limits::{FINEST_PITCHES, MAX_BYTES, MAX_FRAMES, MAX_POINTS};
+use crate::target::error::{KeyError, Problem, TargetError};
+use crate::target::limits::{MAX_FRAMES, MAX_POINTS};
 use crate::target::motion::{Frame, Motion};
 use meissner_array::pattern::Pattern;
 use meissner_array::spec::Array;
-use meissner_input::document::{CommonProblem, Table, from_toml, given, in_range, line_of};
-use meissner_input::message::quote;
+use meissner_input::document::{self, Table, from_toml, given, in_range, line_of};
 use meissner_skin::RawAfferent;
 use meissner_skin::membrane;
-use meissner_touch::{Shape, braille_dots, on_pad};
-use serde::de::{Error, IgnoredAny, SeqAccess, Visitor};
-use serde::{Deserialize, Deserializer};
-use std::fmt;
+use meissner_touch::{Drawn, Scan, Shape, on_pad};
+use serde::Deserialize;
 use toml::Value;
 
 /// The key of a pattern's provenance under which it keeps its target.
@@ -30,12 +25,17 @@ const AMPLITUDE_UM: f64 = 80.0;
 const DURATION_S: f64 = 5.0;
 
 impl Target {
-    /// Reads a target file. Errors call it `file`.
+    /// Reads an object file. Errors call it `file`.
     ///
     /// # Errors
     /// The first thing that is wrong with it, in one line.
     pub fn read(text: &str, file: &str) -> Result<Self, TargetError> {
-        read(text).map_err(|fault| fault.in_file(Some(file)))
+        read(text).map_err(|fault: KeyError| {
+            let fault = fault.in_text(text);
+            // A missing key has no line: the error then names the line of the shape.
+            let line = fault.line.or_else(|| line_of(text, "shape"));
+            KeyError { line, ..fault }.in_file(Some(file))
+        })
     }
 
     /// The target that a pattern was made for, on the pattern's array, if its provenance holds one that can be read.
@@ -106,51 +106,24 @@ fn shape_keys(shape: &Shape) -> Vec<(&'static str, Value)> {
     keys
 }
 
-fn check_length(text: &str) -> Result<(), KeyError> {
-    let bytes = text.len();
-    if bytes > MAX_BYTES { Err(KeyError::whole(None, Problem::TooLarge { bytes })) } else { Ok(()) }
-}
-
 fn read(text: &str) -> Result<Target, KeyError> {
-    check_length(text)?;
+    let drawn = Drawn::read(text).map_err(|fault| KeyError {
+        line: fault.line,
+        path: fault.path,
+        problem: match fault.problem {
+            document::Problem::Common(problem) => document::Problem::Common(problem),
+            document::Problem::Own(problem) => document::Problem::Own(problem.into()),
+        },
+    })?;
     let text = text.strip_prefix('\u{feff}').unwrap_or(text);
-    let Table(raw): Table<RawTarget> = from_toml(text, wanted)?;
-    // A missing key has no line: the error then names the line of the shape.
-    let line = |path: &str| line_of(text, path).or_else(|| line_of(text, "shape"));
-    raw.target().map_err(|fault| KeyError { line: fault.line.or_else(|| line(&fault.path)), ..fault })
+    let Table(raw): Table<RawTarget> = from_toml(text, |_| "the duration of the motion, in s")?;
+    raw.target(drawn)
 }
 
-fn wanted(key: &str) -> &'static str {
-    match key {
-        "name" => "name = \"...\", the name of the file",
-        "shape" => "shape = \"segment\", \"polyline\", \"disc\", \"dots\", \"braille\" or \"grating\"",
-        "points" => "points = [[x, y], ...], in mm from the array's middle",
-        "radius_mm" => "a radius, 0 to 24 mm",
-        "character" => "a letter, or a six-dot Braille character",
-        "period_mm" => "the distance from line to line, in mm",
-        _ => "the duration of the motion, in s",
-    }
-}
-
+/// The keys of a search. Unknown ones were refused before.
 #[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
 struct RawTarget {
-    name: String,
     array: Option<String>,
-    shape: Kind,
-    points: Option<Vec<Point>>,
-    center_mm: Option<Point>,
-    #[serde(default, deserialize_with = "given")]
-    radius_mm: Option<f64>,
-    character: Option<String>,
-    #[serde(default, deserialize_with = "given")]
-    dot_pitch_mm: Option<f64>,
-    #[serde(default, deserialize_with = "given")]
-    period_mm: Option<f64>,
-    #[serde(default, deserialize_with = "given")]
-    angle_deg: Option<f64>,
-    #[serde(default, deserialize_with = "given")]
-    offset_mm: Option<f64>,
     #[serde(default, deserialize_with = "given")]
     reach_mm: Option<f64>,
     #[serde(default, deserialize_with = "given")]
@@ -185,49 +158,19 @@ struct RawMotion {
     frames: Option<u64>,
 }
 
-#[derive(Clone, Copy, PartialEq, Eq)]
-enum Kind {
-    Segment,
-    Polyline,
-    Disc,
-    Dots,
-    Braille,
-    Grating,
-}
-
-impl Kind {
-    const ALL: [Self; 6] =
-        [Self::Segment, Self::Polyline, Self::Disc, Self::Dots, Self::Braille, Self::Grating];
-
-    const fn word(self) -> &'static str {
-        match self {
-            Self::Segment => "segment",
-            Self::Polyline => "polyline",
-            Self::Disc => "disc",
-            Self::Dots => "dots",
-            Self::Braille => "braille",
-            Self::Grating => "grating",
-        }
-    }
-}
-
-/// The key that placed the points of a shape.
-enum PlacedBy {
-    Points,
-    Center,
-    /// `character`, whose dots have these numbers.
-    Character(Vec<u8>),
-}
-
 impl RawTarget {
-    fn target(mut self) -> Result<Target, KeyError> {
+    fn target(self, drawn: Drawn) -> Result<Target, KeyError> {
         let unknown = |unknown| KeyError::key("array", Problem::Array(unknown));
-        let array = self
-            .array
-            .take()
-            .map_or_else(|| Ok(Array::paper()), |name| Array::named(&name).map_err(unknown))?;
-        let (shape, placed_by) = self.shape(array)?;
-        let (duration_s, motion) = match self.motion {
+        let array =
+            self.array.map_or_else(|| Ok(Array::paper()), |name| Array::named(&name).map_err(unknown))?;
+        let Drawn { name, shape, placed_by, scan, has_path } = drawn;
+        let count = shape.points().len();
+        if count > MAX_POINTS {
+            return Err(KeyError::key(placed_by, Problem::Count { count }));
+        }
+        let of_scan = |scan: Scan| Table(RawMotion::of(scan));
+        let (duration_s, motion) = match self.motion.or(scan.map(of_scan)) {
+            None if has_path => return Err(KeyError::key("touch", Problem::Path)),
             None => (self.duration_s.unwrap_or(DURATION_S), None),
             Some(_) if self.duration_s.is_some() => {
                 return Err(KeyError::key("duration_s", Problem::DurationOfMotion));
@@ -243,7 +186,7 @@ impl RawTarget {
         };
         let raw = self.afferent.map_or_else(RawAfferent::default, |Table(raw)| raw);
         let target = Target {
-            name: self.name,
+            name,
             array,
             shape,
             reach_mm: self.reach_mm.unwrap_or(REACH_MM),
@@ -254,80 +197,16 @@ impl RawTarget {
             motion,
             frames,
         };
-        placed_by.check(&target)?;
+        check_points(&target, placed_by)?;
         target.checked()
-    }
-
-    fn shape(&mut self, array: Array) -> Result<(Shape, PlacedBy), KeyError> {
-        self.check_keys()?;
-        let missing = |key: &str| {
-            KeyError::common(None, key.to_owned(), CommonProblem::Missing { wanted: wanted(key) })
-        };
-        let number = |key: &str, value: Option<f64>| value.ok_or_else(|| missing(key));
-        let Point(center_mm) = self.center_mm.unwrap_or(Point([0.0; 2]));
-        match self.shape {
-            Kind::Segment | Kind::Polyline | Kind::Dots => {
-                let points = self.points.take().ok_or_else(|| missing("points"))?;
-                let (least, most, wanted) = match self.shape {
-                    Kind::Segment => (2, 2, "the 2 ends of a segment"),
-                    Kind::Polyline => (2, MAX_POINTS, "the 2 to 64 points of a polyline"),
-                    _ => (1, MAX_POINTS, "1 to 64 dots"),
-                };
-                let count = points.len();
-                if !(least..=most).contains(&count) {
-                    return Err(KeyError::key("points", Problem::Count { count, wanted }));
-                }
-                let points = points.into_iter().map(|Point(at)| at).collect();
-                let of = if self.shape == Kind::Dots { Shape::Dots } else { Shape::Polyline };
-                Ok((of(points), PlacedBy::Points))
-            }
-            Kind::Disc => {
-                let radius_mm = number("radius_mm", self.radius_mm)?;
-                Ok((Shape::Disc { center_mm, radius_mm }, PlacedBy::Center))
-            }
-            Kind::Braille => {
-                let text = self.character.take().ok_or_else(|| missing("character"))?;
-                let pitch_mm = self.dot_pitch_mm.unwrap_or(FINEST_PITCHES * array.pitch_mm());
-                within("dot_pitch_mm", pitch_mm, &(0.1..=24.0), "0.1 to 24 mm")?;
-                let dots = braille_dots(&text, pitch_mm, center_mm)
-                    .ok_or_else(|| KeyError::key("character", Problem::Character { found: quote(&text) }))?;
-                let (numbers, dots) = dots.into_iter().unzip();
-                Ok((Shape::Dots(dots), PlacedBy::Character(numbers)))
-            }
-            Kind::Grating => {
-                let period_mm = number("period_mm", self.period_mm)?;
-                let (angle_deg, offset_mm) = (self.angle_deg.unwrap_or(0.0), self.offset_mm.unwrap_or(0.0));
-                // Checked here, because frames are made before the rest is checked.
-                within("period_mm", period_mm, &(0.1..=1e3), "0.1 to 1000 mm")?;
-                // No key places a grating.
-                Ok((Shape::Grating { period_mm, angle_deg, offset_mm }, PlacedBy::Points))
-            }
-        }
-    }
-
-    /// Refuses keys of other shapes.
-    fn check_keys(&self) -> Result<(), KeyError> {
-        use Kind::{Braille, Disc, Dots, Grating, Polyline, Segment};
-        let keys = [
-            ("points", self.points.is_some(), &[Segment, Polyline, Dots][..], "segment, polyline or dots"),
-            ("center_mm", self.center_mm.is_some(), &[Disc, Braille], "disc or braille"),
-            ("radius_mm", self.radius_mm.is_some(), &[Disc], "disc"),
-            ("character", self.character.is_some(), &[Braille], "braille"),
-            ("dot_pitch_mm", self.dot_pitch_mm.is_some(), &[Braille], "braille"),
-            ("period_mm", self.period_mm.is_some(), &[Grating], "grating"),
-            ("angle_deg", self.angle_deg.is_some(), &[Grating], "grating"),
-            ("offset_mm", self.offset_mm.is_some(), &[Grating], "grating"),
-        ];
-        for (key, there, kinds, of) in keys {
-            if there && !kinds.contains(&self.shape) {
-                return Err(KeyError::key(key, Problem::Foreign { of, shape: self.shape.word() }));
-            }
-        }
-        Ok(())
     }
 }
 
 impl RawMotion {
+    const fn of(Scan { speed_mm_s, direction_deg, duration_s, .. }: Scan) -> Self {
+        Self { duration_s, speed_mm_s, direction_deg, turn_deg_s: 0.0, frames: None }
+    }
+
     fn motion(&self, shape: &Shape, pitch_mm: f64) -> Result<Motion, KeyError> {
         let Self { duration_s, speed_mm_s, direction_deg, turn_deg_s, frames } = *self;
         let mut motion = Motion { speed_mm_s, direction_deg, turn_deg_s, frames: MAX_FRAMES };
@@ -346,70 +225,13 @@ impl RawMotion {
     }
 }
 
-impl PlacedBy {
-    /// Refuses points off the pad, in any frame.
-    fn check(&self, target: &Target) -> Result<(), KeyError> {
-        for (index, frame) in target.frames.iter().enumerate() {
-            let off = frame.shape.points().iter().position(|&at| !on_pad(at));
-            let Some(point) = off else { continue };
-            let (path, dot) = match self {
-                Self::Points => (format!("points[{point}]"), None),
-                Self::Center => ("center_mm".to_owned(), None),
-                Self::Character(dots) => ("character".to_owned(), Some(dots[point])),
-            };
-            let (at, frame) = (frame.shape.points()[point], target.frame_number(index));
-            return Err(KeyError::key(&path, Problem::OffPad { dot, at, frame }));
+/// Refuses points off the pad, in any frame.
+fn check_points(target: &Target, placed_by: &str) -> Result<(), KeyError> {
+    for (index, frame) in target.frames.iter().enumerate() {
+        if let Some(&at) = frame.shape.points().iter().find(|&&at| !on_pad(at)) {
+            let frame = target.frame_number(index);
+            return Err(KeyError::key(placed_by, Problem::OffPad { at, frame }));
         }
-        Ok(())
     }
-}
-
-impl<'de> Deserialize<'de> for Kind {
-    fn deserialize<D: Deserializer<'de>>(source: D) -> Result<Self, D::Error> {
-        struct Word;
-        impl Visitor<'_> for Word {
-            type Value = Kind;
-            fn expecting(&self, text: &mut fmt::Formatter<'_>) -> fmt::Result {
-                text.write_str("the name of a shape, such as \"segment\"")
-            }
-            fn visit_str<E: Error>(self, found: &str) -> Result<Kind, E> {
-                Kind::ALL.into_iter().find(|kind| kind.word() == found).ok_or_else(|| {
-                    let words = "segment, polyline, disc, dots, braille or grating";
-                    E::custom(format_args!("is {}: must be {words}", quote(found)))
-                })
-            }
-        }
-        source.deserialize_str(Word)
-    }
-}
-
-/// A place, `[x, y]`. Serde's own message about a list of three numbers does not name this form.
-#[derive(Clone, Copy)]
-struct Point([f64; 2]);
-
-impl<'de> Deserialize<'de> for Point {
-    fn deserialize<D: Deserializer<'de>>(source: D) -> Result<Self, D::Error> {
-        struct Pair;
-        impl<'de> Visitor<'de> for Pair {
-            type Value = Point;
-            fn expecting(&self, text: &mut fmt::Formatter<'_>) -> fmt::Result {
-                text.write_str("[x, y], in mm")
-            }
-            fn visit_seq<A: SeqAccess<'de>>(self, mut list: A) -> Result<Point, A::Error> {
-                let (mut found, mut count) = ([0.0; 2], 0);
-                for place in &mut found {
-                    let Some(number) = list.next_element()? else { break };
-                    (*place, count) = (number, count + 1);
-                }
-                while count >= 2 && list.next_element::<IgnoredAny>()?.is_some() {
-                    count += 1;
-                }
-                match count {
-                    2 => Ok(Point(found)),
-                    _ => Err(A::Error::custom(format_args!("is a list of {count}: must be [x, y], in mm"))),
-                }
-            }
-        }
-        source.deserialize_seq(Pair)
-    }
+    Ok(())
 }

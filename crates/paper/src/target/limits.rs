@@ -1,7 +1,5 @@
 //! Limits of a target.
 
-/// The largest target file, bytes; [`MAX_POINTS`] written out take far less.
-pub const MAX_BYTES: usize = 64 << 10;
 /// The most points of a shape.
 pub const MAX_POINTS: usize = 64;
 /// The most frames of a motion; each is optimised on its own.

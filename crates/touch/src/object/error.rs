@@ -40,6 +40,12 @@ pub enum Problem {
         "holds {found}: must be letters a to z, six-dot Braille characters, U+2800 to U+283F, and spaces"
     )]
     Character { found: String },
+    #[error("is there beside `text`: leave one out")]
+    TwoTexts,
+    #[error(
+        "is {shape}, in which a search finds no line: draw it as bar, segment, polyline, disc, dots, grating or braille"
+    )]
+    NotDrawn { shape: &'static str },
     #[error("has no dot: the object never touches; write a letter")]
     NoDots,
     #[error("needs one of press, scan and path: it has {count}")]

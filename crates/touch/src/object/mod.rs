@@ -12,7 +12,7 @@ mod part;
 mod surface;
 
 pub use error::{MAX_FILE_BYTES, MAX_PIXELS, MAX_POINTS, MAX_SIDE_MM, ObjectError, Problem};
-pub use file::{Open, no_files};
+pub use file::{Drawn, Open, no_files};
 pub use surface::{HeightMap, Surface};
 
 use crate::grains::Grains;
@@ -32,9 +32,9 @@ const COARSEST_MM: f64 = 0.4;
 const LIVE_MM: f64 = 0.1;
 /// Grains are chosen so coarse that there are at most this many.
 const ENOUGH: f64 = 12_000.0;
-/// Width of the lines of a target that is made an object, mm.
+/// Width of a line that gives none, mm.
 pub const LINE_MM: f64 = 0.8;
-/// Diameter of the dots of a target that is made an object, mm.
+/// Diameter of a dot that gives none, mm.
 pub const DOT_MM: f64 = 2.0;
 
 /// An object that touches a finger.
@@ -180,7 +180,7 @@ fn enough(pitch_mm: f64, [low, high]: [[f64; 2]; 2]) -> f64 {
     pitch_mm.max((area / ENOUGH).sqrt()).min(*PITCHES_MM.end())
 }
 
-/// The surface of a target's shape: lines are 0.8 mm wide, dots have a diameter of 2 mm.
+/// The surface of a shape: lines are 0.8 mm wide, dots have a diameter of 2 mm.
 #[must_use]
 pub fn surface_of(shape: &Shape) -> Surface {
     let (shape, reach_mm) = match shape {

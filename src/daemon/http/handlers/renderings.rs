@@ -6,7 +6,7 @@ use crate::daemon::http::body;
 use crate::daemon::http::request_log::LoggedRequest;
 use crate::daemon::system::runtime::computing;
 use crate::render_process::{Render, file_hashes};
-use crate::rendering::{shipped_keys, shipped_names};
+use crate::rendering::shipped_keys;
 use axum::Json;
 use axum::body::Body;
 use axum::extract::State;
@@ -14,6 +14,7 @@ use axum::http::StatusCode;
 use axum::response::Response;
 use meissner_api::{Code, MAX_RENDERING_BODY, Problem, Rendering, RenderingRequest};
 use meissner_input::message::{cut, nearest, quote};
+use meissner_paper::shipped_names;
 use serde_json::{Map, Value, json};
 use std::sync::Arc;
 
@@ -56,7 +57,7 @@ fn parse(body: &[u8]) -> Result<(RenderingRequest, Value), Problem> {
 pub(super) fn keys(object: &Value) -> Result<Map<String, Value>, Problem> {
     let Some(name) = object.as_str() else { return Ok(object.as_object().cloned().unwrap_or_default()) };
     shipped_keys(name).ok_or_else(|| {
-        let names: Vec<_> = shipped_names().collect();
+        let names = shipped_names();
         let (asked, nearest) = (quote(&cut(name, 100)), nearest(&names, name));
         Problem::new(Code::NotFound, format!("no object is called {asked}: did you mean `{nearest}`?"))
     })
