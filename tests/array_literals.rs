@@ -22,7 +22,6 @@ const OTHERS: &[(&str, &str, &str)] = &[
     ("crates/api/src/receipt.rs", "24", "drives and strokes that a receipt lists"),
     ("crates/api/src/live.rs", "24", "the length of the finger's pad, mm"),
     ("crates/paper/src/target/checked.rs", "24", "the length of the finger's pad, mm"),
-    ("crates/paper/src/target/file.rs", "24", "as above"),
     ("crates/skin/src/afferents/noise.rs", "23", "bits of a number"),
     ("crates/skin/src/validate/measure.rs", "24", "a range of samples"),
     ("crates/stream/src/bandwidth.rs", "24", "bytes around a frame"),

@@ -13,7 +13,7 @@ use std::collections::BTreeSet;
 
 #[test]
 fn ranges_are_those_that_the_daemon_checks() {
-    use meissner_array::pattern::{FREQUENCY_HZ, MAX_DRIVES, MAX_SECONDS};
+    use meissner_array::pattern::{FREQUENCY_HZ, MAX_SECONDS};
     use meissner_stream::calibrate::MAX_GROUPS;
     let document = openapi::document();
     let range = |schema: &str, key: &str| {
@@ -21,10 +21,9 @@ fn ranges_are_those_that_the_daemon_checks() {
         (property["minimum"].as_f64(), property["maximum"].as_f64().or(property["maxItems"].as_f64()))
     };
     for (schema, key, least, most) in [
-        ("PatternDrive", "frequency_hz", Some(*FREQUENCY_HZ.start()), *FREQUENCY_HZ.end()),
-        ("PatternDrive", "stop_s", Some(0.0), MAX_SECONDS),
-        ("PatternDrive", "motor", Some(0.0), (MAX_MOTORS - 1) as f64),
-        ("PatternFile", "drive", None, MAX_DRIVES as f64),
+        ("LiveDrive", "frequency_hz", Some(*FREQUENCY_HZ.start()), *FREQUENCY_HZ.end()),
+        ("LiveDrive", "motor", Some(0.0), (MAX_MOTORS - 1) as f64),
+        ("PlayRequest", "seconds", Some(0.0), MAX_SECONDS),
         ("SequenceRequest", "items", None, meissner_array::strokes::MAX_ITEMS as f64),
         ("CalibrateRequest", "pulses", None, MAX_GROUPS as f64),
     ] {

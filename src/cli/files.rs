@@ -41,10 +41,10 @@ pub(super) fn text(place: &Path, most: u64, kind: &str) -> Result<String> {
         && found.is_file()
         && found.len() > most
     {
-        bail!("{at}: {} bytes are too many: a {kind} file has at most {most}", found.len());
+        bail!("{at}: {} bytes are too many: {kind} file has at most {most}", found.len());
     }
     let bytes = read_regular(place, most)
-        .map_err(|error| anyhow!("{at}: cannot be read; name a {kind} file ({error})"))?;
+        .map_err(|error| anyhow!("{at}: cannot be read; name {kind} file ({error})"))?;
     utf8(bytes, &at, kind)
 }
 
@@ -67,9 +67,9 @@ pub(super) fn bytes(place: &Path, most: u64, kind: &str) -> Result<Vec<u8>> {
     } else {
         File::open(place).and_then(|file| file.take(most + 1).read_to_end(&mut bytes))
     };
-    read.map_err(|error| anyhow!("{at}: cannot be read; name a {kind} file ({error})"))?;
+    read.map_err(|error| anyhow!("{at}: cannot be read; name {kind} file ({error})"))?;
     if bytes.len() as u64 > most {
-        bail!("{at}: more than {most} bytes are too many for a {kind} file");
+        bail!("{at}: more than {most} bytes are too many for {kind} file");
     }
     Ok(bytes)
 }
@@ -77,7 +77,7 @@ pub(super) fn bytes(place: &Path, most: u64, kind: &str) -> Result<Vec<u8>> {
 /// Text without its byte order mark, which editors and spreadsheets of Windows write.
 fn utf8(bytes: Vec<u8>, at: &str, kind: &str) -> Result<String> {
     let mut text =
-        String::from_utf8(bytes).map_err(|_| anyhow!("{at}: not UTF-8 text: name a {kind} file in UTF-8"))?;
+        String::from_utf8(bytes).map_err(|_| anyhow!("{at}: not UTF-8 text: name {kind} file in UTF-8"))?;
     if text.starts_with(BYTE_ORDER_MARK) {
         text.drain(..BYTE_ORDER_MARK.len_utf8());
     }

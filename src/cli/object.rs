@@ -47,7 +47,7 @@ pub(super) fn keys(argument: &str, name: &str) -> Result<Value> {
 /// The text of a file, or of a shipped object.
 pub(super) fn text(argument: &str) -> Result<String> {
     if files::is_file(argument) {
-        return files::text(Path::new(argument), meissner_touch::MAX_FILE_BYTES as u64, "object");
+        return files::text(Path::new(argument), meissner_touch::MAX_FILE_BYTES as u64, "an object");
     }
     shipped_text(argument).map(ToOwned::to_owned).ok_or_else(|| {
         let nearest = nearest(&shipped_names(), argument);

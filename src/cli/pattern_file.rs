@@ -30,7 +30,7 @@ pub(super) struct Found {
 /// Reads the pattern of an argument: a name of the library, a file, or `-` for stdin.
 pub(super) fn of_argument(argument: &str) -> Result<Found> {
     if argument == "-" {
-        let (text, name) = files::text_or_stdin(Path::new(argument), MAX_PACKED_BYTES as u64, "pattern")?;
+        let (text, name) = files::text_or_stdin(Path::new(argument), MAX_PACKED_BYTES as u64, "a pattern")?;
         return of_text(text, &name, Path::new("."));
     }
     if files::is_file(argument) {
@@ -43,7 +43,7 @@ pub(super) fn of_argument(argument: &str) -> Result<Found> {
 
 /// Reads a pattern file.
 pub(super) fn of_file(file: &Path) -> Result<Found> {
-    let text = files::text(file, MAX_PACKED_BYTES as u64, "pattern")?;
+    let text = files::text(file, MAX_PACKED_BYTES as u64, "a pattern")?;
     // An object file has no key `format`, so the parser's error would mislead.
     if text.len() <= MAX_FILE_BYTES
         && text

@@ -69,6 +69,6 @@ pub(super) fn run(asked: &Sequence) -> Result<ExitCode> {
 }
 
 pub(super) fn read(file: &Path) -> Result<SequenceRequest> {
-    let (text, name) = files::text_or_stdin(file, MAX_BODY as u64, "sequence")?;
+    let (text, name) = files::text_or_stdin(file, MAX_BODY as u64, "a sequence")?;
     SequenceRequest::parse_file(&text).map_err(|problem| anyhow!("{name}: {problem}"))
 }

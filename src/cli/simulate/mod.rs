@@ -163,7 +163,7 @@ fn method(asked: &Simulate) -> Result<Method, clap::Error> {
 
 /// Reads a scene of either model from a file, or from stdin.
 pub(super) fn read(file: &Path, model: Option<ModelName>) -> Result<AnyScene> {
-    let (text, name) = files::text_or_stdin(file, MAX_JSON_BYTES as u64, "scene")?;
+    let (text, name) = files::text_or_stdin(file, MAX_JSON_BYTES as u64, "a scene")?;
     Ok(AnyScene::read(&text, &name, model)?)
 }
 
