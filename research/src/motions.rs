@@ -100,10 +100,9 @@ pub fn motion_figures(array: Array) -> Result<MotionFigures, MotionError> {
 }
 
 /// The grid that the daemon takes, the moves of each motor, and what it reaches.
-fn compiled(
-    array: Array,
-    motors: &[(u8, Waveform)],
-) -> Result<(Grid, Vec<Vec<Move>>, Vec<Reached>), MotionError> {
+type Compiled = (Grid, Vec<Vec<Move>>, Vec<Reached>);
+
+fn compiled(array: Array, motors: &[(u8, Waveform)]) -> Result<Compiled, MotionError> {
     let grid = choose(array, motors.iter().map(|(motor, waveform)| (*motor, waveform)), None)?;
     let whole = |(motor, waveform): &(u8, Waveform)| beginning(array, *motor, waveform, grid, u64::MAX);
     let (moves, reached) = motors.iter().map(whole).unzip();
