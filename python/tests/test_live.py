@@ -167,7 +167,7 @@ def test_patterns_are_stored_and_removed(m: meissner.Client, tmp_path: Path) -> 
         m.store_pattern("two-pins", PATTERN)
     first = m.store_pattern("two-pins", PATTERN, replace=True)["replaced_sha256"]
     # As Windows writes it, it is the same file.
-    file.write_bytes(PATTERN.replace("\n", "\r\n").encode("utf-16"))
+    file.write_bytes(PATTERN.replace("\n", "\r\n").encode("utf-8-sig"))
     assert m.store_pattern("two-pins", file, replace=True)["replaced_sha256"] == first
     assert m.store_pattern("two-pins", PATTERN, replace=True)["replaced_sha256"] == first
     assert m.pattern("two-pins")["pattern"]["drive"][0]["motor"] == 9

@@ -6,8 +6,8 @@
 
 use super::files;
 use crate::file::{dir_of, open_regular};
-use crate::store::Store;
-use anyhow::{Result, bail};
+use crate::store::{Store, StoreError};
+use anyhow::{Result, anyhow, bail};
 use meissner_array::pattern::{MAX_FILE_BYTES, MAX_PACKED_BYTES, MAX_SAMPLE_FILE_BYTES, Pattern};
 use std::io::Read;
 use std::path::Path;
@@ -36,7 +36,13 @@ pub(super) fn of_argument(argument: &str) -> Result<Found> {
     if files::is_file(argument) {
         return of_file(Path::new(argument));
     }
-    let stored = Store::new(None, false)?.get(argument)?;
+    let stored = Store::new(None, false)?.get(argument).map_err(|error| match error {
+        StoreError::Unknown { .. } => anyhow!(
+            "{error}, and one that is not built in is named by its file, as `{}.toml`",
+            argument.escape_debug()
+        ),
+        other => other.into(),
+    })?;
     let text = String::from_utf8(stored.text.to_vec())?;
     Ok(Found { pattern: Arc::unwrap_or_clone(stored.pattern), text, was_packed: false })
 }

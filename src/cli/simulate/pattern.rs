@@ -8,7 +8,6 @@ use crate::cli::output::give;
 use crate::cli::pattern_file::{self, Found};
 use crate::cli::{files, progress, text};
 use crate::receipts::fit;
-use crate::store::Store;
 use anyhow::{Result, bail};
 use clap::error::ErrorKind;
 use meissner_array::pattern::Pattern;
@@ -48,8 +47,7 @@ pub(super) fn find(argument: &Path) -> Result<Option<Found>> {
         return Ok(None);
     }
     if !files::is_file(&shown) && !argument.exists() {
-        let is_known = Store::new(None, false)?.library(&shown).is_some();
-        return if is_known { pattern_file::of_argument(&shown).map(Some) } else { Ok(None) };
+        return pattern_file::of_argument(&shown).map(Some);
     }
     // Only the beginning is read: it says the format of a pattern.
     let mut beginning = Vec::new();

@@ -16,8 +16,8 @@ use meissner_array::spec::Array;
 use meissner_input::document::{CommonProblem, Table, from_json, from_toml, given, in_range};
 use meissner_input::message::{cut, quote};
 use meissner_skin::membrane::PAD_LENGTH_MM;
-use serde::Deserialize;
-use serde::de::IgnoredAny;
+use serde::de::{Error, IgnoredAny};
+use serde::{Deserialize, Deserializer};
 use std::io;
 use std::ops::RangeInclusive;
 
@@ -169,7 +169,7 @@ struct RawObject {
     kind: Option<String>,
     name: String,
     shape: Kind,
-    #[serde(default)]
+    #[serde(default, deserialize_with = "numbers")]
     center_mm: [f64; 2],
     #[serde(default)]
     angle_deg: f64,
@@ -179,8 +179,8 @@ struct RawObject {
     width_mm: Option<f64>,
     #[serde(default, deserialize_with = "given")]
     gap_mm: Option<f64>,
-    points: Option<Vec<[f64; 2]>>,
-    lines: Option<Vec<Vec<[f64; 2]>>>,
+    points: Option<Vec<Numbers<2>>>,
+    lines: Option<Vec<Vec<Numbers<2>>>>,
     #[serde(default, deserialize_with = "given")]
     radius_mm: Option<f64>,
     #[serde(default, deserialize_with = "given")]
@@ -264,7 +264,17 @@ struct RawScan {
 struct RawPath {
     file: Option<String>,
     /// `[t_s, x_mm, y_mm, angle_deg, depth_um]`.
-    poses: Option<Vec<[f64; 5]>>,
+    poses: Option<Vec<Numbers<5>>>,
+}
+
+/// Exactly so many numbers: serde's own arrays leave out what is too much.
+#[derive(Clone, Deserialize)]
+struct Numbers<const N: usize>(#[serde(deserialize_with = "numbers")] [f64; N]);
+
+fn numbers<'de, D: Deserializer<'de>, const N: usize>(source: D) -> Result<[f64; N], D::Error> {
+    let all = Vec::<f64>::deserialize(source)?;
+    let count = all.len();
+    all.try_into().map_err(|_| D::Error::custom(format!("is a list of {count}: must be {N} numbers")))
 }
 
 fn missing(key: &str) -> KeyError {
@@ -395,7 +405,9 @@ impl RawObject {
                 Surface::Near { shape: Shape::Dots(vec![[0.0; 2]]), reach_mm }
             }
             Kind::Lines => {
-                let lines = self.lines.clone().ok_or_else(|| missing("lines"))?;
+                let lines = self.lines.as_ref().ok_or_else(|| missing("lines"))?;
+                let line = |line: &Vec<Numbers<2>>| line.iter().map(|Numbers(at)| *at).collect();
+                let lines: Vec<Vec<_>> = lines.iter().map(line).collect();
                 let count = lines.iter().map(Vec::len).sum::<usize>();
                 if !(1..=MAX_POINTS).contains(&count) || lines.iter().any(Vec::is_empty) {
                     let wanted = "1 to 4096, and one or more in each line";
@@ -458,7 +470,8 @@ impl RawObject {
     }
 
     fn points(&self, counts: RangeInclusive<usize>, wanted: &'static str) -> Result<Vec<[f64; 2]>, KeyError> {
-        let points = self.points.clone().ok_or_else(|| missing("points"))?;
+        let points = self.points.as_ref().ok_or_else(|| missing("points"))?;
+        let points: Vec<_> = points.iter().map(|Numbers(at)| *at).collect();
         let count = points.len();
         if !counts.contains(&count) {
             return Err(KeyError::key("points", Problem::Count { count, wanted }));
@@ -639,8 +652,8 @@ impl RawScan {
 
 impl RawPath {
     fn touch(self, at: Pose, open: Open<'_>) -> Result<Touch, KeyError> {
-        let poses = match (self.file, self.poses) {
-            (None, Some(poses)) => poses,
+        let poses: Vec<[f64; 5]> = match (self.file, self.poses) {
+            (None, Some(poses)) => poses.into_iter().map(|Numbers(pose)| pose).collect(),
             (Some(name), None) => {
                 let names = ["t_s", "x_mm", "y_mm", "angle_deg", "depth_um"];
                 let columns = read_columns(&bytes_of(&name, open)?, names)
