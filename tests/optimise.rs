@@ -74,7 +74,7 @@ fn a_search_is_compared_with_the_naive_rules() {
     assert_eq!(rules, ["reach", "pitch"]);
     let output = meissner().args(asked).output().unwrap();
     let summary = String::from_utf8(output.stderr).unwrap();
-    assert!(summary.contains("the rule naive-reach needs no search and reaches as much"), "{summary}");
+    assert!(summary.contains("the rule naive-pitch needs no search and reaches as much"), "{summary}");
 }
 
 /// The paper's pattern of the library, as its provenance says.

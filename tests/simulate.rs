@@ -177,7 +177,7 @@ fn a_scene_that_cannot_be_simulated_is_refused_in_one_line() {
     for (arguments, says) in [
         (&["nowhere.toml"][..], "nowhere.toml: cannot be read; name a scene file"),
         (&[dir.path().to_str().unwrap()], "is not a regular file"),
-        (&["a\nb"], "a\\nb: cannot be read"),
+        (&["a\nb"], "no pattern is called `a\\nb`"),
         (&[file, "--step-us", "0"], "a step of 0 us: must be 1 to 1000000 us"),
         (&[file, "--step-us", "44001", "--integrator", "euler"], "unstable with a step of 44001 us"),
     ] {
