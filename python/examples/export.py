@@ -11,5 +11,5 @@ with meissner.demo() as m:
     dataset = m.export_bids(session.id, "dataset")
     print(dataset.events, dataset.displacement, *dataset.left_out, sep="\n")
     if importlib.util.find_spec("pynwb"):
-        file = m.export_nwb(session.id, "P07.nwb", subject={"age": "P30Y", "sex": "F"})
+        file = m.export_nwb(session.id, f"{session.id}.nwb", subject={"age": "P30Y", "sex": "F"})
         print(file.file, *file.left_out, sep="\n")

@@ -1,6 +1,7 @@
 """Play the plays of a recorded session once more, with the same gaps to the tick: python replay.py SESSION
 
 Patterns are played as they were, also if the library has other ones by now. What cannot be played again is told and left out.
+It needs an armed daemon (`meissner arm`).
 """
 
 import sys

@@ -245,8 +245,8 @@ def test_a_procedure_takes_no_text_for_an_answer(correct: Any) -> None:
         ({}, "give either"),
         ({"ratio": 1.26, "minimum": 0}, "`minimum` is 0.0: must be above 0 with a `ratio`; or give `step`"),
         ({"ratio": 1.26, "maximum": -1}, "`maximum` is -1.0: must be above 0"),
-        ({"ratio": 1.26, "maximum": 0.5}, "`start` is 1.0: must lie from `minimum` None to `maximum` 0.5"),
-        ({"step": 0.1, "minimum": 2}, "`start` is 1.0: must lie from"),
+        ({"ratio": 1.26, "maximum": 0.5}, "`start` is 1.0: must lie within `maximum` 0.5"),
+        ({"step": 0.1, "minimum": 2}, "`start` is 1.0: must lie within"),
         ({"step": 0.1, "minimum": 1, "maximum": 1}, "are both 1.0: must differ"),
         ({"step": math.nan}, "`step` is nan: must be a finite number"),
         ({"ratio": math.inf}, "`ratio` is inf: must be a finite number"),
@@ -408,10 +408,12 @@ def test_what_the_daemon_does_not_take_is_kept(m: meissner.Client) -> None:
         assert session.answers() == [(0.5, False)]
         with pytest.raises(errors.MeissnerError, match=r"nothing in trial 9.*the answer is kept in .*answers\.jsonl"):
             session.answer(9, "right", correct=True)
-        assert kept_answers()[-1] == {"trial": 9, "response": "right", "correct": True, "factors": {}}
+        kept = {"session": session.id, "trial": 9, "response": "right", "correct": True, "factors": {}}
+        assert {**kept_answers()[-1], "time": 0} == {**kept, "time": 0}
         with pytest.raises(errors.ApiError, match=r"has an answer already.*the answer is kept in"):
             play.answer("again", level=np.float32(0.5))
-        assert kept_answers()[-1] == {"play": play.id, "response": "again", "level": "0.5"}
+        kept = {"session": session.id, "play": play.id, "response": "again", "level": "0.5"}
+        assert {**kept_answers()[-1], "time": 0} == {**kept, "time": 0}
     assert os.stat(Path(os.environ["XDG_STATE_HOME"], "meissner", "answers.jsonl")).st_mode & 0o777 == 0o600
 
 

@@ -21,7 +21,7 @@ pub(super) struct Answer {
     #[arg(long)]
     wrong: bool,
     /// Record the response time, ms
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", allow_negative_numbers = true)]
     rt_ms: Option<f64>,
     /// Record the level of the stimulus
     #[arg(long, value_name = "X", allow_negative_numbers = true)]

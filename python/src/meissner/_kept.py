@@ -15,6 +15,7 @@ import json
 import os
 import re
 from collections.abc import Iterator
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -88,6 +89,7 @@ def answer(**given: Any) -> Iterator[None]:
     try:
         yield
     except BaseException as error:
+        given["time"] = datetime.now().astimezone().isoformat(timespec="milliseconds")
         line = json.dumps({key: value for key, value in given.items() if value is not None}, default=str)
         try:
             where = f"the answer is kept in {_add_answer(line)}"

@@ -104,7 +104,16 @@ class KnownPlay:
         the onset of the play, and becomes the factors `response_tick` and `response_uncertainty_s`, too. What the daemon does not take
         is kept in a file of the user, which the error names.
         """
-        with _kept.answer(play=self.id, response=response, correct=correct, rt_ms=rt_ms, level=level, factors=factors):
+        session = self._client.core.session
+        with _kept.answer(
+            session=session and session.id,
+            play=self.id,
+            response=response,
+            correct=correct,
+            rt_ms=rt_ms,
+            level=level,
+            factors=factors,
+        ):
             if isinstance(response, Press) and (self._receipt is None or self._receipt.onset is None):
                 self.refresh()
             onset = self.onset if isinstance(response, Press) else None

@@ -13,7 +13,7 @@ from ._bodies import Labels, Verdict, texts, verdict, whole
 from ._operations import Accepted, Core, Owned, document, send, status, stop, wait_until_idle
 from ._presses import Press
 from .clocks import Instant
-from .errors import ApiError, Exists, IncompleteSession, NotFound, SessionOver, SessionRunning
+from .errors import ApiError, Exists, IncompleteSession, NotFound, SessionExclusive, SessionOver, SessionRunning
 
 
 def session(
@@ -47,7 +47,11 @@ def session(
         "labels": texts(labels),
     }
     answer = send(core, _http.post("/v1/sessions", body))
-    started: dict[str, Any] = answer.json()
+    try:
+        started: dict[str, Any] = answer.json()
+    except (SessionExclusive, SessionRunning) as error:
+        advice = "if its program has ended, go on by `session(..., resume=True)`; else end that session first"
+        raise type(error)(error.detail, status=error.status, advice=advice) from None
     core.session = Owned(started["id"], started["token"], resume)
     _kept.keep(started["id"], started["token"])
     return {**started, "resumed": False}

@@ -134,7 +134,9 @@ class Session:
     ) -> None:
         """Record the answer in a trial, to its newest play. As `Play.answer`; the factors of a `Trial` are those of the answer, too."""
         number, level, own = trial_answer(trial, level, factors)
-        with _kept.answer(trial=number, response=response, correct=correct, rt_ms=rt_ms, level=level, factors=own):
+        with _kept.answer(
+            session=self.id, trial=number, response=response, correct=correct, rt_ms=rt_ms, level=level, factors=own
+        ):
             play = played_in(self._client.trials, number)
         play.answer(response, correct=correct, rt_ms=rt_ms, level=level, factors=own)
 

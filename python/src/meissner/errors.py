@@ -142,7 +142,11 @@ class Playing(ApiError, code="playing", advice="`wait()` for the play, or call `
     """A play is queued or runs."""
 
 
-class NothingToGoBy(ApiError, code="nothing-to-go-by", advice="level the pins by hand, then `arm(assume_rest=True)`"):
+class NothingToGoBy(
+    ApiError,
+    code="nothing-to-go-by",
+    advice="level the pins by hand, `disarm()`, then `arm(assume_rest=True, checked='NAME')`",
+):
     """Nothing tells where the pins are."""
 
 
@@ -178,7 +182,7 @@ class BehindEndless(ApiError, code="behind-endless", advice="call `stop()`, or p
     """The play in front has no end."""
 
 
-class TooSoon(ApiError, code="too-soon", advice="give a later `at`, 0.1 s ahead or more"):
+class TooSoon(ApiError, code="too-soon", advice="give a later `at` or `on_edge`, 0.1 s ahead or more"):
     """The onset is too close or has passed."""
 
 
@@ -232,7 +236,11 @@ class NoTriggerInput(ApiError, code="no-trigger-input", advice="play it without 
     """The device has no trigger input."""
 
 
-class DriftLimit(ApiError, code="drift-limit", advice="call `home()`, or level the pins and arm again"):
+class DriftLimit(
+    ApiError,
+    code="drift-limit",
+    advice="level the pins, then `arm(assume_rest=True, checked='NAME')`; with a calibration, `home()`",
+):
     """Pins may be too far from rest."""
 
 

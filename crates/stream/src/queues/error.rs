@@ -62,7 +62,7 @@ pub enum CommandError {
     /// Neither telemetry nor a calibration shows where the pins are.
     #[error(
         "no telemetry and no calibration say where the pins are: level them by hand, then `meissner disarm` and \
-         `meissner arm --assume-rest`"
+         `meissner arm --assume-rest --checked NAME`"
     )]
     NoPositionEstimate,
     /// Homing has ended and not all pins are home.

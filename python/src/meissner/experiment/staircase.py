@@ -69,7 +69,8 @@ class Staircase:
         if step is not None and number("step", step) <= 0:
             raise ValueError(f"`step` is {step}: must be above 0")
         if not (minimum is None or minimum <= start) or not (maximum is None or start <= maximum):
-            raise ValueError(f"`start` is {start}: must lie from `minimum` {minimum} to `maximum` {maximum}")
+            bounds = [f"`{name}` {of}" for name, of in (("minimum", minimum), ("maximum", maximum)) if of is not None]
+            raise ValueError(f"`start` is {start}: must lie within {' and '.join(bounds)}")
         if minimum is not None and minimum == maximum:
             raise ValueError(f"`minimum` and `maximum` are both {minimum}: must differ")
         for name, count, least in (("down", down, 1), ("coarse", coarse, 0), ("max_trials", max_trials, 1)):
