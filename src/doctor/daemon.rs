@@ -16,7 +16,7 @@ pub(crate) fn findings(root: &Path, status: &Status, units: &Units) -> Vec<Findi
     findings.push(rights::of_daemon(status.realtime, Limits::of(root, status.pid), units.runs(status.pid)));
     findings.extend(estop(status.realtime));
     if let Some(problem) = &status.logbook_problem {
-        let advice = "free space there, or let the daemon write there: see docs/lab-pc.md, \"Configuration\"; `meissner session list` shows \
+        let advice = "free space there, let the daemon write there, or set `logbook_dir` to a folder of its own: see docs/lab-pc.md, \"Configuration\"; `meissner session list` shows \
              what is missing";
         findings.push(Finding::warn("logbook", problem.clone(), advice));
     } else if let lost @ 1.. = status.logbook_lost {

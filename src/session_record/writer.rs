@@ -426,8 +426,8 @@ impl Writer {
         self.save_count();
         if self.failing.replace(Instant::now() + self.retry_after).is_none() {
             warn!(
-                "the session record cannot be written: {failure}; free space there and check that the daemon may write, or \
-                 set `logbook_dir`; playing goes on"
+                "the session record cannot be written: {failure}; free space there, let the daemon write, or set \
+                 `logbook_dir` to a folder of its own; playing goes on"
             );
         }
     }

@@ -121,10 +121,7 @@ fn handler(route: Route) -> MethodRouter<App> {
 async fn no_route(uri: Uri, body: Body) -> ErrorResponse {
     body::discard(body).await;
     let path: String = uri.path().chars().take(100).collect();
-    ErrorResponse(Problem::new(
-        Code::NotFound,
-        format!("there is no {path}: addresses begin with /v1/, see {REFERENCE}"),
-    ))
+    ErrorResponse(Problem::new(Code::NotFound, format!("there is no {path}: see {REFERENCE}")))
 }
 
 async fn no_method(method: Method, uri: Uri, body: Body) -> ErrorResponse {
