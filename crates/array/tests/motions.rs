@@ -329,7 +329,7 @@ fn a_pattern_that_names_files_becomes_complete() {
         ),
         (
             refuse(&one, Ok(npy(&[0.0, 1.0, 2.0, -3.0]))),
-            "p.toml:3: wave 1: motor 1 goes to -3.000 um at 0.002 s, sample 1: must be 0 to 400 um (offset_um raises samples)",
+            "p.toml:3: wave 1: motor 1 goes to -3.000 um at 0.002 s, sample 1: must be 0 to 400 um",
         ),
         (refuse(&one.replace("column = 1", ""), Ok(npy(&[0.0; 4]))), "2 columns: add column = 0 to 1"),
         (
