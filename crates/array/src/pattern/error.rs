@@ -99,9 +99,7 @@ pub enum Problem {
     Motion { motor: u8, error: Box<MotionError> },
     #[error("motor {motor}: sample {number} at {at_s} s is {um}: must be a number")]
     Sample { motor: u8, number: usize, at_s: f64, um: f64 },
-    #[error(
-        "motor {motor} goes to {um:.3} um at {at_s} s{of}: must be 0 to {most_um} um"
-    )]
+    #[error("motor {motor} goes to {um:.3} um at {at_s} s{of}: must be 0 to {most_um} um")]
     Leaves { motor: u8, um: f64, at_s: f64, of: Box<str>, most_um: f64 },
     #[error("motor {motor} moves until {end_s} s: make it shorter, or raise duration_s from {duration_s}")]
     EndsLate { motor: u8, end_s: f64, duration_s: f64 },
