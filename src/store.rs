@@ -14,7 +14,7 @@ mod in_use;
 pub use folder::{FileError, MAX_FILES};
 pub(crate) use folder::{hash, hexadecimal};
 
-use crate::receipts::Order;
+use crate::receipts::Outline;
 use folder::{Folder, check_name, check_new_name};
 use in_use::InUse;
 use include_dir::{Dir, include_dir};
@@ -125,7 +125,7 @@ pub struct Stored {
     /// Its file.
     pub text: Arc<[u8]>,
     json: Arc<OnceLock<Arc<[u8]>>>,
-    run: Arc<OnceLock<Order>>,
+    run: Arc<OnceLock<Outline>>,
 }
 
 /// A pattern in full, with the keys of [`PatternDetails`](meissner_api::PatternDetails).
@@ -365,9 +365,9 @@ impl Stored {
 
     /// The order for one run of the pattern.
     #[must_use]
-    pub fn run(&self) -> &Order {
+    pub fn run(&self) -> &Outline {
         // The default options are within their ranges.
-        self.run.get_or_init(|| Order::of(&self.pattern, &StrokeOptions::default()).unwrap_or_default())
+        self.run.get_or_init(|| Outline::of(&self.pattern, &StrokeOptions::default()).unwrap_or_default())
     }
 
     /// [`PatternDetails`](meissner_api::PatternDetails) as JSON: made once, in milliseconds for a long pattern.
@@ -375,7 +375,7 @@ impl Stored {
     pub fn json(&self) -> Arc<[u8]> {
         let made = self.json.get_or_init(|| {
             let Self { pattern, sha256, library, .. } = self;
-            let Order { compiled_ms, drives, .. } = self.run();
+            let Outline { compiled_ms, drives, .. } = self.run();
             let details = Details {
                 pattern,
                 sha256,
@@ -398,7 +398,7 @@ impl Stored {
     }
 
     fn entry(&self) -> PatternSummary {
-        let Order { compiled_ms, drives, .. } = self.run();
+        let Outline { compiled_ms, drives, .. } = self.run();
         let reached = || drives.iter().map(|drive| drive.reached_um);
         PatternSummary {
             name: self.pattern.name().to_owned(),

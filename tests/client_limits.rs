@@ -310,7 +310,7 @@ fn slow_sequences_keep_no_other_file_waiting() {
     let mut slow: Vec<_> = (0..8)
         .map(|_| {
             let mut stream = UnixStream::connect(daemon.socket()).unwrap();
-            let head = "POST /v1/sequence HTTP/1.1\r\nhost: x\r\ncontent-length: 100000\r\n\r\n{";
+            let head = "POST /v1/play HTTP/1.1\r\nhost: x\r\ncontent-length: 100000\r\n\r\n{";
             stream.write_all(head.as_bytes()).unwrap();
             stream
         })

@@ -100,7 +100,7 @@ fn a_pilot_is_told_what_a_board_would_do() {
     assert_eq!((&*device.kind, device.simulated, device.telemetry), ("mock:board", true, false));
     assert_eq!(checked(&board, 1), told, "the same plan, limit and array");
     let mut events = client.events().unwrap();
-    let _: Value = client.post("/v1/sequence", &order).unwrap();
+    let _: Value = client.post("/v1/play", &order).unwrap();
     let receipt = ended(&mut events);
     assert_eq!((receipt.state.name(), receipt.cause.as_ref()), ("stopped", Some(&EndCause::DriftLimit)));
     let receipt: meissner_api::Receipt = client.get("/v1/plays/last").unwrap();

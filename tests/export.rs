@@ -86,7 +86,7 @@ fn answers_of_the_participant_stand_in_the_rows_of_their_plays() {
     let item = json!({"pattern": "pin-60", "seconds": 0.05, "gap_ms": 10});
     for (path, play) in [
         ("/v1/play", json!({"pattern": "pin-60", "seconds": 0.1})),
-        ("/v1/sequence", json!({"items": [item, item]})),
+        ("/v1/play", json!({"items": [item, item]})),
     ] {
         let _: Value = client.post(path, &play).unwrap();
         ended(&mut events);
@@ -149,7 +149,7 @@ fn an_export_has_a_row_for_each_item_of_a_sequence() {
     let item = json!({"pattern": "pin-60", "seconds": 0.02, "gap_ms": 10, "scale": 0.5, "trigger": {"code": 9, "width_ms": 1}});
     let items = vec![item; 40];
     let sequence = json!({"items": items, "trial": 4, "labels": {"block": "1"}, "name": "taps"});
-    let _: Value = client.post("/v1/sequence", &sequence).unwrap();
+    let _: Value = client.post("/v1/play", &sequence).unwrap();
     let mut told = Vec::new();
     let receipt = next_ended(&mut events, |event| {
         if let Event::Items { first, items, session, .. } = event {
@@ -161,7 +161,7 @@ fn an_export_has_a_row_for_each_item_of_a_sequence() {
     let records = whole.items.clone().unwrap();
     assert_eq!(told, *records);
     // For a stopped sequence, the export has the items that began.
-    let _: Value = client.post("/v1/sequence", &sequence).unwrap();
+    let _: Value = client.post("/v1/play", &sequence).unwrap();
     began(&mut events);
     let _: Status = client.post("/v1/stop", &json!({})).unwrap();
     let mut begun = 0;

@@ -30,7 +30,7 @@ fn a_play_that_pushes_too_much_is_refused_before_it_begins() {
     let says = "would push the lower stop with more than 9300 pulses per second, from 0.";
     assert!(refused.detail.contains(says), "{refused:?}");
     let items = json!({"items": [{"pattern": "pin-60", "seconds": 1.0}]});
-    assert_eq!(problem(client.post("/v1/sequence", &items)).code, "push-limit");
+    assert_eq!(problem(client.post("/v1/play", &items)).code, "push-limit");
     assert_eq!(problem(client.get("/v1/plays/1")).code, "not-found", "no play was accepted");
 }
 

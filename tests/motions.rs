@@ -93,7 +93,7 @@ fn what_no_pin_can_do_is_refused_in_one_line_and_nothing_moves() {
         assert!(refused.code == code && refused.detail.contains(says), "{says}: {refused:?}");
         let item =
             json!({"items": [{"pattern": "pin-60", "seconds": 0.1}, {"pattern": pattern, "gap_ms": 10}]});
-        let refused = problem(client.post("/v1/sequence", &item));
+        let refused = problem(client.post("/v1/play", &item));
         assert!(refused.detail.starts_with("`items[1]`"), "{refused:?}");
     }
     // A million ramps, and more than packed samples may have.
@@ -121,12 +121,12 @@ fn plays_and_sequences_tell_their_motions_and_strict_ones_refuse_slow_ones() {
     assert!(slow.all_played() && slow.warnings.is_empty(), "{slow:?}");
 
     let items = json!([{"pattern": press()}, {"pattern": jump, "gap_ms": 100}]);
-    let refused = problem(client.post("/v1/sequence", &json!({"items": items, "strict": true})));
+    let refused = problem(client.post("/v1/play", &json!({"items": items, "strict": true})));
     let says = "`items[1]`: `inline`: motor 9 is too slow for its motion, first after 0.05 s";
     assert!(refused.code == "too-slow" && refused.detail.starts_with(says), "{refused:?}");
-    let short = problem(client.post("/v1/sequence", &json!({"items": items, "hold_ms": 50})));
+    let short = problem(client.post("/v1/play", &json!({"items": items, "hold_ms": 50})));
     assert!(short.code == "bad-request" && short.detail.contains("above rest for"), "{short:?}");
-    let (accepted, receipt) = played(&mut client, "/v1/sequence", &json!({"items": items, "hold_ms": 400}));
+    let (accepted, receipt) = played(&mut client, "/v1/play", &json!({"items": items, "hold_ms": 400}));
     // The press of 0.3 s, 0.1 s, and 0.05 s of the second item.
     let [motion] = receipt.motions[..] else { panic!("{:?}", receipt.motions) };
     assert_eq!((accepted.motions, motion.motor, motion.highest_um), (vec![motion], 9, 200.0));
@@ -147,7 +147,7 @@ fn items_of_other_motors_overlap_and_blank_items_play_nothing() {
         {"pattern": null, "seconds": 0.2, "gap_ms": 50, "trigger": {"code": 3, "width_ms": 0.3}},
         {"pattern": press(), "trigger": {"code": 4, "width_ms": 0.3}}
     ]);
-    let (_, receipt) = played(&mut client, "/v1/sequence", &json!({"items": items, "at_ms": 100}));
+    let (_, receipt) = played(&mut client, "/v1/play", &json!({"items": items, "at_ms": 100}));
     assert!(receipt.all_played(), "{receipt:?}");
     let onset = receipt.onset.unwrap().actual_tick;
     let records = receipt.items.unwrap();
@@ -164,13 +164,12 @@ fn items_of_other_motors_overlap_and_blank_items_play_nothing() {
     // The same motor twice at once.
     let twice =
         json!([{"pattern": tap(3), "seconds": 0.1}, {"pattern": tap(3), "seconds": 0.1, "start_ms": 50}]);
-    let refused = problem(client.post("/v1/sequence", &json!({"items": twice})));
+    let refused = problem(client.post("/v1/play", &json!({"items": twice})));
     let says = "`items[1]`: it begins 50.000 ms before `items[0]` has ended, which drives motor 3, too";
     assert!(refused.code == "bad-request" && refused.detail.starts_with(says), "{refused:?}");
-    let refused = problem(client.post("/v1/sequence", &json!({"items": [{"pattern": null}]})));
+    let refused = problem(client.post("/v1/play", &json!({"items": [{"pattern": null}]})));
     assert!(refused.detail.contains("`items[0]`: a blank item needs `seconds`"), "{refused:?}");
     // A catch trial alone.
-    let (_, catch) =
-        played(&mut client, "/v1/sequence", &json!({"items": [{"pattern": null, "seconds": 0.1}]}));
+    let (_, catch) = played(&mut client, "/v1/play", &json!({"items": [{"pattern": null, "seconds": 0.1}]}));
     assert_eq!((catch.state, catch.items.unwrap()[0].state), (PlayState::Done, ItemState::Played));
 }

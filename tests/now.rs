@@ -58,7 +58,7 @@ fn every_kind_of_play_shows_what_its_pins_do_and_a_stop_that_they_rest() {
     stop(&mut client);
 
     let items = [json!({"pattern": "pin-60", "seconds": 60.0, "scale": 0.5})];
-    let _: Value = client.post("/v1/sequence", &json!({"items": items})).unwrap();
+    let _: Value = client.post("/v1/play", &json!({"items": items})).unwrap();
     wait_for(&mut client, 9, PinMovement { height_um: 20.0, swing_um: 40.0, hz: 60.0 });
     stop(&mut client);
 

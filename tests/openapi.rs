@@ -23,8 +23,8 @@ fn ranges_are_those_that_the_daemon_checks() {
     for (schema, key, least, most) in [
         ("LiveDrive", "frequency_hz", Some(*FREQUENCY_HZ.start()), *FREQUENCY_HZ.end()),
         ("LiveDrive", "motor", Some(0.0), (MAX_MOTORS - 1) as f64),
-        ("PlayRequest", "seconds", Some(0.0), MAX_SECONDS),
-        ("SequenceRequest", "items", None, meissner_array::strokes::MAX_ITEMS as f64),
+        ("Order", "seconds", Some(0.0), MAX_SECONDS),
+        ("Order", "items", None, meissner_array::strokes::MAX_ITEMS as f64),
         ("CalibrateRequest", "pulses", None, MAX_GROUPS as f64),
     ] {
         assert_eq!(range(schema, key), (least, Some(most)), "{schema}.{key}");

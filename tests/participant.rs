@@ -148,7 +148,7 @@ fn plays_at_times_of_their_own_pass_no_limit_by() {
     let sequence = json!({"at_ms": 15, "items": [{"pattern": "edge-45", "seconds": 0.45}]});
     let orders = [
         ("/v1/play", json!({"pattern": "edge-45", "seconds": 0.45, "at_ms": 15})),
-        ("/v1/sequence", sequence),
+        ("/v1/play", sequence),
         ("/v1/play", json!({"pattern": "edge-45", "seconds": 0.45, "at_ms": 2000})),
         ("/v1/play", json!({"pattern": "edge-45", "seconds": 0.45, "replace": true, "at_ms": 15})),
     ];
@@ -190,13 +190,13 @@ fn short_ramps_rare_strokes_and_live_levels_count_as_long_as_the_lines_move() {
         );
         let items: Vec<_> =
             (0..9).map(|_| json!({"pattern": pattern, "seconds": 0.02, "gap_ms": 400})).collect();
-        let refused = problem(client.post("/v1/sequence", &json!({"items": items})));
+        let refused = problem(client.post("/v1/play", &json!({"items": items})));
         assert!(refused.detail.contains("the play vibrates for 3.4 s"), "{refused:?}");
     }
     // With more than half a second between them they are nine taps.
     let tap = json!({"duration_s": 0.02, "drive": [stroke]});
     let items: Vec<_> = (0..9).map(|_| json!({"pattern": tap, "gap_ms": 600})).collect();
-    let _: Value = client.post("/v1/sequence", &json!({"items": items, "at_ms": 60000})).unwrap();
+    let _: Value = client.post("/v1/play", &json!({"items": items, "at_ms": 60000})).unwrap();
     let _: Status = client.post("/v1/stop", &json!({})).unwrap();
 
     // The way back after a live play is closed counts, too.

@@ -34,7 +34,7 @@ fn a_play_that_needs_too_many_motors_at_once_is_refused_with_numbers() {
     let of_both = problem(client.post("/v1/play", &play("rail")));
     assert_eq!(of_both.code, "power-limit");
     let items = json!({"items": [{"pattern": "apart", "seconds": 0.5}, {"pattern": "chip", "seconds": 0.5}]});
-    assert_eq!(problem(client.post("/v1/sequence", &items)).code, "power-limit");
+    assert_eq!(problem(client.post("/v1/play", &items)).code, "power-limit");
 
     // In a live play phases shift, so every motor that moves counts.
     let drive = |motor: u8| json!({"motor": motor, "frequency_hz": 20.0, "amplitude_um": 80.0, "phase": 0.0});

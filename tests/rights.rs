@@ -89,7 +89,7 @@ const LOCAL: Row =
 /// A new route needs a row here.
 fn row(route: Route) -> Row {
     match route {
-        Route::SequenceCheck
+        Route::PlayCheck
         | Route::Status
         | Route::Array
         | Route::Doctor
@@ -108,7 +108,6 @@ fn row(route: Route) -> Row {
         // An observer may stop.
         | Route::EStop => READS,
         Route::Play
-        | Route::Sequence
         | Route::Live
         | Route::LiveConnection
         | Route::Withdraw
@@ -545,7 +544,7 @@ fn nothing_plays_for_a_session_that_is_over() {
     client.set_token(None);
     for (path, body) in [
         ("/v1/play", play),
-        ("/v1/sequence", json!({"items": [{"pattern": "pin-60", "seconds": 0.1}]})),
+        ("/v1/play", json!({"items": [{"pattern": "pin-60", "seconds": 0.1}]})),
         ("/v1/live", json!({"drives": []})),
         ("/v1/calibrate", json!({})),
     ] {

@@ -9,7 +9,7 @@ use std::fs;
 
 /// The receipt of a sequence when it has ended.
 fn played(client: &mut Client, request: &Value) -> Receipt {
-    let id = client.post::<Value>("/v1/sequence", request).unwrap()["id"].as_u64().unwrap();
+    let id = client.post::<Value>("/v1/play", request).unwrap()["id"].as_u64().unwrap();
     client.get_within(TIMEOUT, &format!("/v1/plays/{id}?wait=20")).unwrap()
 }
 
@@ -57,16 +57,16 @@ fn a_sequence_is_accepted_as_a_whole_or_refused() {
             "before `items[0]` has ended, which drives motor",
         ),
     ] {
-        let refused = problem(client.post("/v1/sequence", &json!({"items": [good, bad, good]})));
+        let refused = problem(client.post("/v1/play", &json!({"items": [good, bad, good]})));
         assert!(refused.code == code && refused.detail.contains(says), "{refused:?}");
     }
     let coded = json!({"pattern": "pin-60", "seconds": 0.1, "trigger": {"code": 1, "width_ms": 20}});
-    let refused = problem(client.post("/v1/sequence", &json!({"items": [coded, good]})));
+    let refused = problem(client.post("/v1/play", &json!({"items": [coded, good]})));
     assert!(refused.detail.contains("its trigger lasts"), "{refused:?}");
     assert_eq!(problem(client.get("/v1/plays/last")).code, "not-found", "nothing was played");
     // A stop ends the whole sequence.
     let items = vec![good; 100];
-    let id = client.post::<Value>("/v1/sequence", &json!({"items": items})).unwrap()["id"].as_u64().unwrap();
+    let id = client.post::<Value>("/v1/play", &json!({"items": items})).unwrap()["id"].as_u64().unwrap();
     crate::harness::wait_until(|| client.get::<Receipt>(&format!("/v1/plays/{id}")).unwrap().onset.is_some());
     let _: Value = client.post("/v1/stop", &json!({})).unwrap();
     let receipt: Receipt = client.get_within(TIMEOUT, &format!("/v1/plays/{id}?wait=20")).unwrap();
@@ -84,7 +84,7 @@ fn the_command_plays_a_file_and_prints_the_receipt() {
     fs::write(&file, text).unwrap();
     let run = |arguments: &[&str]| {
         let mut command: Command = daemon.meissner();
-        command.arg("sequence").args(arguments);
+        command.arg("play").args(arguments);
         command
     };
     let receipt = document(&mut run(&["block.toml", "--wait", "--json"]));

@@ -6,7 +6,7 @@
 use meissner::config::{Config, PatternsDir};
 use meissner::daemon::Daemon;
 use meissner_api::{Event, Receipt};
-use meissner_api::{PlayRequest, Status};
+use meissner_api::{Item, Order, Status, Terms};
 use meissner_client::Client;
 use meissner_stream::device::Spec;
 use serde_json::{Value, json};
@@ -90,7 +90,7 @@ fn round_trips(socket: &Path) -> Result<Vec<f64>, Box<dyn Error>> {
 
 fn plays(client: &mut Client) -> Result<Vec<f64>, Box<dyn Error>> {
     let mut events = client.events()?;
-    let request = PlayRequest { pattern: "pin-60".into(), seconds: Some(0.05), ..PlayRequest::default() };
+    let request = Order::new(Item { seconds: Some(0.05), ..Item::of("pin-60") }, Terms::default());
     let mut us = Vec::new();
     while us.len() < PLAYS {
         // Armed and idle for a while, as between two trials. The pauses differ, so that no rhythm helps.
@@ -106,10 +106,8 @@ fn plays(client: &mut Client) -> Result<Vec<f64>, Box<dyn Error>> {
 fn stops(client: &mut Client) -> Result<Vec<f64>, Box<dyn Error>> {
     let mut us = Vec::new();
     while us.len() < STOPS {
-        let _: Value = client.post(
-            "/v1/play",
-            &PlayRequest { pattern: "wave".into(), endless: true, ..PlayRequest::default() },
-        )?;
+        let _: Value = client
+            .post("/v1/play", &Order::new(Item::of("wave"), Terms { endless: true, ..Terms::default() }))?;
         thread::sleep(Duration::from_millis(20));
         let begun = Instant::now();
         let _: Status = client.post("/v1/estop", &json!({}))?;

@@ -7,7 +7,7 @@
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use meissner::daemon::MEMORY_BOUND;
-use meissner_api::{PlayRequest, Status};
+use meissner_api::{Item, Order, Status, Terms};
 use meissner_benches::daemon::Daemon;
 use meissner_client::Events;
 use meissner_test_support::paper::MOTORS;
@@ -48,7 +48,7 @@ const LOADS: [(&str, Load); 13] = [
         let mut client = daemon.client()?;
         client.post::<Status>("/v1/arm", &json!({"assume_rest": true}))?;
         for _ in 0..17 {
-            let _ = client.play(&PlayRequest { pattern: "p0".into(), ..PlayRequest::default() });
+            let _ = client.play(&Order::new(Item::of("p0"), Terms::default()));
         }
         Ok(Kept::default())
     }),

@@ -390,7 +390,7 @@ fn slow(place: &Place, over: &AtomicBool, request: &str) {
 }
 
 fn slow_bodies(place: &Place, over: &AtomicBool) {
-    let paths = ["/v1/sequence", "/v1/stop", "/v1/play", "/v1/status"];
+    let paths = ["/v1/play/check", "/v1/stop", "/v1/play", "/v1/status"];
     threads(128, over, |number| {
         let mut stream = UnixStream::connect(&place.socket)?;
         let path = paths[number % paths.len()];

@@ -8,8 +8,8 @@ use meissner::config::Config;
 use meissner::exposure::{Account, Now, ParticipantLimits};
 use meissner::session_record::reader;
 use meissner_api::{
-    ArmRequest, CalibrateRequest, LiveMessage, LiveRequest, PlayRequest, RenderingRequest, ResetRequest,
-    SequenceRequest, SessionRequest, TokenRequest,
+    ArmRequest, CalibrateRequest, LiveMessage, LiveRequest, Order, RenderingRequest, ResetRequest,
+    SessionRequest, TokenRequest,
 };
 use meissner_array::pattern::Pattern;
 use meissner_array::samples;
@@ -36,8 +36,7 @@ pub const KINDS: [(&str, Read); 17] = [
     ("samples", |bytes| samples(&["a.npy", "a.wav"], bytes)),
     ("session record", session_record),
     ("exposure", exposure),
-    ("play", |bytes| body(bytes, PlayRequest::parse)),
-    ("sequence", |bytes| body(bytes, SequenceRequest::parse)),
+    ("play", |bytes| body(bytes, Order::parse)),
     ("rendering", |bytes| body(bytes, RenderingRequest::parse)),
     ("session", |bytes| body(bytes, SessionRequest::parse)),
     ("live", |bytes| body(bytes, LiveRequest::parse)),
@@ -171,7 +170,7 @@ fn other_requests(bytes: &[u8]) {
         _ => body(rest, TokenRequest::parse),
     }
     if let Ok(text) = std::str::from_utf8(rest) {
-        let _ = SequenceRequest::parse_file(text);
+        let _ = Order::parse_file(text);
     }
 }
 

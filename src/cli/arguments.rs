@@ -88,9 +88,8 @@ pub(super) struct PlayOptions {
 }
 
 impl PlayOptions {
-    /// The session that the play belongs to: the named one, or that of this terminal.
-    pub(super) fn session(&self) -> Option<String> {
-        self.session.clone().or_else(session_token::session)
+    pub(super) fn named_session(&self) -> Option<String> {
+        self.session.clone()
     }
 
     pub(super) fn labels(&self) -> BTreeMap<String, String> {

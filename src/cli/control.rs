@@ -9,13 +9,17 @@ use super::arguments::{ClientOptions, EdgeOptions, FITS, Onset, PlayOptions, cho
 use super::ending::Ending;
 use super::output::{give, say, shown, tell};
 use super::progress::Progress;
-use super::text;
-use anyhow::{Result, bail};
+use super::{files, session_token, text};
+use anyhow::{Result, anyhow, bail};
 use clap::Args;
-use meissner_api::{ArmRequest, Code, EdgeRequest, Event, Fit, PlayRequest, Receipt, ResetRequest, Status};
+use meissner_api::{
+    ArmRequest, Code, EdgeRequest, Event, Fit, Item, LatePolicy, MAX_BODY, Order, Receipt, ResetRequest,
+    Status, Terms,
+};
 use meissner_client::{Client, ClientError, Endpoint, Events, HOME_TIMEOUT};
 use serde_json::json;
 use std::io::{self, BufRead, IsTerminal, Read, Write};
+use std::path::Path;
 use std::process::ExitCode;
 use std::sync::mpsc;
 use std::thread;
@@ -26,8 +30,8 @@ const SIGN_OF_LIFE: Duration = Duration::from_millis(250);
 
 #[derive(Debug, Args)]
 pub(super) struct Play {
-    /// Play the pattern of this name
-    name: String,
+    /// Play the pattern of this name, or the order in this file (FILE.toml, FILE.json, or `-` for stdin)
+    what: String,
     /// Play for S seconds: truncate or loop the pattern
     #[arg(long, value_name = "S", allow_negative_numbers = true, value_parser = positive)]
     seconds: Option<f64>,
@@ -225,43 +229,76 @@ fn print_state(options: &ClientOptions, status: &Status) -> Result<ExitCode> {
     give(options.output.json, status, || text::state(status))
 }
 
+impl Play {
+    fn order(&self) -> Result<Order> {
+        let Self { what, seconds, endless, fit, strict, play, edge, .. } = self;
+        let item =
+            Item { seconds: *seconds, scale: play.scale, trigger: play.trigger.request(), ..Item::default() };
+        let is_file = what == files::STDIN || what.ends_with(".toml") || what.ends_with(".json");
+        let Order { name, items, terms } = match is_file {
+            true => read_order(Path::new(what))?,
+            false => {
+                Order::new(Item { pattern: Some(what.as_str().into()), ..item.clone() }, Terms::default())
+            }
+        };
+        if is_file && item != Item::default() {
+            bail!(
+                "{what}: its items say for how long, how strong and with which trigger: leave out --seconds, --scale and the trigger's options"
+            );
+        }
+        let (at_tick, at_ms, at_monotonic_ns) = match (self.at, edge.on_edge) {
+            (None, None) => (terms.at_tick, terms.at_ms, terms.at_monotonic_ns),
+            _ => Onset::keys(self.at),
+        };
+        let labels = play.labels();
+        let terms = Terms {
+            at_tick,
+            at_ms,
+            at_monotonic_ns,
+            on_edge_ms: edge.on_edge.or(terms.on_edge_ms.filter(|_| self.at.is_none())),
+            stop_on_edge: edge.stop_on_edge || terms.stop_on_edge,
+            endless: *endless || terms.endless,
+            fit: if *fit == Fit::default() { terms.fit } else { *fit },
+            late: if play.late == LatePolicy::default() { terms.late } else { play.late },
+            replace: play.replace || terms.replace,
+            open_loop: play.open_loop || terms.open_loop,
+            session: play.named_session().or(terms.session).or_else(session_token::session),
+            trial: play.trial.or(terms.trial),
+            labels: if labels.is_empty() { terms.labels } else { labels },
+            strict: *strict || terms.strict,
+            ..terms
+        };
+        Ok(Order { name, items, terms })
+    }
+}
+
+/// Reads an order from a file, or from stdin.
+pub(super) fn read_order(file: &Path) -> Result<Order> {
+    let (text, name) = files::text_or_stdin(file, MAX_BODY as u64, "an order")?;
+    Order::parse_file(&text).map_err(|problem| anyhow!("{name}: {problem}"))
+}
+
 pub(super) fn play(play: &Play) -> Result<ExitCode> {
+    let order = play.order()?;
     let mut client = play.options.client()?;
-    let (at_tick, at_ms, at_monotonic_ns) = Onset::keys(play.at);
-    let request = PlayRequest {
-        pattern: play.name.as_str().into(),
-        pattern_sha256: None,
-        seconds: play.seconds,
-        at_tick,
-        at_ms,
-        at_monotonic_ns,
-        on_edge_ms: play.edge.on_edge,
-        stop_on_edge: play.edge.stop_on_edge,
-        boot: None,
-        endless: play.endless,
-        fit: play.fit,
-        late: play.play.late,
-        replace: play.play.replace,
-        open_loop: play.play.open_loop,
-        session: play.play.session(),
-        trial: play.play.trial,
-        labels: play.play.labels(),
-        scale: play.play.scale,
-        trigger: play.play.trigger.request(),
-        strict: play.strict,
-        hold_ms: None,
-    };
     let json = play.options.output.json;
     if !play.wait {
-        let played = client.play(&request)?;
-        return give(json, &played, || text::accepted(&played, &play.name));
+        let played = client.play(&order)?;
+        return give(json, &played, || match order.one() {
+            Some(_) => text::accepted(&played, &play.what),
+            None => format!("play {}: {} items", played.id, order.items.len()),
+        });
     }
     let mut events = client.events()?;
     let ending = Ending::listen(&play.options)?;
-    let played = ending.order(|| client.play(&request))?;
+    let played = ending.order(|| client.play(&order))?;
     let mut progress = Progress::new(played.ordered_ms.map(|ms| ms / 1e3), json);
-    let receipt = follow(&mut client, &mut events, played.id, &mut progress)?;
+    let mut receipt = follow(&mut client, &mut events, played.id, &mut progress)?;
     ending.set_over();
+    if receipt.items_planned.is_some() {
+        // The event has no items.
+        receipt = client.get(&format!("/v1/plays/{}", played.id))?;
+    }
     give(json, &receipt, || text::receipt(&receipt))?;
     Ok(if receipt.all_played() { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }

@@ -22,8 +22,8 @@ use crate::store::Store;
 use anyhow::{Context, Result, bail};
 use firmware_protocol::stroke::Direction;
 use meissner_api::{
-    ArmRequest, BurstCounts, DurationRecord, EndCause, LinkTraffic, OrderedCounts, PatternChoice,
-    PlayAccepted, PlayRequest, PulseCounts, Realtime, Receipt, Status,
+    ArmRequest, BurstCounts, DurationRecord, EndCause, Item, LinkTraffic, Order, OrderedCounts,
+    PatternChoice, PlayAccepted, PulseCounts, Realtime, Receipt, Status, Terms,
 };
 use meissner_array::motor::Ramp;
 use meissner_array::pattern::{Drive, Pattern};
@@ -177,19 +177,16 @@ pub(super) fn run(asked: &Asked) -> Result<ExitCode> {
     connected(&mut client)?;
     let signal = page.then(|| serve_page(&mut client)).transpose()?;
     let edges = Edges::of(array)?;
-    let request = PlayRequest {
-        pattern: edges.vibrating.choice()?,
-        seconds: Some(seconds),
-        open_loop,
-        ..PlayRequest::default()
-    };
+    let terms = Terms { open_loop, ..Terms::default() };
+    let item = Item { seconds: Some(seconds), ..Item::of(edges.vibrating.choice()?) };
+    let request = Order::new(item, terms.clone());
     let mut events = client.events()?;
     // Simulated pins begin at rest. With a lower stop, arming moves the pins down to it.
     let _: Status =
         client.post("/v1/arm", &ArmRequest { assume_rest: !sensorless, ..ArmRequest::default() })?;
     let receipt = play(&mut client, &mut events, &request, json)?;
     let mut report = report(&config, &hosted, &mut client, &request, &receipt, &edges, begun)?;
-    let pressed = PlayRequest { pattern: edges.pressed.choice()?, seconds: None, ..request };
+    let pressed = Order::new(Item::of(edges.pressed.choice()?), terms);
     let pressed = play(&mut client, &mut events, &pressed, json)?;
     (report.rendered.state, report.rendered.all_played) = (pressed.state.name(), pressed.all_played());
     report.duration_s = begun.elapsed().as_secs_f64();
@@ -314,9 +311,9 @@ fn connected(client: &mut Client) -> Result<()> {
     }
 }
 
-fn play(client: &mut Client, events: &mut Events, request: &PlayRequest, json: bool) -> Result<Receipt> {
+fn play(client: &mut Client, events: &mut Events, request: &Order, json: bool) -> Result<Receipt> {
     let PlayAccepted { id, .. } = client.play(request)?;
-    let mut progress = Progress::new(request.seconds, json);
+    let mut progress = Progress::new(request.items[0].seconds, json);
     control::follow(client, events, id, &mut progress)
 }
 
@@ -330,7 +327,7 @@ struct Comparison {
 /// Plays the pattern in virtual time, on an array with telemetry, which measures the motion.
 fn compare(
     config: &Config,
-    request: &PlayRequest,
+    request: &Order,
     pattern: &Pattern,
     lower_stop: bool,
     open_loop: bool,
@@ -340,7 +337,7 @@ fn compare(
     if !lower_stop {
         (mock.lower_stop, settings.lower_stop) = (LowerStop::None, None);
     }
-    let played = simulate_play(pattern, request.seconds, &mock, settings, open_loop)?;
+    let played = simulate_play(pattern, request.items[0].seconds, &mock, settings, open_loop)?;
     let traffic = LinkTraffic::new(played.outcome.wire_bytes, played.outcome.bursts.planned);
     let (rest_rms_um, bytes_per_burst) = (played.rest.rms_um(), traffic.bytes_per_burst);
     Ok(Comparison { rest_rms_um, bytes_per_burst, response: response(pattern, played) })
@@ -370,7 +367,7 @@ fn report(
     config: &Config,
     hosted: &Hosted,
     client: &mut Client,
-    request: &PlayRequest,
+    request: &Order,
     receipt: &Receipt,
     edges: &Edges,
     begun: Instant,
@@ -381,7 +378,7 @@ fn report(
     let sensorless = config.settings.lower_stop.is_some();
     let open = compare(config, request, pattern, false, true)?;
     // As it was played.
-    let same = compare(config, request, pattern, sensorless, request.open_loop || sensorless)?;
+    let same = compare(config, request, pattern, sensorless, request.terms.open_loop || sensorless)?;
     let designed = same.response.as_ref();
     let hz = designed.map(|response| response.played_hz);
     let status: Status = client.get("/v1/status")?;
@@ -393,7 +390,7 @@ fn report(
     let mean = squares.iter().sum::<f64>() / squares.len().max(1) as f64;
     Ok(Report {
         pattern: receipt.pattern.clone(),
-        seconds: request.seconds.unwrap_or_default(),
+        seconds: request.items[0].seconds.unwrap_or_default(),
         device: status.device.as_ref().map(|device| device.kind.clone()).unwrap_or_default(),
         state: receipt.state.name(),
         cause: receipt.cause.clone(),
@@ -410,7 +407,7 @@ fn report(
         rest_true_rms_um: truth.rms_um(),
         rest_error_um: RestReport {
             open_loop_rms: open.rest_rms_um,
-            closed_loop_rms: (!request.open_loop && !sensorless).then(|| truth.rms_um()),
+            closed_loop_rms: (!request.terms.open_loop && !sensorless).then(|| truth.rms_um()),
             lower_stop_rms: sensorless.then(|| truth.rms_um()),
             expected_rms: sensorless.then(|| mean.sqrt()),
             max: truth.max_abs_um,
@@ -419,7 +416,7 @@ fn report(
             seconds: designed.map(|response| response.seconds),
             target: designed.and_then(|response| response.target.clone()),
             designed_hz: designed.map(|response| response.designed_hz),
-            closed_loop_hz: hz.filter(|_| !request.open_loop && !sensorless),
+            closed_loop_hz: hz.filter(|_| !request.terms.open_loop && !sensorless),
             lower_stop_hz: hz.filter(|_| sensorless),
             open_loop_hz: open.response.map(|response| response.played_hz),
             unknown: sensorless.then_some("the device has no telemetry"),

@@ -16,7 +16,7 @@ use std::path::{Path, PathBuf};
 use tempfile::NamedTempFile;
 
 /// The argument for stdin.
-const STDIN: &str = "-";
+pub(super) const STDIN: &str = "-";
 const BYTE_ORDER_MARK: char = '\u{feff}';
 
 /// A new file, and its final place.

@@ -33,7 +33,6 @@ mod pattern_file;
 mod plan;
 mod progress;
 mod render;
-mod sequence;
 mod session;
 mod session_token;
 mod simulate;
@@ -122,10 +121,8 @@ enum Command {
         #[arg(long)]
         no_record: bool,
     },
-    /// Play a pattern after the queued ones
+    /// Play a pattern, or many with exact times as one play, after the queued ones
     Play(control::Play),
-    /// Play a sequence of patterns with exact times, as one play
-    Sequence(sequence::Sequence),
     /// End the running play and clear the queue; the motors stay armed
     Stop {
         /// Only take the waiting play ID out of the queue
@@ -319,7 +316,6 @@ fn run(command: Command) -> Result<ExitCode> {
             if check { check_config(&source) } else { serve(&source) }
         }
         Command::Play(play) => control::play(&play),
-        Command::Sequence(asked) => sequence::run(&asked),
         Command::Stop { play: Some(id), options } => control::withdraw(&options, id),
         Command::Stop { play: None, options } => control::command(&options, "stop"),
         Command::Estop(options) => control::estop(&options),

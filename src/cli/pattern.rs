@@ -4,7 +4,7 @@ use super::arguments::{ArrayOption, Output, positive};
 use super::motions::Motions;
 use super::output::{give, say_file, tell};
 use super::{files, pattern_file, text};
-use crate::receipts::Order;
+use crate::receipts::Outline;
 use crate::store::hash;
 use anyhow::{Result, bail};
 use clap::{Args, Subcommand};
@@ -143,7 +143,7 @@ fn check(asked: &Check) -> Result<ExitCode> {
     asked.array.check(&asked.pattern, pattern.array())?;
     let followed = Motions::of(&pattern, asked.scale)?;
     let problems = followed.as_ref().map(|of| of.problems(pattern.array())).unwrap_or_default();
-    let order = Order::of(&pattern, &StrokeOptions { scale: asked.scale, ..StrokeOptions::default() })?;
+    let outline = Outline::of(&pattern, &StrokeOptions { scale: asked.scale, ..StrokeOptions::default() })?;
     let saturated = pattern.warnings().into_iter().map(|warning| warning.to_string());
     if asked.strict
         && let Some((first, more)) =
@@ -159,7 +159,7 @@ fn check(asked: &Check) -> Result<ExitCode> {
         drives: pattern.drives().len(),
         motions: pattern.motions().len(),
         followed,
-        warnings: problems.into_iter().chain(order.warnings).collect(),
+        warnings: problems.into_iter().chain(outline.warnings).collect(),
     };
     give(asked.output.json, &document, || summary(&document))
 }

@@ -2,7 +2,7 @@
 
 use super::arguments::ClientOptions;
 use super::output::give;
-use super::{sequence, text};
+use super::{control, text};
 use anyhow::Result;
 use clap::Args;
 use meissner_api::PlanCheck;
@@ -11,15 +11,15 @@ use std::process::ExitCode;
 
 #[derive(Debug, Args)]
 pub(super) struct Check {
-    /// Read all plays of the study from this file (TOML or JSON), as `sequence` does; `-` is stdin
+    /// Read all plays of the study from this file (TOML or JSON), as `play` does; `-` is stdin
     plan: PathBuf,
     #[command(flatten)]
     options: ClientOptions,
 }
 
 pub(super) fn run(asked: &Check) -> Result<ExitCode> {
-    let request = sequence::read(&asked.plan)?;
-    let checked = asked.options.client()?.check_sequence(&request)?;
+    let order = control::read_order(&asked.plan)?;
+    let checked = asked.options.client()?.check(&order)?;
     give(asked.options.output.json, &checked, || answer(&checked))?;
     let ends = checked.stopped_at.is_none() && checked.followed_ms.is_none();
     Ok(if ends { ExitCode::SUCCESS } else { ExitCode::FAILURE })

@@ -26,6 +26,14 @@ pub struct PlannedItem {
     pub span: (u64, u64),
 }
 
+impl PlannedItem {
+    /// An item in which nothing is played.
+    #[must_use]
+    pub fn blank() -> Self {
+        Self { pattern: BLANK.into(), sha256: "".into(), scale: 1.0, amplitude_um: [0.0; 2], span: (0, 0) }
+    }
+}
+
 /// The records of all items.
 pub(super) fn records(planned: &[PlannedItem], items: &[Item], rate: TickRate) -> Arc<[ItemRecord]> {
     planned.iter().zip(items).map(|(planned, item)| record(planned, item, rate)).collect()

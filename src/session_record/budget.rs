@@ -210,8 +210,8 @@ mod tests {
     use crate::session_record::{CommandEntry, Peer};
     use meissner_api::{
         BurstCounts, ErrorSource, Event, InstantRecord, ItemRecord, ItemState, LateCause, LateStroke,
-        MAX_DRIVES_LISTED, MAX_ITEMS_LISTED, MAX_LISTED, MAX_SEQUENCE_ITEMS, MAX_WARNINGS_LISTED,
-        MotorRestError, OnsetRecord, ReachedDrive, Receipt, RefusedStroke, TriggerRecord,
+        MAX_DRIVES_LISTED, MAX_ITEMS, MAX_ITEMS_LISTED, MAX_LISTED, MAX_WARNINGS_LISTED, MotorRestError,
+        OnsetRecord, ReachedDrive, Receipt, RefusedStroke, TriggerRecord,
     };
     use serde_json::{Value, json};
 
@@ -397,7 +397,7 @@ mod tests {
         let items = Entry::of(&items, None).unwrap();
         // The items are no larger than a receipt, which bounds the events that wait for listeners.
         assert!(matches!(items.kind().0, Kind::Play) && items.bytes() < 32 << 10, "{}", items.bytes());
-        let items = items.bytes() * (MAX_SEQUENCE_ITEMS / MAX_ITEMS_LISTED) as u64;
+        let items = items.bytes() * (MAX_ITEMS / MAX_ITEMS_LISTED) as u64;
         // The running play with its items, 32 that wait, and one that begins.
         assert!(34 * bytes + items < IN_FLIGHT, "{bytes}, {items}");
     }

@@ -11,8 +11,8 @@ use super::numbers;
 use crate::receipts::largest_um;
 use jiff::Timestamp;
 use meissner_api::{
-    ItemRecord, ItemState, MAX_LISTED, MAX_ROWS, MAX_SEQUENCE_ITEMS, PlayAnswer, Receipt, RecordedPlay,
-    Session, SessionPlays,
+    ItemRecord, ItemState, MAX_ITEMS, MAX_LISTED, MAX_ROWS, PlayAnswer, Receipt, RecordedPlay, Session,
+    SessionPlays,
 };
 use meissner_array::units::TickRate;
 use serde::Deserialize;
@@ -347,7 +347,7 @@ pub fn plays(dir: &Path, recorded: Recorded, from: usize) -> Result<SessionPlays
         let Ok(mut entry) = serde_json::from_slice::<Value>(line) else { return false };
         match event {
             "command" => {
-                let is_play = matches!(entry["command"].as_str(), Some("play" | "sequence"));
+                let is_play = entry["command"] == "play";
                 let play =
                     Some(&entry).filter(|entry| is_play && entry["asked"]["session"] == *id).and_then(asked);
                 if let Some(play) = play.filter(|play| !ended.contains(&play.play)) {
@@ -362,7 +362,7 @@ pub fn plays(dir: &Path, recorded: Recorded, from: usize) -> Result<SessionPlays
                     items = (id, Vec::new());
                 }
                 // Earlier lines may be lost, but items keep their numbers.
-                let room = MAX_SEQUENCE_ITEMS.saturating_sub(items.1.len());
+                let room = MAX_ITEMS.saturating_sub(items.1.len());
                 items.1.extend((first..).zip(part).take(room));
             }
             "answered" if entry["session"] == *id => {

@@ -514,7 +514,7 @@ fn a_sequence_whose_end_is_missing_has_a_row() {
     let id = "20261122T083000Z-9f3c";
     let command = |play: u64, name: Value| {
         let asked = json!({"name": name, "items": 40, "session": id, "trial": 4, "labels": {"block": "1"}});
-        json!({"event": "command", "command": "sequence", "user": "ada", "asked": asked, "play": play, "answer": "ok"})
+        json!({"event": "command", "command": "play", "user": "ada", "asked": asked, "play": play, "answer": "ok"})
     };
     let mut refused = command(3, Value::Null);
     refused.as_object_mut().unwrap().remove("play");

@@ -7,7 +7,7 @@ mod run;
 
 use meissner::config::{Config, LOGBOOK_DAYS, PatternsDir};
 use meissner::session_record::Location;
-use meissner_api::SequenceRequest;
+use meissner_api::Order;
 use meissner_array::pattern::Pattern;
 use meissner_paper::Target;
 use meissner_skin::{AnyScene, Scene};
@@ -51,7 +51,7 @@ fn read_toml(text: &str, place: &str) -> Result<&'static str, String> {
         let mut file = |_: &str| Ok(b"time_s,touch_um\n0,0\n0.1,2\n0.2,0\n".to_vec());
         Pattern::parse_with_files(text, place, &mut file).map(|_| "pattern").map_err(|error| word(&error))
     } else if has("[[items]]") {
-        SequenceRequest::parse_file(text).map(|_| "sequence").map_err(|error| word(&error))
+        Order::parse_file(text).map(|_| "order").map_err(|error| word(&error))
     } else if has("shape =") && has("[touch]") {
         let mut file = |_: &str| Ok(b"0,1\n".to_vec());
         Object::read(text, place, &mut file).map(|_| "object").map_err(|error| word(&error))
@@ -91,7 +91,7 @@ fn every_toml_and_json_snippet_is_good() {
         }
     }
     let all =
-        BTreeSet::from(["pattern", "target", "object", "calibration", "scene", "sequence", "configuration"]);
+        BTreeSet::from(["pattern", "target", "object", "calibration", "scene", "order", "configuration"]);
     assert_eq!(kinds, all, "the book has an example of each kind of file");
 }
 

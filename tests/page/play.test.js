@@ -83,7 +83,7 @@ test("the finger shows what the daemon says that pins do: sequences and live pla
   await arm(page);
   await marked(page, []);
   const plays = [
-    ["/v1/sequence", { name: "edge-45", items: [{ pattern: "pin-60", seconds: 300 }] }, [9]],
+    ["/v1/play", { name: "edge-45", items: [{ pattern: "pin-60", seconds: 300 }] }, [9]],
     ["/v1/live", { drives: [{ motor: 4, frequency_hz: 60, amplitude_um: 80 }], timeout_ms: 60000, replace: true }, [4]],
     ["/v1/play", { pattern: { format: 1, name: "two", drive: [{ motor: 2, frequency_hz: 40, amplitude_um: 60, phase: 0.25 }, { motor: 20, frequency_hz: 80, amplitude_um: 20 }] }, seconds: 300, replace: true }, [2, 20]],
   ];
@@ -195,7 +195,7 @@ test("the queue shows what runs and waits, and a play can be removed", async () 
   await press(page, "#stop");
   await shows(page, "queue-none", "No play runs or waits.");
   // Of a sequence the queue tells how many items it has; when an edge comes, nobody knows.
-  await post(daemon, "/v1/sequence", { name: "two", items: [{ pattern: "pin-60", seconds: 300 }, { pattern: "disc", seconds: 30 }], on_edge_ms: 300000 });
+  await post(daemon, "/v1/play", { name: "two", items: [{ pattern: "pin-60", seconds: 300 }, { pattern: "disc", seconds: 30 }], on_edge_ms: 300000 });
   await post(daemon, "/v1/play", { pattern: "pin-60", seconds: 1 });
   await shows(page, "queue", "330 s, 2 items; waits for an edge of the trigger input");
   await shows(page, "queue", "1.0 s; begins when those before it are over");

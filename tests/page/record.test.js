@@ -184,7 +184,7 @@ test("recorded sessions are filtered, and one shows its plays, answers and the c
   await session("P04", []);
   const id = await session("P05", [
     ["/v1/play", { pattern: "pin-60", seconds: 0.1, trial: 1, labels: { side: "left" }, trigger: { code: 3 } }, { response: "left, then right", correct: true, rt_ms: 512.3, level: 1e-7, factors: { block: "2", area: "tip" } }],
-    ["/v1/sequence", { items: [{ pattern: "pin-60", seconds: 0.1 }, { pattern: "edge-45", seconds: 0.1, gap_ms: 50 }], trial: 2 }, { response: "no", correct: false, factors: { block: "3" } }],
+    ["/v1/play", { items: [{ pattern: "pin-60", seconds: 0.1 }, { pattern: "edge-45", seconds: 0.1, gap_ms: 50 }], trial: 2 }, { response: "no", correct: false, factors: { block: "3" } }],
     ["/v1/play", { pattern: "edge-45", seconds: 0.1, scale: 0.3 }],
   ]);
   const page = await open(daemon);

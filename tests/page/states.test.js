@@ -100,7 +100,7 @@ test("no view claims a state that is older than it may be", async () => {
     const page = await open(network);
     await arm(page);
     await other(daemon, "/v1/sessions", { participant: "P-mayfly", experiment: "age", exclusive: false });
-    await other(daemon, "/v1/sequence", { name: "ageing", items: [{ pattern: "pin-60", seconds: 300 }] });
+    await other(daemon, "/v1/play", { name: "ageing", items: [{ pattern: "pin-60", seconds: 300 }] });
     await other(daemon, "/v1/play", { pattern: "edge-45", seconds: 7 });
     await shows(page, "state-text", "; 1 wait");
     await shows(page, "queue", "edge-45 (play 2)");

@@ -75,7 +75,7 @@ test("the receipt of a sequence of 4096 items is shown in short tasks", async ()
     const page = await counting(url, "play");
     await arm(page);
     const items = Array.from({ length: 4096 }, (_, i) => ({ pattern: i % 2 ? "pin-60" : "edge-45", seconds: 0.05, gap_ms: i % 3 }));
-    assert.ok((await fetch(`${daemon.url}/v1/sequence`, { method: "POST", headers: { "content-type": "application/json" }, body: JSON.stringify({ name: "long", items }) })).ok);
+    assert.ok((await fetch(`${daemon.url}/v1/play`, { method: "POST", headers: { "content-type": "application/json" }, body: JSON.stringify({ name: "long", items }) })).ok);
     await shows(page, "queue", "4096 items; began");
     await page.$eval("#receipt-more", (details) => (details.open = true));
     await fetch(`${daemon.url}/v1/stop`, { method: "POST" });

@@ -60,7 +60,7 @@ impl Route {
             Self::TokenCreate | Self::TokenRevoke => Access { local: true, ..Access::CHANGES },
             // It opens what orders motion.
             Self::LiveConnection => Access::CHANGES,
-            Self::SequenceCheck => Access::READS,
+            Self::PlayCheck => Access::READS,
             _ => Access::of_method(self.method()),
         }
     }

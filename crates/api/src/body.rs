@@ -6,11 +6,13 @@
 use crate::problem::{Code, Problem, REFERENCE};
 use crate::trigger::TriggerRequest;
 use meissner_input::document::{self, CommonProblem, KeyError, Table, Wanted};
-use meissner_input::message::{is_plain, quote};
-use serde::de::DeserializeOwned;
+use meissner_input::message::{is_plain, nearest, quote};
+use serde::de::{DeserializeOwned, Error, MapAccess, Visitor};
 use serde::{Deserialize, Deserializer};
+use serde_json::{Map, Value};
 use std::collections::BTreeMap;
 use std::convert::Infallible;
+use std::fmt;
 
 /// `at_ms` at most, ms: an hour.
 pub const MAX_AT_MS: f64 = 3_600_000.0;
@@ -28,16 +30,70 @@ pub(crate) fn read_or_default<T: DeserializeOwned + Default>(body: &[u8]) -> Res
     if body.is_empty() { Ok(T::default()) } else { read(body) }
 }
 
+const WANTED: Wanted = |key| match key {
+    "pattern" => "the name of a pattern",
+    "participant" => "a pseudonym",
+    _ => "it",
+};
+
 /// Reads a body.
 pub(crate) fn read<T: DeserializeOwned>(body: &[u8]) -> Result<T, Problem> {
-    const WANTED: Wanted = |key| match key {
-        "pattern" => "the name of a pattern",
-        "participant" => "a pseudonym",
-        _ => "it",
-    };
     let text =
         std::str::from_utf8(body).map_err(|_| bad("the body is not UTF-8 text: send JSON in UTF-8"))?;
     document::from_json(text, WANTED).map(|Table(request)| request).map_err(problem)
+}
+
+/// The keys of an object, each there once.
+#[derive(Debug)]
+pub(crate) struct Keys(pub(crate) Map<String, Value>);
+
+impl<'de> Deserialize<'de> for Keys {
+    fn deserialize<D: Deserializer<'de>>(source: D) -> Result<Self, D::Error> {
+        struct Once;
+        impl<'de> Visitor<'de> for Once {
+            type Value = Keys;
+
+            fn expecting(&self, text: &mut fmt::Formatter<'_>) -> fmt::Result {
+                text.write_str("a table of keys and values")
+            }
+
+            fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<Keys, A::Error> {
+                let mut keys = Map::new();
+                while let Some((key, value)) = map.next_entry::<String, Value>()? {
+                    if keys.contains_key(&key) {
+                        return Err(A::Error::custom(format_args!("duplicate field `{key}`")));
+                    }
+                    keys.insert(key, value);
+                }
+                Ok(Keys(keys))
+            }
+        }
+        source.deserialize_map(Once)
+    }
+}
+
+/// Reads two structs whose keys stand in one object.
+pub(crate) fn split<A: DeserializeOwned, B: DeserializeOwned>(
+    Keys(keys): Keys,
+    [first, second]: [&[&str]; 2],
+) -> Result<(A, B), Problem> {
+    let (mut own, mut others) = (Map::new(), Map::new());
+    for (key, value) in keys {
+        if first.contains(&&*key) {
+            own.insert(key, value);
+        } else if second.contains(&&*key) {
+            others.insert(key, value);
+        } else {
+            let nearest = nearest(&[first, second].concat(), &key).to_owned();
+            let unknown = CommonProblem::UnknownKey { key: quote(&key), nearest };
+            return Err(problem(KeyError::common(None, String::new(), unknown)));
+        }
+    }
+    Ok((of_keys(own)?, of_keys(others)?))
+}
+
+fn of_keys<T: DeserializeOwned>(keys: Map<String, Value>) -> Result<T, Problem> {
+    document::from_source(Value::Object(keys), WANTED).map(|Table(read)| read).map_err(problem)
 }
 
 /// A fault of a body; one of the whole body gets a pointer to the API reference.

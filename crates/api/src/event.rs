@@ -6,9 +6,9 @@
 //! Invariant: [`Event::name`] is the `event` key of its JSON.
 
 use crate::end_cause::EndCause;
+use crate::item_record::ItemRecord;
 use crate::receipt::{EdgeRecord, LateStroke, OnsetRecord, Receipt, RefusedStroke};
 use crate::rendering::RenderingState;
-use crate::sequence::ItemRecord;
 use crate::session::Session;
 use crate::status::{DeviceInfo, RunningPlay, SensorFault};
 use serde::{Deserialize, Serialize};

@@ -5,7 +5,7 @@
 //!
 //! - [`route`]: every route with its method, body, answer and error codes. The daemon builds its router from this table. [`access`]: who may
 //!   use it.
-//! - [`request`]: the bodies a client sends; [`PlayRequest::parse`] and similar functions name the wrong key. How bodies are read, and the
+//! - [`request`]: the bodies a client sends; [`Order::parse`] and similar functions name the wrong key. How bodies are read, and the
 //!   checks that several share, is in `body`.
 //! - [`session`]: sessions, whose plays are recorded together and during which one client may own the display.
 //! - [`sequence`], [`trigger`]: sequences of patterns, and the trigger output, in requests and in receipts; [`plan_check`]: how far one
@@ -24,12 +24,12 @@
 //! The streamer shares a few of these types, such as [`LatePolicy`] and [`BurstCounts`], so that each exists once.
 //!
 //! ```
-//! use meissner_api::PlayRequest;
+//! use meissner_api::Order;
 //!
-//! let request = PlayRequest::parse(br#"{"pattern": "edge-45", "seconds": 2}"#)?;
+//! let request = Order::parse(br#"{"pattern": "edge-45", "seconds": 2}"#)?;
 //! assert_eq!(request.seconds, Some(2.0));
 //!
-//! let problem = PlayRequest::parse(br#"{"pattern": "edge-45", "secnods": 2}"#).unwrap_err();
+//! let problem = Order::parse(br#"{"pattern": "edge-45", "secnods": 2}"#).unwrap_err();
 //! assert_eq!(problem.status, 400);
 //! assert_eq!(problem.detail, "unknown key `secnods`: did you mean `seconds`?");
 //! # Ok::<(), meissner_api::Problem>(())
@@ -47,9 +47,11 @@ pub mod calibration;
 pub mod doctor;
 pub mod end_cause;
 pub mod event;
+pub mod item_record;
 pub mod live;
 pub mod live_record;
 pub mod openapi;
+pub mod order;
 pub mod pattern;
 pub mod pattern_choice;
 pub mod plan_check;
@@ -58,7 +60,6 @@ pub mod receipt;
 pub mod rendering;
 pub mod request;
 pub mod route;
-pub mod sequence;
 pub mod session;
 pub mod status;
 pub mod token;
@@ -72,11 +73,13 @@ pub use calibration::{CalibratedMotor, CalibrationReport, FittedLine, MeasuredPo
 pub use doctor::{DoctorReport, Finding, Level};
 pub use end_cause::EndCause;
 pub use event::{EdgeEffect, Event, MAX_ITEMS_LISTED};
+pub use item_record::{InstantRecord, ItemRecord, ItemState};
 pub use live::{
     LIVE_GLIDE_MS, LIVE_TIMEOUT_MS, LIVE_UPDATES_HZ, LiveAccepted, LiveAnswer, LiveApplied, LiveDrive,
     LiveMessage, LivePose, LiveRequest, MAX_LIVE_MESSAGE,
 };
 pub use live_record::{LiveRecord, UpdateTimes};
+pub use order::{Fit, Item, LatePolicy, MAX_ITEMS, MAX_WAIT_S, Order, Terms};
 pub use pattern::{
     FollowedMotion, ImportedPattern, PatternDetails, PatternList, PatternSummary, RailLoad, ReachedDrive,
     RemovedPattern,
@@ -95,12 +98,8 @@ pub use rendering::{
     ObjectResponse, PatternPreview, PreviewSpikes, RenderMethod, Rendered, Rendering, RenderingRequest,
     RenderingState,
 };
-pub use request::{
-    ArmRequest, CalibrateRequest, DisarmRequest, EdgeRequest, Fit, LatePolicy, MAX_WAIT_S, PlayRequest,
-    ResetRequest, parse_empty,
-};
+pub use request::{ArmRequest, CalibrateRequest, DisarmRequest, EdgeRequest, ResetRequest, parse_empty};
 pub use route::{Method, Route};
-pub use sequence::{InstantRecord, ItemRecord, ItemState, MAX_SEQUENCE_ITEMS, SequenceItem, SequenceRequest};
 pub use session::{
     MAX_ROWS, RecordedPlay, Session, SessionList, SessionPlays, SessionRequest, SessionStarted,
 };

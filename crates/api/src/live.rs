@@ -3,11 +3,11 @@
 //! [`LiveRequest::parse`] reads a body, [`LiveMessage::parse`] a WebSocket's text. The daemon answers each message with one
 //! [`LiveAnswer`], not always in their order.
 
-use crate::body::{bad, check_labels, check_scale, check_trigger, null_as_default, problem, read};
+use crate::body::{bad, check_scale, check_trigger, null_as_default, problem, read, split};
 use crate::end_cause::EndCause;
+use crate::order::{LIVE_TERMS, Terms};
 use crate::problem::Problem;
 use crate::rendering::object_schema;
-use crate::request::LatePolicy;
 use crate::trigger::{self, TriggerRequest};
 use meissner_input::document::{self, given};
 use serde::{Deserialize, Serialize};
@@ -99,28 +99,14 @@ pub struct LiveRequest {
     /// Whether messages may have `um`: pins follow levels. The line must carry it.
     #[serde(default, deserialize_with = "null_as_default", skip_serializing_if = "std::ops::Not::not")]
     pub levels: bool,
-    /// What to do when strokes come late: `drop` them (the default) or `abort` the play.
-    #[serde(default, deserialize_with = "null_as_default")]
-    pub late: LatePolicy,
-    /// Whether to stop the running play and clear the queue first.
-    #[serde(default, deserialize_with = "null_as_default")]
-    pub replace: bool,
-    /// Whether to play without corrections from telemetry.
-    #[serde(default, deserialize_with = "null_as_default")]
-    pub open_loop: bool,
-    /// The session that the play belongs to. Without it the running one, if any; the daemon refuses another one.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub session: Option<String>,
-    /// The trial's number.
-    #[serde(default, deserialize_with = "given", skip_serializing_if = "Option::is_none")]
-    pub trial: Option<u64>,
-    /// Up to 16 labels of the trial, of 1 to 100 characters.
-    #[serde(default, deserialize_with = "null_as_default", skip_serializing_if = "BTreeMap::is_empty")]
-    pub labels: BTreeMap<String, String>,
     /// What the trigger output gives at the onset; without it one pulse of 10 ms.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(schema_with = trigger::schema)]
     pub trigger: Option<TriggerRequest>,
+    /// How it is played; it begins as soon as it can.
+    #[serde(flatten, skip_deserializing)]
+    #[schema(ignore)]
+    pub terms: Terms,
 }
 
 /// A live play was accepted.
@@ -234,16 +220,21 @@ fn check_pose(pose: Option<LivePose>) -> Result<(), Problem> {
         .map_err(problem)
 }
 
+/// The keys of a [`LiveRequest`] beside its terms.
+const LIVE: [&str; 8] =
+    ["drives", "object", "scale", "timeout_ms", "max_frequency_hz", "updates_hz", "levels", "trigger"];
+
 impl LiveRequest {
     /// Reads a body.
     ///
     /// # Errors
     /// A `bad-request` that names the key.
     pub fn parse(body: &[u8]) -> Result<Self, Problem> {
-        let request: Self = read(body)?;
+        let (request, terms): (Self, Terms) = split(read(body)?, [&LIVE, &LIVE_TERMS])?;
+        let request = Self { terms, ..request };
         check_drives(&request.drives)?;
         request.check_object()?;
-        check_labels(&request.labels)?;
+        request.terms.check()?;
         check_scale(request.scale).and_then(|()| check_trigger(request.trigger)).map_err(bad)?;
         let ranges = [
             ("timeout_ms", request.timeout_ms, 50.0, 60_000.0, "50 to 60000 ms"),

@@ -5,14 +5,15 @@
 
 use crate::answer::{AnswerTaken, PlayAnswer};
 use crate::array::ArrayDetails;
+use crate::order::{ITEM, LIVE_TERMS, TERMS};
 use crate::problem::{Code, Problem};
 use crate::route::{Answer, Body, Method, Operation, Query, Route};
 use crate::{
     ArmRequest, CalibrateRequest, CalibrationReport, DisarmRequest, DoctorReport, EdgeRequest, Event,
-    ImportedPattern, LiveAccepted, LiveAnswer, LiveMessage, LiveRequest, PatternDetails, PatternList,
-    PatternPreview, PlanCheck, PlayAccepted, PlayRequest, Receipt, RemovedPattern, Rendering,
-    RenderingRequest, ResetRequest, SequenceRequest, Session, SessionList, SessionPlays, SessionRequest,
-    SessionStarted, Status, TokenCreated, TokenInfo, TokenList, TokenRequest,
+    ImportedPattern, LiveAccepted, LiveAnswer, LiveMessage, LiveRequest, Order, PatternDetails, PatternList,
+    PatternPreview, PlanCheck, PlayAccepted, Receipt, RemovedPattern, Rendering, RenderingRequest,
+    ResetRequest, Session, SessionList, SessionPlays, SessionRequest, SessionStarted, Status, Terms,
+    TokenCreated, TokenInfo, TokenList, TokenRequest,
 };
 use serde_json::{Map, Value, json};
 use std::collections::BTreeMap;
@@ -42,7 +43,8 @@ use utoipa::OpenApi;
     PlanCheck,
     PlayAccepted,
     PlayAnswer,
-    PlayRequest,
+    Order,
+    Terms,
     Problem,
     Receipt,
     RemovedPattern,
@@ -53,7 +55,6 @@ use utoipa::OpenApi;
     SessionPlays,
     SessionRequest,
     SessionStarted,
-    SequenceRequest,
     Status,
     TokenCreated,
     TokenInfo,
@@ -91,6 +92,19 @@ pub fn document() -> Value {
     let mut schemas = serde_json::to_value(Schemas::openapi().components).unwrap_or_default();
     schemas["schemas"]["Problem"]["properties"]["code"]["enum"] =
         Code::ALL.iter().map(|code| code.parts().0).collect::<Vec<_>>().into();
+    // Their keys stand beside those of another object.
+    let [item, terms] = ["Item", "Terms"].map(|name| schemas["schemas"][name]["properties"].clone());
+    for (into, from, keys) in
+        [("Order", &item, &ITEM[..]), ("Order", &terms, &TERMS[..]), ("LiveRequest", &terms, &LIVE_TERMS[..])]
+    {
+        for key in keys {
+            schemas["schemas"][into]["properties"][*key] = from[*key].clone();
+        }
+    }
+    for name in ["Order", "LiveRequest"] {
+        schemas["schemas"][name]["required"] = json!([]);
+        schemas["schemas"][name]["additionalProperties"] = false.into();
+    }
     for (name, schema) in schemas["schemas"].as_object_mut().into_iter().flatten() {
         // An answer to a message has one of its keys.
         if name != "LiveAnswer" {
@@ -265,8 +279,8 @@ fn errors(operation: &Operation) -> Map<String, Value> {
 mod tests {
     use super::*;
     use crate::{
-        ArmRequest, CalibrateRequest, DisarmRequest, LiveMessage, LiveRequest, PlayAnswer, PlayRequest,
-        RenderingRequest, ResetRequest, SequenceRequest, SessionRequest, TokenRequest,
+        ArmRequest, CalibrateRequest, DisarmRequest, LiveMessage, LiveRequest, Order, PlayAnswer,
+        RenderingRequest, ResetRequest, SessionRequest, TokenRequest,
     };
     use std::collections::BTreeSet;
 
@@ -279,18 +293,17 @@ mod tests {
                 (|body| <$type>::parse(body).err().map(|problem| problem.detail)) as Read
             };
         }
-        let play: (Value, Read) = (json!({"pattern": "a", "trigger": {}}), read!(PlayRequest));
-        let sequence: (Value, Read) = (json!({"items": [{"pattern": "a"}]}), read!(SequenceRequest));
+        let play: (Value, Read) = (json!({"pattern": "a", "trigger": {}}), read!(Order));
+        let sequence: (Value, Read) = (json!({"items": [{"pattern": "a"}]}), read!(Order));
         let live: (Value, Read) = (json!({}), read!(LiveRequest));
         let drive =
             json!({"seq": 1, "pose": {}, "drives": [{"motor": 1, "frequency_hz": 60, "amplitude_um": 80}]});
         let message: (Value, Read) = (drive, read!(LiveMessage));
         let schemas = document()["components"]["schemas"].clone();
         let cases = [
-            ("PlayRequest", "", &play),
-            ("PlayRequest/properties/trigger", "/trigger", &play),
-            ("SequenceRequest", "", &sequence),
-            ("SequenceItem", "/items/0", &sequence),
+            ("Order", "", &play),
+            ("Order/properties/trigger", "/trigger", &play),
+            ("Item", "/items/0", &sequence),
             ("LiveRequest", "", &live),
             ("LiveMessage", "", &message),
             ("LivePose", "/pose", &message),
@@ -324,9 +337,7 @@ mod tests {
                 refused.insert(format!("{name}.{key}"));
             }
         }
-        for key in
-            ["PlayRequest.scale", "SequenceItem.seconds", "LiveRequest.scale", "CalibrateRequest.motor"]
-        {
+        for key in ["Order.scale", "Item.seconds", "LiveRequest.scale", "CalibrateRequest.motor"] {
             assert!(refused.contains(key), "{refused:?}");
         }
         let named: BTreeSet<&str> = cases.iter().map(|(name, ..)| *name).collect();

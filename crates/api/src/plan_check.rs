@@ -1,4 +1,4 @@
-//! The answer to `POST /v1/sequence/check`: whether a plan would stop at the drift limit on a board.
+//! The answer to `POST /v1/play/check`: whether a plan would stop at the drift limit on a board.
 
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;

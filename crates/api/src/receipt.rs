@@ -7,10 +7,10 @@
 
 use crate::board::BoardRecord;
 use crate::end_cause::EndCause;
+use crate::item_record::ItemRecord;
 use crate::live_record::LiveRecord;
+use crate::order::{Fit, LatePolicy};
 use crate::pattern::{FollowedMotion, ReachedDrive};
-use crate::request::{Fit, LatePolicy};
-use crate::sequence::ItemRecord;
 use crate::trigger::TriggerRecord;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;

@@ -3,9 +3,9 @@
 //! The daemon builds its router from [`Route::ALL`], [`Route::method`] and [`Route::path`]; [`crate::openapi`] builds the
 //! document from [`Route::operation`]. So the router and the document cannot name different routes.
 
+use crate::order::MAX_WAIT_S;
 use crate::problem::Code;
 use crate::rendering::{MAX_PREVIEW_FROM_S, MAX_PREVIEW_S};
-use crate::request::MAX_WAIT_S;
 
 /// Lists each route once.
 macro_rules! routes {
@@ -25,7 +25,7 @@ macro_rules! routes {
 }
 
 routes! {
-    Play, Sequence, SequenceCheck, Live, LiveConnection, Stop, EStop, Reset, Arm, Disarm, Home,
+    Play, PlayCheck, Live, LiveConnection, Stop, EStop, Reset, Arm, Disarm, Home,
     Edge, Status, Array, Doctor, Receipt, Withdraw, PlayAnswer, Events, Patterns, Pattern, Preview,
     Import, Remove, RenderingStart, RenderingShow, RenderingCancel, Calibrate, Calibration,
     StoreCalibration, SessionStart, Sessions, SessionShow, SessionPlays, SessionEnd, TokenCreate,
@@ -194,7 +194,6 @@ impl Route {
     pub const fn command(self) -> &'static str {
         match self {
             Self::Play => "play",
-            Self::Sequence => "sequence",
             Self::Live => "live",
             Self::Stop => "stop",
             Self::EStop => "estop",
@@ -223,38 +222,28 @@ impl Route {
     pub const fn operation(self) -> Operation {
         match self {
             Self::Play => Operation {
-                summary: "Queue a play of a pattern",
+                summary: "Queue a play: of one pattern, or of many items with exact times",
                 description: "The daemon answers when the streamer has taken the play. The receipt and the events `queued`, \
                               `began`, `late`, `refused` and `ended` report what happens to it. At most 16 plays wait. The \
-                              body has at most 1 MiB, or 80 MiB with packed samples; one such body is in work at a time. The samples \
-                              of all plays that are not over take at most 128 MiB of memory.",
-                body: Body::Json("PlayRequest"),
+                              body has at most 4096 items and 1 MiB, or 80 MiB with packed samples; one such body is in work at a time. The samples \
+                              of all plays that are not over take at most 128 MiB of memory. All of it is accepted or refused: every \
+                              pattern exists, every item but a blank one has a stroke or a motion, of several items each has an end, items begin at least 5 ms apart, those \
+                              that overlap drive different motors, and no trigger ends another. The patterns have at most \
+                              4096 drives and motors with motions together, counted once for each scale. A stop or `replace` ends the whole play.",
+                body: Body::Json("Order"),
                 statuses: ACCEPTED,
                 answer: Answer::Json("PlayAccepted"),
                 errors: &[BODY, PLAY, QUEUE, COMMAND, ANY],
                 ..Operation::post("/v1/play")
             },
-            Self::Sequence => Operation {
-                summary: "Queue a sequence of patterns as one play",
-                description: "All of it is accepted or refused: every pattern exists, every item has an end and all but blank ones a stroke or \
-                              a motion, items begin at least 5 ms apart, those that overlap drive different motors, and no trigger \
-                              ends another. The body has at most 4096 items and 1 MiB, or 80 MiB with packed samples; the patterns \
-                              that it names have at most 4096 drives and motors with motions together, counted once for each scale. One receipt has the onset and offset of every \
-                              item. A stop or `replace` ends the whole sequence.",
-                body: Body::Json("SequenceRequest"),
-                statuses: ACCEPTED,
-                answer: Answer::Json("PlayAccepted"),
-                errors: &[BODY, PLAY, QUEUE, COMMAND, ANY],
-                ..Operation::post("/v1/sequence")
-            },
-            Self::SequenceCheck => Operation {
-                summary: "Tell whether a sequence would stop at the drift limit on a board",
-                description: "Nothing is played, and no device is needed. The daemon compiles the sequence as `POST /v1/sequence` does, and \
+            Self::PlayCheck => Operation {
+                summary: "Tell whether a play would stop at the drift limit on a board",
+                description: "Nothing is played, and no device is needed. The daemon compiles the order as `POST /v1/play` does, and \
                               follows the estimate of the drift of a device without telemetry, from level pins on: with the lower stop, the \
-                              limit and the calibration that are in use. A study of many plays is one sequence of all its plays. \
+                              limit and the calibration that are in use. A study of many plays is one order of all its plays. \
                               It follows ten million strokes. One check is computed at a time, with low priority, and three \
                               more wait: a further one is `busy`.",
-                body: Body::Json("SequenceRequest"),
+                body: Body::Json("Order"),
                 statuses: OK,
                 answer: Answer::Json("PlanCheck"),
                 errors: &[
@@ -270,7 +259,7 @@ impl Route {
                     ],
                     ANY,
                 ],
-                ..Operation::post("/v1/sequence/check")
+                ..Operation::post("/v1/play/check")
             },
             Self::Live => Operation {
                 summary: "Start a live play, whose drives change while it runs",

@@ -6,7 +6,7 @@ use crate::error::ClientError;
 use crate::events::Events;
 use hyper::Method;
 use hyper::body::Bytes;
-use meissner_api::{PlanCheck, PlayAccepted, PlayRequest, Problem, SequenceRequest};
+use meissner_api::{Order, PlanCheck, PlayAccepted, Problem};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use std::env;
@@ -16,7 +16,7 @@ use tokio::runtime::{Builder, Runtime};
 
 /// How long to wait for `POST /v1/home`. The daemon answers earlier: as soon as its array must have come home.
 pub const HOME_TIMEOUT: Duration = Duration::from_secs(600);
-/// Timeout of [`Client::play`] and [`Client::sequence`]: the daemon compiles the whole play before it answers.
+/// Timeout of [`Client::play`] and [`Client::check`]: the daemon compiles the whole play before it answers.
 const COMPILE_TIMEOUT: Duration = Duration::from_secs(60);
 /// Timeout of [`Client::put`], [`Client::delete`], and what else waits for the daemon's disk, which may be slow: the session record, and
 /// a new token.
@@ -199,24 +199,16 @@ impl Client {
     ///
     /// # Errors
     /// See [`ClientError`].
-    pub fn play(&mut self, request: &PlayRequest) -> Result<PlayAccepted, ClientError> {
-        self.post_within(COMPILE_TIMEOUT, "/v1/play", request)
+    pub fn play(&mut self, order: &Order) -> Result<PlayAccepted, ClientError> {
+        self.post_within(COMPILE_TIMEOUT, "/v1/play", order)
     }
 
-    /// Orders a sequence, as [`Self::play`] does a play.
+    /// Asks whether a play would stop at the drift limit on a board.
     ///
     /// # Errors
     /// See [`ClientError`].
-    pub fn sequence(&mut self, request: &SequenceRequest) -> Result<PlayAccepted, ClientError> {
-        self.post_within(COMPILE_TIMEOUT, "/v1/sequence", request)
-    }
-
-    /// Asks whether a sequence would stop at the drift limit on a board.
-    ///
-    /// # Errors
-    /// See [`ClientError`].
-    pub fn check_sequence(&mut self, request: &SequenceRequest) -> Result<PlanCheck, ClientError> {
-        self.post_within(COMPILE_TIMEOUT, "/v1/sequence/check", request)
+    pub fn check(&mut self, order: &Order) -> Result<PlanCheck, ClientError> {
+        self.post_within(COMPILE_TIMEOUT, "/v1/play/check", order)
     }
 
     /// Listens to events on a separate connection. It gets all events that happen after this call returns.

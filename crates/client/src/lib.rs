@@ -10,14 +10,14 @@
 //! - [`ClientError`]: the errors, each one line that says what to do; [`access`] explains why a socket is denied.
 //!
 //! ```no_run
-//! use meissner_api::{ArmRequest, Event, PlayAccepted, PlayRequest, Status};
+//! use meissner_api::{ArmRequest, Event, Item, Order, PlayAccepted, Status, Terms};
 //! use meissner_client::{Client, Endpoint};
 //!
 //! let mut client = Client::at(Endpoint::find())?;
 //! let mut events = client.events()?;
 //! let _: Status = client.post("/v1/arm", &ArmRequest { assume_rest: true, ..ArmRequest::default() })?;
-//! let request = PlayRequest { pattern: "edge-45".into(), seconds: Some(2.0), ..PlayRequest::default() };
-//! let PlayAccepted { id, .. } = client.play(&request)?;
+//! let order = Order::new(Item { seconds: Some(2.0), ..Item::of("edge-45") }, Terms::default());
+//! let PlayAccepted { id, .. } = client.play(&order)?;
 //! while let Some(event) = events.next(None)? {
 //!     if let Event::Ended { receipt } = event
 //!         && receipt.id == id

@@ -471,6 +471,8 @@ def sequence(
     `on_edge` and `stop_on_edge`: as in `play`.
     """
     made = items_of(core, items, isi, soa, seconds, scale)
+    # With a name the receipt lists the items, also a single one.
+    name = name or "sequence"
     body = {
         "items": made,
         "name": name,
@@ -485,8 +487,7 @@ def sequence(
         "session": core.session and core.session.id,
         **_onset(core, at, on_edge),
     }
-    request = _http.post("/v1/sequence", body, timeout=_COMPILING)
-    return _accepted(core, request, name or "sequence", [item["pattern"] for item in made])
+    return _accepted(core, _http.post("/v1/play", body, timeout=_COMPILING), name, [item["pattern"] for item in made])
 
 
 def items_of(
@@ -523,7 +524,7 @@ def check(
     """
     body = {"items": items_of(core, items, isi, soa, seconds, scale)}
     # Compiling long motions takes a while.
-    answer = send(core, _http.post("/v1/sequence/check", body, timeout=60.0))
+    answer = send(core, _http.post("/v1/play/check", body, timeout=60.0))
     return PlanCheck.of(core.read(answer))
 
 

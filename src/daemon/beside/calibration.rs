@@ -195,12 +195,13 @@ mod tests {
     use crate::exposure::{Account, ParticipantLimits};
     use crate::session_record::Peer;
     use crate::store::Stored;
-    use meissner_api::{LiveDrive, LiveRequest, PlayRequest};
+    use meissner_api::{Item, LiveDrive, LiveRequest, Order, Terms};
     use meissner_array::pattern::Pattern;
     use meissner_stream::Settings;
     use meissner_stream::calibrate::{Fit, MotorFit};
     use meissner_stream::queues::queues;
     use std::fs;
+    use std::future::ready;
     use std::thread;
 
     /// Each import adds a motor; none is lost in the file or in use.
@@ -276,8 +277,9 @@ mod tests {
                 "format = 2\nname = \"ramp\"\n[[ramp]]\nmotor = 9\nto_um = {um}\nrise_s = 0.02\nhold_s = 0.1\n"
             );
             let stored = Stored::made(Pattern::parse(&text, "ramp").unwrap());
-            let request = PlayRequest { pattern: "ramp".into(), open_loop, ..PlayRequest::default() };
-            runtime.block_on(engine.play(&request, stored, Peer::local(1, 0), &PLAYS)).unwrap_err()
+            let order = Order::new(Item::of("ramp"), Terms { open_loop, ..Terms::default() });
+            let find = |_, _| ready(Ok((stored.clone(), ())));
+            runtime.block_on(engine.play(&order, Peer::local(1, 0), &PLAYS, find)).unwrap_err()
         };
         // Nothing answers the play that is sent.
         assert_eq!(play(100.0, false).code, "timeout");

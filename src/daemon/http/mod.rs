@@ -76,8 +76,7 @@ fn handler(route: Route) -> MethodRouter<App> {
     };
     match route {
         Route::Play => on(method, plays::play),
-        Route::Sequence => on(method, plays::sequence),
-        Route::SequenceCheck => on(method, plays::check),
+        Route::PlayCheck => on(method, plays::check),
         Route::Live => on(method, live::start),
         Route::LiveConnection => on(method, live::connect),
         Route::Stop => on(method, motors::stop),

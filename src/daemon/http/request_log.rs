@@ -71,7 +71,7 @@ impl Drop for LoggedRequest {
         // A play has a line at its end, and refused plays may come by the thousand.
         let kind = self.entry.command;
         match (kind, &*self.entry.answer) {
-            ("play" | "sequence" | "answer", _) => {
+            ("play" | "answer", _) => {
                 debug!(pid, uid, play_id = self.entry.play, "{title} by {client}: {answer}");
             }
             ("estop", _) => info!(pid, uid, always = true, "{title} by {client}: {answer}"),

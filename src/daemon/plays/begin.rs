@@ -8,10 +8,10 @@
 //! answer for [`DISK`] does not stop plays.
 
 use crate::daemon::engine::{Engine, TIMEOUT, answer};
-use crate::daemon::plays::terms::Terms;
+use crate::daemon::plays::terms::onset;
 use crate::daemon::state::{Asker, NewPlay, Reply, State};
 use crate::exposure::{Now, Vibration};
-use meissner_api::{Code, PlayAccepted, Problem};
+use meissner_api::{Code, PlayAccepted, Problem, Terms};
 use meissner_array::per_motor::PerMotor;
 use meissner_array::strokes::Surplus;
 use meissner_stream::queues::{At, Command, Item, Play};
@@ -113,7 +113,7 @@ impl Engine {
         let held = self.hold(terms, &compiled, &check).await?;
         let Compiled { strokes, items, live, bandwidth, hold, settings, memory, mut new, texts, .. } =
             compiled;
-        let &Terms { at, late, replace, open_loop, stop_on_edge, .. } = terms;
+        let (at, &Terms { late, replace, open_loop, stop_on_edge, .. }) = (onset(terms), terms);
         if let At::Edge(delay_ns) = at {
             new.receipt.on_edge_ms = Some(delay_ns as f64 / 1e6);
         }
@@ -171,7 +171,7 @@ impl Engine {
             state.check_amplitude(what, *largest_um)?;
             state.check_end(what, compiled.vibration.is_endless() && !compiled.endless)?;
             state.plays.check_memory(&compiled.memory)?;
-            let number = state.hold_vibration(&compiled.vibration, terms.replace, terms.at)?;
+            let number = state.hold_vibration(&compiled.vibration, terms.replace, onset(terms))?;
             let saved = state.save_exposure(Now::read());
             let waits = !state.exposure.is_disk_silent();
             (Held { engine: self, number, breaks, _turn: turn }, saved.filter(|_| waits))
@@ -237,15 +237,18 @@ mod tests {
     use crate::daemon::system::runtime::{CHECKS, OTHERS, PLAYS, STORED};
     use crate::session_record::{Location, Peer, SessionRecord};
     use crate::store::{Store, Stored};
-    use meissner_api::{PlayRequest, Realtime, Route, SessionRequest};
+    use meissner_api::{Item, Order, Realtime, Route, SessionRequest};
     use meissner_stream::queues::{Emit, StreamEvent, queues};
     use std::path::PathBuf;
 
     /// A play without end.
-    fn pin(session: Option<String>) -> (PlayRequest, Stored) {
-        let stored = Store::new(None, false).unwrap().library("pin-60").unwrap().clone();
-        let pattern = "pin-60".into();
-        (PlayRequest { pattern, endless: true, session, ..PlayRequest::default() }, stored)
+    fn pin(session: Option<String>) -> Order {
+        Order::new(Item::of("pin-60"), Terms { endless: true, session, ..Terms::default() })
+    }
+
+    /// Finds a pattern of the library.
+    async fn find(name: String, _: Option<String>) -> Result<(Stored, ()), Problem> {
+        Ok((Store::new(None, false).unwrap().library(&name).unwrap().clone(), ()))
     }
 
     /// The client has given up, but the play is played, so the session counts it.
@@ -255,8 +258,8 @@ mod tests {
         let engine = Engine::of_paper(commands);
         let session = SessionRequest { participant: "P07".to_owned(), ..SessionRequest::default() };
         let id = engine.lock().start_session(session, None).unwrap().0.id;
-        let (request, stored) = pin(Some(id));
-        let played = engine.play(&request, stored, Peer::local(1, 0), &STORED);
+        let order = pin(Some(id));
+        let played = engine.play(&order, Peer::local(1, 0), &STORED, find);
         assert_eq!(runtime().unwrap().block_on(played).unwrap_err().code, "timeout");
         let ticket = port.pop().unwrap().ticket;
         port.event(StreamEvent::Answer { ticket, result: Ok(()) });
@@ -269,14 +272,14 @@ mod tests {
     fn a_stop_refuses_a_play_whose_request_came_before() {
         let (mut port, commands, _events) = queues().unwrap();
         let engine = Engine::of_paper(commands);
-        let (request, stored) = pin(None);
+        let order = pin(None);
         let client = Peer::local(1, 0);
         let caller = Caller::new(client, None, None, None);
         let breaks = engine.lock().commands.breaks();
         let asker = Asker { caller, access: Route::Play.access(), breaks };
         // A stop comes while the play's body or file is still being read.
         engine.lock().commands.send_unanswered(Command::Stop).unwrap();
-        let played = asker.ask(engine.play(&request, stored, client, &STORED));
+        let played = asker.ask(engine.play(&order, client, &STORED, find));
         assert_eq!(runtime().unwrap().block_on(played).unwrap_err().code, "busy");
         assert!(matches!(port.pop().unwrap().command, Command::Stop) && port.pop().is_none());
     }
@@ -293,8 +296,8 @@ mod tests {
         let engine = Engine::of_paper(commands);
         let engine = engine.with(record.clone(), Realtime::default(), PathBuf::new());
         let mut play = || {
-            let (request, stored) = pin(None);
-            let played = engine.play(&request, stored, Peer::local(1, 0), &STORED);
+            let order = pin(None);
+            let played = engine.play(&order, Peer::local(1, 0), &STORED, find);
             let problem = runtime().unwrap().block_on(played).unwrap_err();
             (problem.code, port.pop().is_some())
         };
@@ -321,8 +324,8 @@ mod tests {
                 }
             }
             tokio::task::yield_now().await;
-            let (request, stored) = pin(None);
-            let played = engine.play(&request, stored, Peer::local(1, 0), &STORED);
+            let order = pin(None);
+            let played = engine.play(&order, Peer::local(1, 0), &STORED, find);
             // It reaches the streamer, of which there is none here.
             assert_eq!(played.await.unwrap_err().code, "timeout");
             assert!(matches!(port.pop().unwrap().command, Command::Play(_)));

@@ -2,17 +2,17 @@
 
 use crate::daemon::engine::Engine;
 use crate::daemon::plays::begin::Compiled;
-use crate::daemon::plays::terms::Terms;
 use crate::daemon::state::State;
 use crate::daemon::state::stored_calibration::{CalibrationRun, no_file};
 use crate::daemon::system::runtime::PLAYS;
 use crate::receipts::refusal;
 use crate::session_record::Peer;
 use crate::store::Stored;
-use meissner_api::{Code, PlayAccepted, PlayRequest, Problem};
+use meissner_api::{Code, Item, Order, PlayAccepted, Problem, Terms};
 use meissner_array::strokes::Surplus;
 use meissner_stream::calibrate::Plan;
 use meissner_stream::queues::CommandError;
+use std::future::ready;
 
 impl Engine {
     /// Begins a plan's play and waits until the streamer accepts it. With `laser` nothing is measured here.
@@ -27,8 +27,8 @@ impl Engine {
             return Err(no_file());
         }
         let stored = Stored::made(plan.pattern());
-        let pattern = stored.pattern.name().into();
-        let request = PlayRequest { pattern, open_loop: true, ..PlayRequest::default() };
+        let item = Item::of(stored.pattern.name());
+        let order = Order::new(item, Terms { open_loop: true, ..Terms::default() });
         let (settings, reach) = {
             let state = self.lock();
             (state.settings, state.reach(true))
@@ -37,9 +37,9 @@ impl Engine {
             let detail = "down bursts end at the lower stop, so their gain cannot be measured: calibrate without the stop";
             return Err(Problem::new(Code::LowerStop, detail));
         }
-        let terms = Terms::from(&request);
         let basis = (settings, Surplus::None, reach);
-        let compiled = Compiled::of_pattern(&request, &terms, stored, basis, client, &PLAYS).await?;
+        let compiled =
+            Compiled::of_order(&order, basis, client, &PLAYS, |_, _| ready(Ok((stored.clone(), ())))).await?;
         // The plan is made anew for each request; the session record needs no text of it.
         let compiled = Compiled { texts: Vec::new(), ..compiled };
         let check = |state: &mut State| {
@@ -62,6 +62,6 @@ impl Engine {
                 state.calibration.running = Some(CalibrationRun::new(id, plan));
             }
         };
-        self.begin(&terms, compiled, check, sent).await
+        self.begin(&order.terms, compiled, check, sent).await
     }
 }

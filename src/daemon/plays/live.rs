@@ -7,7 +7,7 @@
 use crate::daemon::engine::Engine;
 use crate::daemon::engine::right::Right;
 use crate::daemon::plays::begin::Compiled;
-use crate::daemon::plays::terms::{Terms, trigger};
+use crate::daemon::plays::terms::{receipt, trigger};
 use crate::daemon::state::{LivePlay, NewPlay, State};
 use crate::daemon::system::runtime::PLAYS;
 use crate::exposure::Vibration;
@@ -42,12 +42,12 @@ impl Engine {
         object: Option<Object>,
         client: Peer,
     ) -> Result<LiveAccepted, Problem> {
-        let (settings, surplus, reach) = self.compiles_for(None, request.open_loop)?;
+        let (settings, surplus, reach) = self.compiles_for(None, request.terms.open_loop)?;
         let options =
             StrokeOptions { scale: request.scale.unwrap_or(1.0), surplus, ..StrokeOptions::default() };
         let most_hz = request.most_hz();
         let mut live = LivePlay::new(settings.array, &request.drives, options, most_hz)?;
-        live = live.with_levels(request.levels).with_open_loop(request.open_loop);
+        live = live.with_levels(request.levels).with_open_loop(request.terms.open_loop);
         let levels = request.levels || object.is_some();
         live = live.with_heights(self.heights(settings.array, object, &reach).await?);
         live.check_at_once(&settings)?;
@@ -62,10 +62,10 @@ impl Engine {
             .await?
             .map_err(|error| Problem::new(Code::BadRequest, error.to_string()))?;
         let timeout = Duration::from_secs_f64(request.timeout_ms.unwrap_or(LIVE_TIMEOUT_MS) / 1000.0);
-        let terms = Terms::from(request);
+        let terms = &request.terms;
         // Plain data can be written.
         let sha256 = hash(&serde_json::to_vec(request).unwrap_or_default());
-        let receipt = terms.receipt(LIVE, &sha256, None);
+        let receipt = receipt(terms, LIVE, &sha256, None);
         let receipt = Receipt { scale: request.scale, live: Some(LiveRecord::default()), ..receipt };
         let compiled = Compiled {
             strokes: Source::Live(Box::new(LiveStrokes::new(waves))),
@@ -83,9 +83,9 @@ impl Engine {
             texts: Vec::new(),
         };
         let path = format!("/v1/live/{}", live.key());
-        let session = request.session.as_deref();
+        let session = terms.session.as_deref();
         let sent = |state: &mut State, id| state.live.add(id, live);
-        let accepted = self.begin(&terms, compiled, |state| state.check_before_play(session), sent).await?;
+        let accepted = self.begin(terms, compiled, |state| state.check_before_play(session), sent).await?;
         Ok(LiveAccepted { id: accepted.id, path })
     }
 

@@ -1,13 +1,13 @@
 //! What every play goes through: its terms are read, its strokes are compiled, and it begins.
 //!
-//! [`pattern`] compiles a play of one pattern, [`sequence`] one of many, [`live`] one that its client moves, [`calibrate`] that of a
-//! calibration. All of them share their [`terms`] and [`begin`].
+//! [`order`] compiles an order, [`live`] a play that its client moves, [`calibrate`] that of a calibration. All of them share their [`terms`]
+//! and [`begin`]. [`check`] compiles an order that is not played.
 
 mod begin;
 mod calibrate;
+mod check;
 mod live;
-mod pattern;
-mod sequence;
+mod order;
 mod terms;
 
 pub(in crate::daemon) use terms::edge_at;

@@ -6,6 +6,7 @@
 //!
 //! Invariant: items begin in order of time; items that overlap drive different motors; and each item but a blank one has a stroke.
 
+use super::drive::NEVER;
 use super::error::StrokesError;
 use super::options::StrokeOptions;
 use super::run::Run;
@@ -62,9 +63,12 @@ pub enum SequenceError {
         /// The time that was refused.
         ms: f64,
     },
-    /// The pattern has no end, and no duration was given.
-    #[error("its pattern has no end: say how many `seconds`")]
+    /// The pattern has no end, no duration was given, and it is not the only item, from the onset on.
+    #[error("its pattern has no end: say how many `seconds`, or play it alone")]
     Endless,
+    /// The item before it has no end.
+    #[error("the item before it has no end: give that one `seconds`")]
+    AfterEndless,
     /// No stroke fits.
     #[error("no stroke fits: give it more `seconds`, or another `scale`")]
     Empty,
@@ -171,14 +175,18 @@ impl Sequence {
                 return Err(SequenceError::Overlaps { ms, item, motor });
             }
         }
-        let seconds = seconds.or(self.lasting[run]).ok_or(SequenceError::Endless)?;
-        let (mut end_ns, end) = self.ends(start_ns, seconds)?;
+        let (mut end_ns, end) = match seconds.or(self.lasting[run]) {
+            Some(seconds) => self.ends(start_ns, seconds)?,
+            None if self.items.is_empty() && start == 0 => (LONGEST_NS, NEVER),
+            None => return Err(SequenceError::Endless),
+        };
         let strokes = &mut self.runs[run];
         strokes.begin(end - start);
         if strokes.is_over() {
             return Err(SequenceError::Empty);
         }
-        let covered = strokes.covers_until(end - start).map_or(0, |covered| start + covered);
+        let covered = (end < NEVER).then(|| strokes.covers_until(end - start)).flatten();
+        let covered = covered.map_or(0, |covered| start + covered);
         if covered > end {
             end_ns = first_ns(rate, covered);
         }
@@ -208,6 +216,9 @@ impl Sequence {
         if self.items.len() == MAX_ITEMS {
             return Err(SequenceError::TooManyItems);
         }
+        if self.end == NEVER {
+            return Err(SequenceError::AfterEndless);
+        }
         let (Start::Gap(ms) | Start::At(ms)) = start;
         let after = if matches!(start, Start::Gap(_)) { self.end_ns } else { 0 };
         let start_ns = after.checked_add(ns(ms)?).filter(|&ns| ns <= LONGEST_NS);
@@ -230,7 +241,7 @@ impl Sequence {
         Ok((end_ns, ticks(self.array.rate(), end_ns)))
     }
 
-    /// When each item begins and ends, ticks from the onset.
+    /// When each item begins and ends, ticks from the onset; the only item may have no end, [`NEVER`].
     pub fn spans(&self) -> impl ExactSizeIterator<Item = (u64, u64)> {
         self.items.iter().map(|item| (item.start, item.end))
     }
@@ -238,8 +249,8 @@ impl Sequence {
     /// The strokes of all items; `None` without items.
     #[must_use]
     pub fn strokes(self) -> Option<Strokes> {
-        (!self.items.is_empty())
-            .then(|| Strokes::of(self.array, self.runs, self.items.into(), Some(self.end)))
+        let end = Some(self.end).filter(|end| *end < NEVER);
+        (!self.items.is_empty()).then(|| Strokes::of(self.array, self.runs, self.items.into(), end))
     }
 }
 
@@ -288,6 +299,14 @@ mod tests {
         sequence.add(tap, None, Start::Gap(0.0)).unwrap();
         let mut refused = |item, seconds, start| sequence.add(item, seconds, start).unwrap_err();
         assert_eq!(refused(endless, None, Start::Gap(0.0)), SequenceError::Endless);
+        let mut alone = Sequence::new(Array::paper());
+        let without_end = alone.compile(&pattern("endless", 5, 100.0, None), &options).unwrap();
+        alone.add(without_end, None, Start::Gap(0.0)).unwrap();
+        assert_eq!(alone.add(without_end, Some(1.0), Start::Gap(0.0)), Err(SequenceError::AfterEndless));
+        let wanted = Strokes::new(&pattern("endless", 5, 100.0, None), &options).unwrap();
+        let strokes = alone.strokes().unwrap();
+        assert_eq!((strokes.end(), wanted.end()), (None, None));
+        assert!(strokes.take(1000).map(Result::unwrap).eq(wanted.take(1000).map(Result::unwrap)));
         assert_eq!(refused(slow, None, Start::Gap(0.0)), SequenceError::Empty);
         assert_eq!(refused(tap, Some(0.0), Start::Gap(0.0)), SequenceError::Empty);
         assert_eq!(

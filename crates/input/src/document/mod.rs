@@ -82,7 +82,7 @@ pub fn from_source<'t, T: Deserialize<'t>, S: Deserializer<'t>, P>(
     wanted: Wanted,
 ) -> Result<Table<T>, KeyError<P>> {
     serde_path_to_error::deserialize(source)
-        .map_err(|error| data(error.path(), None, &one_line(&error.inner().to_string()), wanted))
+        .map_err(|error| data(error.path(), None, &error.inner().to_string(), wanted))
 }
 
 /// An error of serde, in the words of [`CommonProblem`].

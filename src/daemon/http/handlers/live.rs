@@ -40,7 +40,8 @@ pub(in crate::daemon::http) async fn start(
     let mut logged = LoggedRequest::new(&app.engine, "live", peer);
     let result = async {
         let mut request = LiveRequest::parse(&body::read_command(body).await?)?;
-        request.session = app.engine.lock().session_of_play(request.session.as_deref())?;
+        let session = &mut request.terms.session;
+        *session = app.engine.lock().session_of_play(session.as_deref())?;
         logged.set_arguments(&request);
         let object = match &request.object {
             Some(object) => Some(find_object(object).await?),

@@ -1,4 +1,4 @@
-//! Plays: begins a play or a sequence, and shows receipts.
+//! Plays: begins one, and shows receipts.
 
 use crate::daemon::engine::patterns::find;
 use crate::daemon::engine::{Engine, TIMEOUT};
@@ -15,11 +15,10 @@ use axum::body::Body;
 use axum::extract::Extension;
 use axum::http::{StatusCode, Uri};
 use meissner_api::{
-    AnswerTaken, Code, MAX_PACKED_BODY, MAX_WAIT_S, PatternChoice, PlanCheck, PlayAccepted, PlayAnswer,
-    PlayRequest, Problem, Receipt, SequenceRequest,
+    AnswerTaken, Code, MAX_PACKED_BODY, MAX_WAIT_S, Order, PatternChoice, PlanCheck, PlayAccepted,
+    PlayAnswer, Problem, Receipt,
 };
 use meissner_stream::queues::Command;
-use serde_json::{Map, Value, json};
 use std::collections::HashMap;
 use std::pin::pin;
 use std::sync::Arc;
@@ -35,36 +34,15 @@ pub(in crate::daemon::http) async fn play(
 ) -> Answer<(StatusCode, Json<PlayAccepted>)> {
     let mut logged = LoggedRequest::new(&app.engine, "play", peer);
     let result = async {
-        let (body, _places) = body::read_file(body, MAX_PACKED_BODY, &body::ORDERS).await?;
-        let mut request = if body.len() <= body::MAX_COMMAND {
-            PlayRequest::parse(&body)?
-        } else {
-            PLAYS.computing(move || PlayRequest::parse(&body)).await??
-        };
-        let inline = match std::mem::take(&mut request.pattern) {
-            PatternChoice::Inline(keys) => {
-                let stored = inline(&app, &PLAYS, keys).await?;
-                // The record has the hash, and keeps the text.
-                request.pattern = stored.pattern.name().into();
-                request.pattern_sha256 = Some(stored.sha256.clone());
-                Some(stored)
-            }
-            named => {
-                request.pattern = named;
-                None
-            }
-        };
-        logged.set_arguments(&request);
-        request.session = app.engine.lock().session_of_play(request.session.as_deref())?;
-        logged.set_arguments(&request);
-        let (lane, (stored, _place)) = match inline {
-            Some(stored) => (&PLAYS, (stored, None)),
-            None => {
-                let (name, sha256) = (request.pattern.name(), request.pattern_sha256.as_deref());
-                (&STORED, find(Arc::clone(&app.store), &app.engine, &STORED, name, sha256).await?)
-            }
-        };
-        let accepted = app.engine.play(&request, stored, peer, lane).await?;
+        let ReadOrder { mut order, inlines, _places } =
+            read_order(&app, (&PLAYS, &body::ORDERS), body).await?;
+        logged.set_arguments(&order.recorded());
+        let session = &mut order.terms.session;
+        *session = app.engine.lock().session_of_play(session.as_deref())?;
+        logged.set_arguments(&order.recorded());
+        let lane = if order.one().is_some() && inlines.is_empty() { &STORED } else { &PLAYS };
+        let find = |name, sha256| find_for(&app, lane, &inlines, name, sha256);
+        let accepted = app.engine.play(&order, peer, lane, find).await?;
         logged.set_play(accepted.id);
         Ok((StatusCode::ACCEPTED, Json(accepted)))
     }
@@ -72,70 +50,47 @@ pub(in crate::daemon::http) async fn play(
     logged.result(result)
 }
 
-/// The pattern that a request holds.
-async fn inline(app: &App, lane: &'static Lane, keys: Box<Map<String, Value>>) -> Result<Stored, Problem> {
-    let (store, array) = (Arc::clone(&app.store), app.engine.lock().settings.array);
-    Ok(lane.computing(move || store.inline(*keys, array)).await??)
-}
-
-/// The request as the session record keeps it: only the number of its items, because their ends record the rest.
-fn asked_of_sequence(request: &SequenceRequest) -> Value {
-    let SequenceRequest {
-        items,
-        name,
-        at_tick,
-        at_ms,
-        at_monotonic_ns,
-        on_edge_ms,
-        stop_on_edge,
-        session,
-        trial,
-        labels,
-        ..
-    } = request;
-    json!({
-        "name": name, "items": items.len(), "at_tick": at_tick, "at_ms": at_ms, "at_monotonic_ns": at_monotonic_ns,
-        "on_edge_ms": on_edge_ms, "stop_on_edge": stop_on_edge,
-        "session": session, "trial": trial, "labels": labels
-    })
-}
-
-/// A sequence that was read, and the patterns that it holds by their SHA-256.
-struct ReadSequence {
-    request: SequenceRequest,
+/// An order that was read, and the patterns that it holds by their SHA-256.
+struct ReadOrder {
+    order: Order,
     inlines: HashMap<String, Stored>,
     /// Its places among the bodies.
     _places: body::Places,
 }
 
-/// Parses on a separate thread, because the body may be as large as a file.
-async fn read_sequence(
+/// Parses a large order on a separate thread.
+async fn read_order(
     app: &App,
     (lane, among): (&'static Lane, &'static body::Files),
     body: Body,
-) -> Result<ReadSequence, Problem> {
+) -> Result<ReadOrder, Problem> {
     let (body, _places) = body::read_file(body, MAX_PACKED_BODY, among).await?;
-    let mut request = lane.computing(move || SequenceRequest::parse(&body)).await??;
+    let mut order = if body.len() <= body::MAX_COMMAND {
+        Order::parse(&body)?
+    } else {
+        lane.computing(move || Order::parse(&body)).await??
+    };
     let mut inlines: HashMap<String, Stored> = HashMap::new();
-    for (number, item) in request.items.iter_mut().enumerate() {
+    for number in 0..order.items.len() {
+        let item = &mut order.items[number];
         let Some(PatternChoice::Inline(keys)) = item.pattern.take_if(|pattern| pattern.inline().is_some())
         else {
             continue;
         };
-        let stored = inline(app, lane, keys).await;
-        let stored = stored.map_err(|problem| Problem {
-            detail: format!("`items[{number}]`: {}", problem.detail),
-            ..problem
-        })?;
+        let (store, array) = (Arc::clone(&app.store), app.engine.lock().settings.array);
+        let stored = lane.computing(move || store.inline(*keys, array)).await?;
+        let stored = stored.map_err(|error| order.at(number, error.into()))?;
+        // The record has the hash, and keeps the text.
+        let item = &mut order.items[number];
         item.pattern = Some(stored.pattern.name().into());
         item.pattern_sha256 = Some(stored.sha256.clone());
         inlines.insert(stored.sha256.clone(), stored);
         check_samples(inlines.values().map(|stored| stored.pattern.motion_bytes()).sum())?;
     }
-    Ok(ReadSequence { request, inlines, _places })
+    Ok(ReadOrder { order, inlines, _places })
 }
 
-/// Finds a pattern of a sequence: one that it holds, or one that is stored.
+/// Finds a pattern of an order: one that it holds, or one that is stored.
 async fn find_for(
     app: &App,
     lane: &'static Lane,
@@ -149,25 +104,6 @@ async fn find_for(
     }
 }
 
-pub(in crate::daemon::http) async fn sequence(
-    Call { app, peer }: Call,
-    body: Body,
-) -> Answer<(StatusCode, Json<PlayAccepted>)> {
-    let mut logged = LoggedRequest::new(&app.engine, "sequence", peer);
-    let result = async {
-        let ReadSequence { mut request, inlines, _places } =
-            read_sequence(&app, (&PLAYS, &body::ORDERS), body).await?;
-        request.session = app.engine.lock().session_of_play(request.session.as_deref())?;
-        logged.set_arguments(&asked_of_sequence(&request));
-        let find = |name, sha256| find_for(&app, &PLAYS, &inlines, name, sha256);
-        let accepted = app.engine.sequence(&request, peer, find).await?;
-        logged.set_play(accepted.id);
-        Ok((StatusCode::ACCEPTED, Json(accepted)))
-    }
-    .await;
-    logged.result(result)
-}
-
 pub(in crate::daemon::http) async fn check(Call { app, peer }: Call, body: Body) -> Answer<Json<PlanCheck>> {
     let _checks = match check_place() {
         Ok(place) => place,
@@ -176,10 +112,9 @@ pub(in crate::daemon::http) async fn check(Call { app, peer }: Call, body: Body)
             return Err(problem.into());
         }
     };
-    let ReadSequence { request, inlines, _places } =
-        read_sequence(&app, (&CHECKS, &body::READS), body).await?;
+    let ReadOrder { order, inlines, _places } = read_order(&app, (&CHECKS, &body::READS), body).await?;
     let find = |name, sha256| find_for(&app, &CHECKS, &inlines, name, sha256);
-    Ok(Json(app.engine.check_sequence(&request, peer, find).await?))
+    Ok(Json(app.engine.check_order(&order, peer, find).await?))
 }
 
 pub(in crate::daemon::http) async fn receipt(

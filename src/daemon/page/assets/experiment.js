@@ -128,7 +128,7 @@ async function stimulate(signal, trial) {
   const length = seconds === null ? {} : { seconds };
   const items = [{ pattern: first, ...length }, { pattern: second, ...length, gap_ms: gap }];
   const orNot = (promise) => Promise.race([promise, until(signal, () => {})]);
-  const ordered = orderIn(session, "/v1/sequence", { name: `trial-${trial}`, trial, labels: { first, second }, items });
+  const ordered = orderIn(session, "/v1/play", { name: `trial-${trial}`, trial, labels: { first, second }, items });
   let receipt;
   try {
     const { id } = await orNot(ordered);

@@ -1,6 +1,6 @@
-//! The order of a play, and its result in whole strokes: durations, counts, amplitudes, warnings.
+//! What a pattern becomes in a play in whole strokes: durations, counts, amplitudes, warnings.
 //!
-//! [`Order::of`] reads a pattern with the options of a play; the store does so for one run of a pattern.
+//! [`Outline::of`] reads a pattern with the options of a play; the store does so for one run of a pattern.
 //!
 //! Invariant: it describes exactly the strokes that are played, without iterating over them.
 
@@ -18,7 +18,7 @@ use std::collections::BTreeMap;
 
 /// See the module.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Order {
+pub struct Outline {
     /// Duration as ordered, ms; `None`: without end.
     pub ordered_ms: Option<f64>,
     /// Duration to the end of the last whole stroke, ms; `None`: without end.
@@ -31,7 +31,7 @@ pub struct Order {
     pub warnings: Vec<String>,
 }
 
-impl Order {
+impl Outline {
     /// The order to play a pattern with these options.
     ///
     /// # Errors
