@@ -50,7 +50,11 @@ fn a_sequence_is_accepted_as_a_whole_or_refused() {
     for (bad, code, says) in [
         (json!({"pattern": "none"}), "not-found", "`items[1]`"),
         (json!({"pattern": "pin-60"}), "bad-request", "`items[1]`: its pattern has no end"),
-        (json!({"pattern": "pin-60", "seconds": 0.1, "scale": 0}), "empty", "`items[1]`: no stroke fits"),
+        (
+            json!({"pattern": "pin-60", "seconds": 0.1, "scale": 0}),
+            "empty",
+            "`items[1]`: `pin-60`: no stroke would be played",
+        ),
         (
             json!({"pattern": "pin-60", "seconds": 0.1, "start_ms": 100}),
             "bad-request",

@@ -26,8 +26,8 @@
 //! ```
 //! use meissner_api::Order;
 //!
-//! let request = Order::parse(br#"{"pattern": "edge-45", "seconds": 2}"#)?;
-//! assert_eq!(request.seconds, Some(2.0));
+//! let order = Order::parse(br#"{"pattern": "edge-45", "seconds": 2}"#)?;
+//! assert_eq!(order.items[0].seconds, Some(2.0));
 //!
 //! let problem = Order::parse(br#"{"pattern": "edge-45", "secnods": 2}"#).unwrap_err();
 //! assert_eq!(problem.status, 400);

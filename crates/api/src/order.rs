@@ -24,6 +24,8 @@ use utoipa::ToSchema;
 pub const MAX_ITEMS: usize = 4096;
 /// The range of `hold_ms`, ms: what the device allows at most.
 pub const HOLD_MS: RangeInclusive<f64> = 1.0..=60_000.0;
+/// `seconds` at most, s.
+const MAX_SECONDS: f64 = 1e8;
 /// How long `GET /v1/plays/{id}` may wait for the end of the play, s.
 pub const MAX_WAIT_S: f64 = 60.0;
 
@@ -353,6 +355,11 @@ impl Item {
             }
             None => {}
         }
+        if let Some(seconds) = self.seconds {
+            let good = (0.0..=MAX_SECONDS).contains(&seconds);
+            document::in_range("seconds", seconds, good, "0 to 100000000 s")
+                .map_err(|fault| problem(fault).detail)?;
+        }
         check_scale(self.scale)?;
         check_trigger(self.trigger)
     }
@@ -445,7 +452,7 @@ mod tests {
             (r#"{"items":[{"pattern":"a"}],"name":"A b"}"#, "`name` must be"),
             (r#"{"items":[{"pattern":"a"}],"hold_ms":0}"#, "`hold_ms` is 0: must be 1 to 60000 ms"),
             (r#"{"items":[{"pattern":true,"seconds":1}]}"#, "`items[0].pattern` is boolean `true`"),
-            (r#"{"items":7}"#, "`items` is integer `7`: must be a list of items"),
+            (r#"{"items":7}"#, "`items` is integer `7`: must be a list"),
         ] {
             let problem = read(text).unwrap_err();
             assert!(problem.detail.contains(says), "{text}: {}", problem.detail);

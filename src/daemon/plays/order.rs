@@ -125,9 +125,9 @@ impl Compiled {
             fit: fit(terms.fit),
             tried_s: TRIED_S * (MOST_TRIED / scales.len().max(1) as f64).min(1.0),
         };
-        let mut by_text: HashMap<_, Vec<Item>> = HashMap::new();
-        for item in asked {
-            by_text.entry(text(item)).or_default().push(item.clone());
+        let mut by_text: HashMap<_, Vec<(usize, Item)>> = HashMap::new();
+        for (number, item) in asked.iter().enumerate() {
+            by_text.entry(text(item)).or_default().push((number, item.clone()));
         }
         let mut used: HashMap<(&str, Option<&str>), Used> = HashMap::new();
         let (mut memory, mut required) = (Vec::new(), Vec::new());
@@ -160,7 +160,8 @@ impl Compiled {
                     })
                     .await?;
                 preparing = back;
-                let (compiled, bandwidth) = compiled.map_err(at)?;
+                let (compiled, bandwidth) =
+                    compiled.map_err(|(number, problem)| order.at(number, problem))?;
                 new.insert(Used { sha256, name, compiled, bandwidth });
             }
             let Some(Used { sha256, name, compiled, bandwidth }) = used.get(&text) else { continue };
@@ -245,22 +246,24 @@ impl Preparing {
     fn compile(
         &mut self,
         stored: &Stored,
-        items: &[Item],
-    ) -> Result<(HashMap<u64, OfScale>, Bandwidth), Problem> {
+        items: &[(usize, Item)],
+    ) -> Result<(HashMap<u64, OfScale>, Bandwidth), (usize, Problem)> {
         let (name, pattern, array) = (stored.pattern.name(), &*stored.pattern, self.settings.array);
-        let own_s = items.first().filter(|_| self.is_one).and_then(|item| item.seconds);
+        let own_s = items.first().filter(|_| self.is_one).and_then(|(_, item)| item.seconds);
         let mut compiled: HashMap<u64, OfScale> = HashMap::new();
-        for scale in items.iter().map(scale) {
+        for (number, item) in items {
+            let bad = |error: SequenceError| (*number, refused(&error));
+            let scale = scale(item);
             let options = self.options(scale, own_s);
             if let Entry::Vacant(new) = compiled.entry(scale.to_bits()) {
-                let outline = Outline::of(pattern, &options).map_err(|error| refused(&error.into()))?;
+                let outline = Outline::of(pattern, &options).map_err(|error| bad(error.into()))?;
                 // An empty play would begin at the same tick as the next one, and their results could not be told apart.
                 if let Some(why) = outline.empty() {
                     let detail = format!("`{name}`: no stroke would be played: {why}");
-                    return Err(Problem::new(Code::Empty, detail));
+                    return Err((*number, Problem::new(Code::Empty, detail)));
                 }
                 let amplitude_um = outline.largest_um();
-                let compiled = self.sequence.compile(pattern, &options).map_err(|error| refused(&error))?;
+                let compiled = self.sequence.compile(pattern, &options).map_err(bad)?;
                 let motions: Arc<[_]> = motions(&self.sequence.followed(compiled)).into();
                 let prefix = if self.is_one { String::new() } else { format!("`{name}`: ") };
                 let slow = motions.iter().filter_map(|motion| too_slow(motion, array));
@@ -273,7 +276,7 @@ impl Preparing {
                 }
             }
         }
-        let most = items.iter().map(scale).fold(0.0, f64::max);
+        let most = items.iter().map(|(_, item)| scale(item)).fold(0.0, f64::max);
         let largest_um = largest_um(pattern, most, &self.reach);
         if largest_um[1] > self.largest.0[1] || self.largest.1.is_empty() {
             self.largest = (largest_um, name.to_owned());
@@ -282,10 +285,10 @@ impl Preparing {
             return Ok((compiled, Bandwidth::default()));
         }
         // The bandwidth of the longest item at the largest amplitude suffices for each of them.
-        let lasting = |item: &Item| item.seconds.or(pattern.duration_s()).unwrap_or(COUNTED_S);
+        let lasting = |(_, item): &(usize, Item)| item.seconds.or(pattern.duration_s()).unwrap_or(COUNTED_S);
         let longest_s = items.iter().map(lasting).fold(0.0, f64::max).min(COUNTED_S);
         let strokes = Strokes::new(pattern, &self.options(most, Some(longest_s)));
-        let strokes = strokes.map_err(|error| refused(&error.into()))?;
+        let strokes = strokes.map_err(|error| (items[0].0, refused(&error.into())))?;
         Ok((compiled, Bandwidth::of(&strokes, &self.settings)))
     }
 
