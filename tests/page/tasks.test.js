@@ -3,7 +3,7 @@
 
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import { answers, arm, browsing, Daemon, press, proxied, shows, view, WAIT } from "./daemon.js";
+import { arm, browsing, Daemon, press, proxied, shows, view, WAIT } from "./daemon.js";
 import { choose, get } from "./play.js";
 
 const { blank } = browsing();
@@ -105,7 +105,6 @@ test("lists of 10 000 patterns and sessions are shown in short tasks", async () 
     await page.waitForSelector('li[data-name="many-7700"]');
     await view(page, "record");
     await shows(page, "sessions-none", "The newest 100 of 10000");
-    await page.waitForFunction(() => document.querySelectorAll("#other option").length === 10000, WAIT);
     await judge(page, "lists");
     await page.close();
   });
@@ -142,7 +141,7 @@ test("a pattern of 4096 drives is shown and compared in short tasks", async () =
   });
 });
 
-test("a session of 5000 plays is shown and saved in short tasks", async () => {
+test("a session of 5000 plays is shown in short tasks", async () => {
   const daemon = await new Daemon().start();
   await daemon.run("arm", "--assume-rest");
   const post = async (path, body) => (await fetch(`${daemon.url}${path}`, { method: "POST", headers: { "content-type": "application/json" }, body: JSON.stringify(body) })).json();
@@ -160,10 +159,6 @@ test("a session of 5000 plays is shown and saved in short tasks", async () => {
     await page.waitForSelector("#sessions button");
     await press(page, "#sessions button");
     await shows(page, "plays-none", "Rows 1 to 100.");
-    for (const kind of ["csv", "json"]) {
-      await press(page, `#save-${kind}`);
-      await answers(page, `#save-${kind}`, "Saved as session-");
-    }
     await judge(page, "session");
     await page.close();
   });
