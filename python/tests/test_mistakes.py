@@ -115,11 +115,11 @@ def test_mistakes_at_plays_and_answers(m: meissner.Client) -> None:
 def test_a_session_exports_itself(m: meissner.Client, tmp_path: Path) -> None:
     with m.session("P07", experiment="own") as session:
         m.play("pin-60", 0.05).wait()
-    export = session.export_bids(tmp_path / "own", displacement_hz=None)
-    same = m.export_bids(session.id, tmp_path / "same", displacement_hz=None)
+    export = session.export_bids(tmp_path / "own")
+    same = m.export_bids(session.id, tmp_path / "same")
     assert export.events.read_bytes() == same.events.read_bytes()
     pytest.importorskip("pynwb")
-    assert session.export_nwb(tmp_path / "own.nwb", displacement_hz=None).file.exists()
+    assert session.export_nwb(tmp_path / "own.nwb").file.exists()
 
 
 def test_a_closed_client_says_so(m: meissner.Client) -> None:
