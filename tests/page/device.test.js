@@ -70,7 +70,7 @@ test("wiring that is not in the motors' order is shown motor by motor", async ()
 
 // The buttons that a view offers, by what they say.
 // Which patterns are looked at is anybody's choice.
-const offered = (page) => page.$$eval("button, input[type=checkbox], form", (all) => all.filter((one) => one.checkVisibility() && one.closest("main, header") && !one.matches("#pattern-list .choose, #pattern-list .compare")).map((one) => (one.matches("form") ? `form ${one.id}` : one.id || one.textContent)));
+const offered = (page) => page.$$eval("button, input[type=checkbox], form", (all) => all.filter((one) => one.checkVisibility() && one.closest("main, header") && !one.matches("#pattern-list .choose")).map((one) => (one.matches("form") ? `form ${one.id}` : one.id || one.textContent)));
 
 // What a window that may only read may do in each view.
 const READS = { play: [], design: ["undo", "redo", "clear"], record: ["Show", "plays-back", "plays-next"], device: ["doctor-again"] };

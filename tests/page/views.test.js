@@ -241,7 +241,6 @@ for (const scheme of ["light", "dark"]) {
     await page.waitForSelector("#pattern-list .thumbnail");
     await press(page, "#pattern-list li button");
     await shows(page, "receipt-summary", ": done");
-    await page.$eval("#receipt-more", (details) => (details.open = true));
     await view(page, "design");
     await page.select("#shape", "braille");
     await page.waitForSelector("#thing-maps figure", WAIT);
