@@ -273,10 +273,17 @@ simulate x --csv --json
 ";
 
 #[test]
-fn an_invalid_command_line_exits_with_2() {
-    for line in INVALID.lines().skip(1) {
-        assert_eq!(meissner().args(line.split(' ')).output().unwrap().status.code(), Some(2), "{line}");
-    }
+fn an_invalid_command_line_exits_with_2_and_says_why_on_one_line() {
+    let said = |line: &str| {
+        let output = meissner().args(line.split(' ')).output().unwrap();
+        let said = String::from_utf8(output.stderr).unwrap();
+        assert_eq!((output.status.code(), said.lines().count()), (Some(2), 1), "{line}: {said}");
+        assert!(said.starts_with("meissner: "), "{line}: {said}");
+        said
+    };
+    INVALID.lines().skip(1).for_each(|line| drop(said(line)));
+    assert!(said("play").contains("were not provided: <NAME>; see `meissner play --help`"));
+    assert!(said("session export a --josn").contains("found; tip: a similar argument exists: '--json'; see"));
 }
 
 #[test]

@@ -18,7 +18,7 @@ fn a_pattern_becomes_a_row_per_sample_as_table_and_as_document() {
     let rows: Vec<Vec<f64>> =
         lines.map(|line| line.split(',').map(|cell| cell.parse().unwrap()).collect()).collect();
     let found = document(&mut run(&["--scale", "0.5", "--json"]));
-    assert_eq!((&found["rate_hz"], &found["first_s"]), (&500.into(), &0.into()));
+    assert_eq!(found["rate_hz"], 500);
     assert_eq!(found["motors"], serde_json::json!([9]));
     let listed = found["displacement_um"].as_array().unwrap();
     assert_eq!(listed.len(), rows.len());
@@ -28,8 +28,6 @@ fn a_pattern_becomes_a_row_per_sample_as_table_and_as_document() {
     }
     let highest = rows.iter().map(|row| row[1]).fold(0.0, f64::max);
     assert!((38.0..42.0).contains(&highest), "half of 80 um: {highest}");
-    let [whole, later] = [&[][..], &["--first-s", "0.01"]].map(|more| printed(&mut run(more)));
-    assert_eq!(later.lines().skip(1).collect::<Vec<_>>(), whole.lines().skip(6).collect::<Vec<_>>());
 }
 
 #[test]

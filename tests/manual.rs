@@ -24,7 +24,6 @@ fn the_program_writes_its_manual() {
         let text = fs::read_to_string(folder.path().join("man").join(page)).unwrap();
         assert!(text.contains(".SH NAME") && text.contains(".SH SYNOPSIS"), "{page}");
     }
-    assert!(!pages.iter().any(|name| name.contains("manual")), "a hidden command has no page: {pages:?}");
     assert_eq!(names(&folder.path().join("completions")), ["_meissner", "meissner.bash", "meissner.fish"]);
     let document: serde_json::Value =
         serde_json::from_slice(&fs::read(folder.path().join("openapi.json")).unwrap()).unwrap();

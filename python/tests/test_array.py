@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import gzip
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 import meissner
-from meissner import bids, errors, program, traces
+from meissner import errors, program
 from patience import kept
-from test_bids import TEXTS, read, row
+from test_bids import read
 
 NAMES = ("tula35-6x4", "tula35-2x3", "ubi-pen-3x3", "simulated-8x8")
 PATIENT = 20.0
@@ -55,7 +54,7 @@ def check_a_session(m: meissner.Client, folder: Path, description: Path | None =
                 m.play("pin-60", 0.1)
             with pytest.raises(errors.OtherArray, match="tula35-6x4"):
                 m.sequence(["pin-60"], seconds=0.1)
-    export = m.export_bids(session.id, folder, array=description)
+    export = m.export_bids(session.id, folder)
     rows = read(export.events)
     assert {(row["array"], row["tick_hz"]) for row in rows} == {(array.name, str(array.tick_hz))}
     header = export.events.read_text().splitlines()[0].split("\t")
@@ -63,10 +62,6 @@ def check_a_session(m: meissner.Client, folder: Path, description: Path | None =
     assert header[first : first + 2] == ["array", "tick_hz"]
     # The file of a pattern names its array, so that it can be stored again.
     m.store_pattern("again", (folder / "stimuli" / rows[0]["stim_file"]).read_text().replace('"last"', '"again"'))
-    assert export.displacement is not None
-    table = [line.split("\t") for line in gzip.decompress(export.displacement.read_bytes()).decode().splitlines()]
-    assert {len(line) for line in table} == {array.motors}
-    assert max(float(line[last]) for line in table[:100]) > 20.0
     alone = meissner.displacement(text, 0.1, array=description)
     assert alone.motors == (last,)
 
@@ -120,10 +115,6 @@ def test_an_array_that_the_program_does_not_ship(tmp_path: Path) -> None:
         assert (m.array.name, m.array.motors, m.array.tick_hz, m.array.grid) == ("own-3", 3, 60_000, None)
         check_a_session(m, tmp_path / "dataset", description)
         check_designs(m, description)
-        session = m.sessions()[-1]["id"]
-        export = m.export_bids(session, tmp_path / "without")
-        assert export.displacement is None
-        assert "no displacement of the pins: `meissner array` failed: " in export.left_out[-1]
 
 
 def test_another_daemon_at_the_same_place_is_asked_again(daemon: meissner.Daemon) -> None:
@@ -133,22 +124,3 @@ def test_another_daemon_at_the_same_place_is_asked_again(daemon: meissner.Daemon
         m.core.daemon = (1, "another")
         m.status()
         assert m.array is not array
-
-
-def test_an_export_refuses_the_description_of_another_array(m: meissner.Client, tmp_path: Path) -> None:
-    description = tmp_path / "own-3.toml"
-    description.write_text(OWN)
-    (known,) = bids.stimulus_rows([row(1, 1.0)])
-    line = (
-        "`array` is own-3, but the session has plays on tula35-6x4: "
-        "pass the description of tula35-6x4, or no `array` if the program ships it"
-    )
-    with pytest.raises(errors.ProgramError) as refused:
-        traces.Grid([known], TEXTS, zero_ns=0, rate_hz=1000.0, array=description)
-    assert str(refused.value) == line
-    with m.session("P08") as session:
-        m.play("pin-60", 0.1).wait()
-    export = m.export_bids(session.id, tmp_path / "dataset", array=description)
-    assert export.displacement is None
-    assert f"no displacement of the pins: {line}" in export.left_out
-    assert m.export_bids(session.id, tmp_path / "dataset", array="tula35-6x4").displacement is not None

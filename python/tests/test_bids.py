@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import gzip
 import json
 import shutil
 import subprocess
@@ -14,7 +13,7 @@ from typing import Any
 import pytest
 
 import meissner
-from meissner import bids, errors, traces
+from meissner import bids, errors
 
 PATTERN = 'format = 1\nname = "{}"\nduration_s = 0.1\n[[drive]]\nmotor = 9\nfrequency_hz = 60.0\namplitude_um = {}\nphase = 0.25\n'
 
@@ -49,46 +48,6 @@ def read(file: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(opened, delimiter="\t", quoting=csv.QUOTE_NONE))
 
 
-def samples(export: bids.Export) -> tuple[dict[str, Any], list[list[str]]]:
-    """The sidecar and the rows of the pins' displacement."""
-    assert export.displacement is not None
-    sidecar = json.loads(
-        export.displacement.with_name(export.displacement.name.replace(".tsv.gz", ".json")).read_text()
-    )
-    text = gzip.decompress(export.displacement.read_bytes()).decode()
-    return sidecar, [line.split("\t") for line in text.splitlines()]
-
-
-def check_displacement(export: bids.Export, events: list[dict[str, str]]) -> None:
-    """Pin 9 moves during the stimuli, as far as the motor model says, and nothing moves else."""
-    sidecar, table = samples(export)
-    assert (sidecar["SamplingFrequency"], sidecar["StartTime"]) == (1000.0, 0.0)
-    assert sidecar["Columns"] == [f"pin_{pin}" for pin in range(24)]
-    assert {len(row) for row in table} == {24}
-    plain = meissner.displacement("pin-60", 0.1)
-    assert plain.motors == (9,)
-    # The first stroke, from rest, is larger than the amplitude of a vibration that goes on.
-    settled = [row[0] for row in meissner.displacement("pin-60", 0.1, rate_hz=20_000.0).um][600:1800]
-    assert max(settled) - min(settled) == pytest.approx(float(events[0]["reached_um"]), rel=0.01)
-    mine = meissner.displacement(PATTERN.format("mine", 40.0), 0.05)
-    reached = {name: max(row[0] for row in of.um) for name, of in [("pin-60", plain), ("mine", mine)]}
-    # The first onset is a sample. The daemon knows the device's rate as well as it knows the device's clock.
-    assert [float(row[9]) for row in table[: len(plain.um)]] == pytest.approx([row[0] for row in plain.um], abs=0.5)
-    assert all(set(row[:9] + row[10:]) <= {"0", "n/a"} for row in table)
-    still = [True] * len(table)
-    for event in events:
-        first, last = (round(1000 * (float(event["onset"]) + part)) for part in (0.0, float(event["duration"])))
-        # The motor's moving average is 4.3 ms long.
-        still[max(0, first - 1) : last + 6] = [False] * len(still[max(0, first - 1) : last + 6])
-        during = [row[9] for row in table[first + 1 : last - 1]]
-        if event["stim_file"] == "n/a":
-            assert set(during) == {"n/a"}
-        elif float(event["duration"]) > 0.04:
-            scale = float(event["scale"])
-            assert max(map(float, during)) == pytest.approx(scale * reached[event["trial_type"]], rel=0.1)
-    assert {row[9] for row, at_rest in zip(table, still, strict=True) if at_rest} == {"0"}
-
-
 def test_a_session_becomes_a_dataset(m: meissner.Client, tmp_path: Path) -> None:
     session, play, pair = record(m)
     export = m.export_bids(session, tmp_path)
@@ -97,7 +56,6 @@ def test_a_session_becomes_a_dataset(m: meissner.Client, tmp_path: Path) -> None
     rows = read(export.events)
     assert [row["trial_type"] for row in rows][:3] == ["pin-60", "mine", "pin-60"]
     assert rows[0]["onset"] == "0.000000000"
-    check_displacement(export, rows)
     assert float(rows[1]["onset"]) == pytest.approx((pair.onset.host_ns - play.onset.host_ns) / 1e9, abs=1e-4)
     assert int(rows[2]["onset_tick"]) - int(rows[1]["onset_tick"]) == 17_000
     assert float(rows[0]["duration"]) == pytest.approx((play.offset.tick - play.onset.tick) / 85_000, abs=1e-6)
@@ -126,9 +84,7 @@ def test_a_session_becomes_a_dataset(m: meissner.Client, tmp_path: Path) -> None
     assert lost[1]["stim_file"] == "n/a"
     assert [line for line in export.left_out if "late strokes" not in line] == [
         "the text of mine as played is not kept: its stim_file is n/a",
-        f"play {pair.id}, item 0: its pattern as played is not kept, so its displacement is n/a",
     ]
-    check_displacement(export, lost)
     shutil.rmtree(tmp_path / "lost")
     export = m.export_bids(session, tmp_path)
     stimulus = tmp_path / "stimuli" / rows[0]["stim_file"]
@@ -148,94 +104,6 @@ def test_a_session_becomes_a_dataset(m: meissner.Client, tmp_path: Path) -> None
         assert float(moved[0]["onset"]) == pytest.approx(2.0, abs=1e-3)
     for each in ("mine", "copied"):
         m.remove_pattern(each)
-
-
-def row(play: int, onset_s: float, **keys: Any) -> dict[str, Any]:
-    """A row of the session record: `pin` for 0.1 s."""
-    made: dict[str, Any] = {
-        "play": play,
-        "item": None,
-        "items_planned": None,
-        "pattern": "pin",
-        "pattern_sha256": "0" * 64,
-        "seconds": 0.1,
-        "scale": 1.0,
-        "fit": "whole",
-        "state": "done",
-        "played_ms": 100.0,
-        "cut_after_ms": None,
-        "late_strokes": 0,
-        "onset_tick": round(onset_s * 85_000),
-        "offset_tick": round(onset_s * 85_000) + 8_500,
-        "onset_monotonic_ns": round(onset_s * 1e9),
-        "offset_monotonic_ns": round((onset_s + 0.1) * 1e9),
-        "array": "tula35-6x4",
-        "tick_hz": 85_000,
-        "mapped_from": None,
-        "live": None,
-    }
-    return {**made, **keys}
-
-
-TEXTS = {"0" * 64: PATTERN.format("pin", 40.0)}
-
-
-def moves(rows: list[dict[str, Any]], rate_hz: float = 1000.0) -> tuple[dict[int, float | None], list[str]]:
-    grid = traces.Grid(bids.stimulus_rows(rows), TEXTS, zero_ns=0, rate_hz=rate_hz)
-    found = list(grid)
-    assert [index for index, _ in found] == sorted({index for index, _ in found})
-    return {index: None if pins is None else pins[9] for index, pins in found}, grid.problems
-
-
-def test_displacement_follows_the_clock_of_the_pc_and_adds_up() -> None:
-    plain = [um for (um,) in meissner.displacement(TEXTS["0" * 64], 0.1).um]
-    found, problems = moves([row(1, 1.0), row(2, 2.0005), row(3, 2.1005)])
-    assert problems == []
-    assert [found[1000 + index] for index in range(len(plain))] == plain
-    # Half a sample later.
-    fine = [um for (um,) in meissner.displacement(TEXTS["0" * 64], 0.1, rate_hz=2000.0).um]
-    assert [found[2001 + index] for index in range(99)] == pytest.approx([fine[1 + 2 * index] for index in range(99)])
-    # The end of a stimulus and the begin of the next one overlap.
-    assert found[2102] == pytest.approx((fine[203] if len(fine) > 203 else 0.0) + fine[3], abs=2e-3)
-    # A device whose clock is 1 % fast plays in less time.
-    fast = row(1, 1.0, offset_monotonic_ns=round(1e9 + 0.1e9 / 1.01))
-    assert len(moves([fast], 10_000.0)[0]) == pytest.approx(len(moves([row(1, 1.0)], 10_000.0)[0]) / 1.01, abs=2)
-
-
-def test_displacement_of_stimuli_that_were_cut_lost_or_late() -> None:
-    cut, problems = moves([row(1, 1.0, state="stopped", seconds=None, cut_after_ms=50.0, late_strokes=3)])
-    whole, _ = moves([row(1, 1.0)])
-    assert 0 < len(cut) <= 55 < len(whole)
-    assert problems == ["1 stimuli had late strokes, which were not played: the displacement has them"]
-    item, _ = moves([row(1, 1.0, item=0, state="cut", played_ms=50.0)])
-    assert item == cut
-    killed = row(2, 2.0, state="unknown", played_ms=None, offset_monotonic_ns=None, offset_tick=None)
-    unknown, problems = moves([killed, row(3, 3.0, pattern_sha256=None)])
-    assert unknown == {2000: None} | {3000 + index: None for index in range(100)}
-    assert problems == [
-        "play 2: its end is missing from the record, so its displacement is n/a",
-        "play 3: its pattern as played is not kept, so its displacement is n/a",
-    ]
-    # In a blank item no pin moves, and that is known.
-    blank = row(4, 4.0, pattern_sha256="", offset_monotonic_ns=None, offset_tick=None)
-    assert moves([blank]) == ({4000: 0.0}, [])
-    with pytest.raises(errors.ProgramError, match=r"displacement` failed: .*has no end"):
-        meissner.displacement(
-            'format = 1\nname = "x"\n[[drive]]\nmotor = 1\nfrequency_hz = 60.0\namplitude_um = 40.0\n'
-        )
-
-
-def test_without_the_program_there_is_no_displacement(
-    m: meissner.Client, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    with m.session("P03") as session:
-        m.play("pin-60", 0.05).wait()
-    assert m.export_bids(session.id, tmp_path / "none", displacement_hz=None).displacement is None
-    monkeypatch.setenv("MEISSNER_PROGRAM", str(tmp_path / "missing"))
-    export = m.export_bids(session.id, tmp_path)
-    assert export.displacement is None
-    assert "no displacement of the pins: MEISSNER_PROGRAM is" in export.left_out[-1]
-    assert list(tmp_path.rglob("*_stim*")) == []
 
 
 def test_losses_are_told(tmp_path: Path) -> None:
@@ -327,7 +195,6 @@ def test_odd_sessions_are_valid_datasets(m: meissner.Client, tmp_path: Path) -> 
         task=None,
         zero_host_ns=None,
         software=None,
-        displacement_hz=None,
     )
     validated(tmp_path)
     (empty_events,) = tmp_path.glob("sub-empty/*/beh/*_events.tsv")

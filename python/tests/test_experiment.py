@@ -382,7 +382,7 @@ def test_odd_answers_are_kept_as_they_are(m: meissner.Client, tmp_path: Path) ->
         assert [row["answer"]["rt_ms"] for row in session.plays] == [-3.0] * len(ODD)
         assert session.answers() == []
     assert kept_answers() == before
-    export = m.export_bids(session.id, tmp_path / "bids", displacement_hz=None)
+    export = m.export_bids(session.id, tmp_path / "bids")
     lines = export.events.read_text(encoding="utf-8").split("\n")
     place = lines[0].split("\t").index("response")
     assert [line.split("\t")[place] for line in lines[1:-1]] == list(map(exact, expected))

@@ -49,7 +49,7 @@ def test_a_session_becomes_a_file_without_errors(m: meissner.Client, tmp_path: P
     m.remove_pattern("mine")
     assert export.file == file
     assert [line for line in export.left_out if "late strokes" not in line] == [
-        f"play {pair.id}, item 0: its pattern as played is not kept, so its displacement is n/a"
+        "the text of mine as played is not kept"
     ]
     assert list(tmp_path.iterdir()) == [file]
     assert problems(file) == []
@@ -83,13 +83,6 @@ def check(nwb: Any, play: meissner.Play, pair: meissner.Play) -> None:
     assert list(table["label_k_"][:3]) == ["", "v=", "v="]
     assert set(table["session_label_note"]) == {"a;b"}
     check_trials(nwb, play, pair)
-    trace = nwb.stimulus["pin_displacement"]
-    assert (trace.unit, trace.conversion) == ("meters", 1e-6)
-    moved = [time for time, row in zip(trace.timestamps[:], trace.data[:], strict=True) if row[9] > 1]
-    # Not of the pattern whose text is lost.
-    assert min(moved) == pytest.approx(times[0], abs=0.01)
-    assert not [time for time in moved if times[0] + 0.12 < time < times[2]]
-    assert [time for time in moved if times[2] < time < times[2] + 0.05]
 
 
 def check_trials(nwb: Any, play: meissner.Play, pair: meissner.Play) -> None:
@@ -106,79 +99,20 @@ def check_trials(nwb: Any, play: meissner.Play, pair: meissner.Play) -> None:
     )
 
 
-def test_one_stimulus_is_sampled_evenly_and_what_is_missing_is_told(
-    m: meissner.Client, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_is_missing_is_told(m: meissner.Client, tmp_path: Path) -> None:
+    about = {"age": "P30Y", "sex": "F"}
     with m.session("P07") as session:
-        m.play("pin-60", 0.1).wait()
-    export = m.export_nwb(session.id, tmp_path / "one.nwb")
-    assert "the participant's age, which archives ask for: export with subject={'age': 'P30Y'}" in export.left_out
-    with pynwb.NWBHDF5IO(str(export.file), "r") as io:
-        nwb = io.read()
-        trace = nwb.stimulus["pin_displacement"]
-        assert (trace.rate, trace.timestamps) == (1000.0, None)
-        onset = nwb.get_events_table("stimuli")["timestamp"][0]
-        assert 0 <= trace.starting_time - onset < 0.001
-    m.export_nwb(session.id, tmp_path / "none.nwb", displacement_hz=None)
-    monkeypatch.setenv("MEISSNER_PROGRAM", str(tmp_path / "missing"))
-    export = m.export_nwb(session.id, tmp_path / "without.nwb")
-    assert "no displacement of the pins" in export.left_out[-1]
-    for name in ("none", "without"):
-        with pynwb.NWBHDF5IO(str(tmp_path / f"{name}.nwb"), "r") as io:
-            assert not io.read().stimulus
+        # In blank items no pin moves.
+        m.sequence([None, None], seconds=0.05).wait()
+    export = m.export_nwb(session.id, tmp_path / "blanks.nwb")
+    assert export.left_out == ("the participant's age, which archives ask for: export with subject={'age': 'P30Y'}",)
+    export = m.export_nwb(session.id, tmp_path / "known.nwb", subject=about)
+    assert (export.left_out, problems(export.file)) == ((), [])
+    assert m.export_bids(session.id, tmp_path).left_out == ()
     with m.session("P07") as session:
         pass
     with pytest.raises(meissner.MeissnerError, match="no stimuli"):
         m.export_nwb(session.id, tmp_path / "empty.nwb")
-
-
-def test_a_session_of_which_little_is_known_becomes_a_file_without_errors(m: meissner.Client, tmp_path: Path) -> None:
-    """Blank items alone, in which no pin moves; and fewer samples than pins."""
-    about = {"age": "P30Y", "sex": "F"}
-    with m.session("P07", experiment="blanks") as session:
-        m.sequence([None, None], seconds=0.05).wait()
-    export = m.export_nwb(session.id, tmp_path / "blanks.nwb", subject=about)
-    assert problems(export.file) == []
-    assert export.left_out == ()
-    with pynwb.NWBHDF5IO(str(export.file), "r") as io:
-        assert not io.read().stimulus["pin_displacement"].data[:].any()
-    assert m.export_bids(session.id, tmp_path).left_out == ()
-    with m.session("P07", experiment="short") as session:
-        m.play("pin-60", 0.05).wait()
-    export = m.export_nwb(session.id, tmp_path / "short.nwb", subject=about, displacement_hz=100)
-    assert problems(export.file) == []
-    with pynwb.NWBHDF5IO(str(export.file), "r") as io:
-        trace = io.read().stimulus["pin_displacement"]
-        assert trace.rate == 100
-        assert trace.data.shape == (25, 24)
-        assert trace.data[-1].max() == 0 < trace.data[:].max()
-
-
-@pytest.mark.filterwarnings("ignore:.*is too slow for its motion")
-def test_motions_are_exported_as_they_were_played(m: meissner.Client, tmp_path: Path) -> None:
-    """Samples, a tone with edges, and noise, without a drive."""
-    tone = {
-        "motor": 10,
-        "duration_s": 0.2,
-        "frequency_hz": 30.0,
-        "amplitude_um": 40.0,
-        "envelope": {"attack_s": 0.02, "release_s": 0.02},
-    }
-    noise = {"motor": 11, "duration_s": 0.2, "low_hz": 5.0, "high_hz": 40.0, "peak_um": 10.0, "seed": 1}
-    with m.session("P07", experiment="motions") as session:
-        m.play(samples={9: [0.0, 50.0, 50.0, 0.0]}, rate=15).wait()
-        m.play({"name": "two", "tone": [tone], "noise": [noise]}).wait()
-    export = m.export_nwb(session.id, tmp_path / "motions.nwb", subject={"age": "P30Y", "sex": "F"})
-    assert problems(export.file) == []
-    assert [line for line in export.left_out if "late strokes" not in line] == []
-    with pynwb.NWBHDF5IO(str(export.file), "r") as io:
-        file = io.read()
-        highest = file.stimulus["pin_displacement"].data[:].max(axis=0)
-    assert highest[9:12] == pytest.approx([50, 38, 19], abs=3)
-    bids = m.export_bids(session.id, tmp_path / "data")
-    assert bids.left_out == ()
-    again = [meissner.displacement(file).um.max() for file in sorted((tmp_path / "data" / "stimuli").iterdir())]
-    assert sorted(again) == pytest.approx([highest[10], 50], abs=1)
 
 
 def test_without_pynwb_the_remedy_is_told() -> None:
@@ -199,10 +133,7 @@ def test_a_live_play_is_said_to_have_no_moves_in_the_record(m: meissner.Client, 
     assert [row["live"] and row["live"]["updates"] for row in recorded] == [1, None]
     said = f"play {live.id} was live: the record has the number of its updates (1), not its moves"
     export = m.export_nwb(session.id, tmp_path / "live.nwb", subject={"age": "P30Y", "sex": "F"})
-    assert [line for line in export.left_out if "late strokes" not in line] == [f"{said}, so its displacement is n/a"]
+    assert [line for line in export.left_out if "late strokes" not in line] == [said]
     bids = m.export_bids(session.id, tmp_path / "data")
-    assert [line for line in bids.left_out if "late strokes" not in line] == [
-        f"{said}: its stim_file is n/a",
-        f"{said}, so its displacement is n/a",
-    ]
+    assert bids.left_out == (f"{said}: its stim_file is n/a",)
     assert [line.split("\t")[2] for line in bids.events.read_text().splitlines()[1:]] == ["live", "pin-60"]

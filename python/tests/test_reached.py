@@ -74,14 +74,14 @@ def test_what_is_reached_stands_beside_the_level_in_each_table(m: meissner.Clien
         for play in (fast, m.sequence(two, seconds=0.05, soa=0.1, trial=2), m.sequence([press], trial=3)):
             play.wait()
             play.answer("felt", level=60)
-    export = m.export_bids(session.id, tmp_path / "bids", displacement_hz=None)
+    export = m.export_bids(session.id, tmp_path / "bids")
     with export.events.open(newline="", encoding="utf-8") as opened:
         rows = list(csv.DictReader(opened, delimiter="\t"))
     assert [row["level"] for row in rows] == ["60.0"] * 4
     reached = [None if row["reached_um"] == "n/a" else float(row["reached_um"]) for row in rows]
     assert reached[:3] == pytest.approx([3.069, 3.069, 8.0], abs=0.5)
     assert reached[3] is None, "what a motion reaches is not known, so it is not 0"
-    file = m.export_nwb(session.id, tmp_path / "x.nwb", displacement_hz=None).file
+    file = m.export_nwb(session.id, tmp_path / "x.nwb").file
     with pynwb.NWBHDF5IO(str(file), "r") as io:
         trials = io.read().trials
         assert list(trials["level"][:]) == [60.0] * 3

@@ -71,7 +71,7 @@ def test_2afc_gives_threshold_and_slope(lab: meissner.Client, tmp_path: Path) ->
             lab.sequence(edges, seconds=0.03, soa=0.05, trial=trial.number).wait()
             correct = person.is_correct(trial["level"])
             session.answer(trial, trial["interval"] if correct else 3 - trial["interval"], correct=correct)
-    lab.export_bids(session.id, tmp_path / "data", displacement_hz=None)
+    lab.export_bids(session.id, tmp_path / "data")
     first = [row for row in events(tmp_path / "data") if row["item"] == "0"]
     second = [row for row in events(tmp_path / "data") if row["item"] == "1"]
     assert len(first) == len(second) == 160
@@ -101,7 +101,7 @@ def test_a_staircase_gives_the_threshold(lab: meissner.Client, tmp_path: Path) -
             correct = person.is_correct(stairs.level)
             session.answer(trial, "yes" if correct else "no", correct=correct, level=stairs.level)
             stairs.answer(correct)
-    lab.export_bids(session.id, tmp_path, displacement_hz=None)
+    lab.export_bids(session.id, tmp_path)
     rows = events(tmp_path)
     assert [float(row["level"]) for row in rows] == pytest.approx([level for level, _ in stairs.answers])
     levels = [math.log(float(row["scale"])) for row in rows]
@@ -129,7 +129,7 @@ def test_temporal_order_at_5_ms_gives_pse_and_jnd(lab: meissner.Client, tmp_path
             lab.sequence(pins, seconds=0.03, trial=trial.number, labels={"soa_ms": trial["level"]}).wait()
             left_first = chance.random() < logistic((trial["level"] - pse_ms) / width_ms)
             session.answer(trial, "left" if left_first else "right")
-    lab.export_bids(session.id, tmp_path, displacement_hz=None)
+    lab.export_bids(session.id, tmp_path)
     by_play: dict[str, list[dict[str, str]]] = {}
     for row in events(tmp_path):
         by_play.setdefault(row["play"], []).append(row)
@@ -156,7 +156,7 @@ def test_reaction_times_stand_beside_the_codes_of_the_trigger(lab: meissner.Clie
             code = int(trial["level"])
             lab.play("edge-45", 0.03, scale=1.0 if code == 11 else 0.3, trigger=code, trial=trial.number).wait()
             session.answer(trial, "felt", rt_ms=medians_ms[code] * math.exp(chance.gauss(0, 0.15)))
-    lab.export_bids(session.id, tmp_path, displacement_hz=None)
+    lab.export_bids(session.id, tmp_path)
     rows = events(tmp_path)
     assert len(rows) == 80
     for code, median_ms in medians_ms.items():

@@ -377,9 +377,12 @@ fn report(
     let pattern = &edges.vibrating.pattern;
     let sensorless = config.settings.lower_stop.is_some();
     let open = compare(config, request, pattern, false, true)?;
-    // As it was played.
-    let same = compare(config, request, pattern, sensorless, request.terms.open_loop || sensorless)?;
-    let designed = same.response.as_ref();
+    // As it was played, if that differs.
+    let same = match (sensorless, request.terms.open_loop) {
+        (false, true) => None,
+        (stop, _) => Some(compare(config, request, pattern, stop, stop)?),
+    };
+    let designed = same.as_ref().unwrap_or(&open).response.as_ref();
     let hz = designed.map(|response| response.played_hz);
     let status: Status = client.get("/v1/status")?;
     let traffic = receipt.wire.unwrap_or(LinkTraffic::new(0, 0));
@@ -418,7 +421,7 @@ fn report(
             designed_hz: designed.map(|response| response.designed_hz),
             closed_loop_hz: hz.filter(|_| !request.terms.open_loop && !sensorless),
             lower_stop_hz: hz.filter(|_| sensorless),
-            open_loop_hz: open.response.map(|response| response.played_hz),
+            open_loop_hz: open.response.as_ref().map(|response| response.played_hz),
             unknown: sensorless.then_some("the device has no telemetry"),
         },
         rendered: rendered(edges)?,

@@ -29,9 +29,6 @@ pub(super) struct Displacement {
     /// Take F samples a second, 1 to the array's tick rate
     #[arg(long, value_name = "F", default_value_t = 1000.0, allow_negative_numbers = true, value_parser = positive)]
     rate_hz: f64,
-    /// Take the first sample S seconds after the onset
-    #[arg(long, value_name = "S", default_value_t = 0.0, allow_negative_numbers = true, value_parser = positive)]
-    first_s: f64,
     #[command(flatten)]
     array: ArrayOption,
     #[command(flatten)]
@@ -56,7 +53,7 @@ pub(super) fn run(asked: &Displacement) -> Result<ExitCode> {
     if strokes.end().is_none() {
         bail!("`{}` has no end: say for how long with --seconds", pattern.name());
     }
-    let samples = Samples::new(strokes, asked.rate_hz, asked.first_s);
+    let samples = Samples::new(strokes, asked.rate_hz, 0.0);
     let mut out = BufWriter::new(io::stdout().lock());
     if asked.output.json {
         document(samples, asked, &mut out)?;
@@ -75,7 +72,7 @@ fn table(samples: Samples, asked: &Displacement, out: &mut impl Write) -> Result
     }
     writeln!(out)?;
     for (number, row) in samples.enumerate() {
-        write!(out, "{:.9}", asked.first_s + number as f64 / asked.rate_hz)?;
+        write!(out, "{:.9}", number as f64 / asked.rate_hz)?;
         for um in row? {
             write!(out, ",{}", rounded(um))?;
         }
@@ -86,8 +83,8 @@ fn table(samples: Samples, asked: &Displacement, out: &mut impl Write) -> Result
 
 fn document(samples: Samples, asked: &Displacement, out: &mut impl Write) -> Result<()> {
     let motors = serde_json::to_string(samples.motors())?;
-    let Displacement { rate_hz, first_s, .. } = asked;
-    write!(out, r#"{{"rate_hz":{rate_hz},"first_s":{first_s},"motors":{motors},"displacement_um":["#)?;
+    let rate_hz = asked.rate_hz;
+    write!(out, r#"{{"rate_hz":{rate_hz},"motors":{motors},"displacement_um":["#)?;
     for (number, row) in samples.enumerate() {
         let row: Vec<_> = row?.into_iter().map(rounded).collect();
         write!(out, "{}{}", if number == 0 { "" } else { "," }, serde_json::to_string(&row)?)?;

@@ -108,8 +108,11 @@ fn field(value: Option<impl ToString>) -> String {
     value.map_or_else(String::new, |value| value.to_string())
 }
 
+/// Labels as `KEY=VALUE;KEY=VALUE`. A backslash stands before each `;`, `=` and backslash of a key or value.
 fn labels(labels: &Labels) -> String {
-    labels.iter().map(|(key, value)| format!("{key}={value}")).collect::<Vec<_>>().join(";")
+    let escaped = |text: &str| text.replace('\\', "\\\\").replace(';', "\\;").replace('=', "\\=");
+    let label = |(key, value): (&String, &String)| format!("{}={}", escaped(key), escaped(value));
+    labels.iter().map(label).collect::<Vec<_>>().join(";")
 }
 
 pub(super) fn run(
@@ -204,4 +207,18 @@ fn table(exported: &SessionPlays) -> Result<String> {
         csv.write_record(fields.chain(factors.iter().map(of)))?;
     }
     Ok(String::from_utf8(csv.into_inner()?)?)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn no_two_sets_of_labels_make_the_same_cell() {
+        let cell = |of: &[(&str, &str)]| {
+            labels(&of.iter().map(|&(key, value)| (key.to_owned(), value.to_owned())).collect())
+        };
+        assert_eq!(cell(&[("block", "2"), ("side", "left")]), "block=2;side=left");
+        assert_eq!(cell(&[("a", r"1;b=2\")]), r"a=1\;b\=2\\");
+    }
 }

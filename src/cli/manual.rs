@@ -13,7 +13,7 @@ use std::path::{Path, PathBuf};
 
 /// A page for the command and one for each below it.
 fn pages(command: clap::Command, files: &mut BTreeMap<PathBuf, Vec<u8>>) -> Result<()> {
-    for below in command.get_subcommands().filter(|below| !below.is_hide_set()) {
+    for below in command.get_subcommands() {
         pages(below.clone(), files)?;
     }
     // No date: the page must not differ from day to day.

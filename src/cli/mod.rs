@@ -51,6 +51,7 @@ use crate::daemon::{self, Daemon, DaemonError, Signals};
 use crate::{log, render_process};
 use anyhow::{Result, anyhow};
 use arguments::{ClientOptions, Output, PaperArrayOption, measured, positive};
+use clap::error::ErrorKind;
 use clap::{CommandFactory, Parser, Subcommand};
 use meissner_api::ArmRequest;
 use meissner_stream::device::Spec;
@@ -247,7 +248,6 @@ enum Command {
     /// Compare both models of skin and afferents with published figures
     Validate(validate::Validate),
     /// Write the man pages, the completions of three shells and the OpenAPI document to a folder
-    #[command(hide = true)]
     Manual {
         /// The folder
         folder: PathBuf,
@@ -286,7 +286,10 @@ pub fn main() -> ExitCode {
         return render_process::work();
     }
     render_process::is_program();
-    let cli = Cli::parse();
+    let cli = match Cli::try_parse() {
+        Ok(cli) => cli,
+        Err(error) => return usage(error),
+    };
     let level = if matches!(cli.command, Command::Daemon { .. }) { Level::INFO } else { Level::WARN };
     log::start(level);
     match run(cli.command) {
@@ -294,7 +297,7 @@ pub fn main() -> ExitCode {
         // The reader of the output has closed it.
         Err(error) if is_broken_pipe(&error) => ExitCode::SUCCESS,
         Err(error) => match error.downcast::<clap::Error>() {
-            Ok(usage) => usage.format(&mut command()).exit(),
+            Ok(error) => usage(error),
             Err(error) => {
                 let hint = session_token::hint(&error);
                 tell(&format!("meissner: {error}{hint}"));
@@ -302,6 +305,23 @@ pub fn main() -> ExitCode {
             }
         },
     }
+}
+
+/// Says on one line what is wrong with the command line. Help and version, which clap also calls errors, are printed as they are.
+fn usage(error: clap::Error) -> ExitCode {
+    if !error.use_stderr() || error.kind() == ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand {
+        error.exit();
+    }
+    let text = error.to_string();
+    let (said, rest) = text.split_once("\nUsage: ").unwrap_or((&text, ""));
+    let said = said.split("\nFor more information").next().unwrap_or_default().trim_start_matches("error: ");
+    let line = said.split_whitespace().collect::<Vec<_>>().join(" ").replace(" tip: ", "; tip: ");
+    // What comes before the first argument is the name of the command.
+    let is_name = |word: &&str| !word.starts_with(['<', '[', '-', '.']);
+    let name: Vec<_> = rest.split_whitespace().take_while(is_name).collect();
+    let hint = if name.is_empty() { String::new() } else { format!("; see `{} --help`", name.join(" ")) };
+    tell(&format!("meissner: {line}{hint}"));
+    ExitCode::from(2)
 }
 
 fn run(command: Command) -> Result<ExitCode> {

@@ -1,6 +1,6 @@
 //! Checks whether the system by itself writes to boards or puts them to sleep.
 //!
-//! It reads `/proc` and `/sys` with this user's rights, and opens no port. It does not check hubs: a hub sleeps only when all
+//! It reads files with this user's rights, and opens no port. It does not check hubs: a hub sleeps only when all
 //! devices behind it sleep, so a board that stays awake keeps its hubs awake.
 
 use super::service;
@@ -10,48 +10,17 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 const USB: &str = "sys/bus/usb/devices";
-pub(crate) const MODEM_MANAGER: &str = "ModemManager";
+/// The program that looks for a modem at every serial port.
+const MODEM_MANAGER: &str = "usr/sbin/ModemManager";
 
-/// A process by number and name.
-#[derive(Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub(crate) struct Process {
-    pub(crate) pid: u32,
-    pub(crate) name: String,
-}
-
-/// The processes that this user may see.
-pub(crate) fn processes(root: &Path) -> Vec<Process> {
-    let entries = fs::read_dir(root.join("proc")).into_iter().flatten().flatten();
-    let process = |entry: fs::DirEntry| {
-        let pid = entry.file_name().to_str()?.parse().ok()?;
-        let name = fs::read_to_string(entry.path().join("comm")).ok()?;
-        Some(Process { pid, name: name.trim_end().to_owned() })
-    };
-    let mut found: Vec<_> = entries.filter_map(process).collect();
-    found.sort();
-    found
-}
-
-/// Whether ModemManager, which looks for a modem at every serial port, runs without a rule to leave boards alone.
+/// Whether ModemManager is installed, without the udev rules which make it leave boards alone.
 pub(super) fn modem_manager(root: &Path) -> Option<Finding> {
-    if service::rules_text(root).is_some_and(|rules| rules.contains("ID_MM_DEVICE_IGNORE")) {
-        return None;
-    }
-    let seen = processes(root);
-    let advice = format!(
-        "`sudo cp deploy/70-meissner.rules /etc/udev/rules.d/ && {}`, or, on a machine without a modem, `sudo \
-         systemctl disable --now ModemManager`",
-        service::RELOAD
-    );
-    let found = if seen.iter().any(|process| process.name == MODEM_MANAGER) {
-        "it runs, and no udev rule keeps it from writing to boards"
-    } else if seen.iter().any(|process| process.pid == 1) {
-        return None;
-    } else {
-        // A service sees only its own processes (ProtectProc=invisible).
-        "no udev rule keeps it from writing to boards; whether it runs cannot be seen from here"
-    };
-    Some(Finding::warn(MODEM_MANAGER, found, advice))
+    let disturbs = service::rules_file(root).is_none() && root.join(MODEM_MANAGER).exists();
+    disturbs.then(|| {
+        let advice = "install the udev rules (deploy/70-meissner.rules), or, on a machine without a modem, `sudo systemctl disable \
+                      --now ModemManager`";
+        Finding::warn("ModemManager", "no udev rule keeps it from writing to boards", advice)
+    })
 }
 
 /// Boards that the kernel may put to sleep when they are silent: waking one takes longer than a stroke may wait.
@@ -87,21 +56,16 @@ mod tests {
     #[test]
     fn modem_manager_needs_a_udev_rule() {
         let dir = tempfile::tempdir().unwrap();
-        let line = || modem_manager(dir.path()).map(|finding| fake::line(&finding));
-        fake::write(dir.path(), "proc/5/comm", "bash\n");
-        let hidden = line().unwrap();
+        assert_eq!(modem_manager(dir.path()), None);
+        fake::write(dir.path(), MODEM_MANAGER, "");
+        let line = fake::line(&modem_manager(dir.path()).unwrap());
         assert!(
-            hidden.ends_with("disable --now ModemManager`") && hidden.contains("cannot be seen from here ->"),
-            "{hidden}"
+            line.starts_with("Warn ModemManager: no udev rule")
+                && line.ends_with("disable --now ModemManager`"),
+            "{line}"
         );
-        fake::write(dir.path(), "proc/1/comm", "systemd\n");
-        assert_eq!(line(), None);
-        fake::write(dir.path(), "proc/7/comm", "ModemManager\n");
-        let runs = line().unwrap();
-        assert!(runs.starts_with("Warn ModemManager: it runs") && runs.contains("sudo cp deploy/"), "{runs}");
-        let rules = include_str!("../../deploy/70-meissner.rules");
-        fake::write(dir.path(), "etc/udev/rules.d/70-meissner.rules", rules);
-        assert_eq!(line(), None);
+        fake::write(dir.path(), "etc/udev/rules.d/70-meissner.rules", "");
+        assert_eq!(modem_manager(dir.path()), None);
     }
 
     #[test]

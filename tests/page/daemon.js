@@ -105,9 +105,7 @@ export async function open(browser, daemon, width = 1400, height = 1000, view = 
   // What a selector waits for may follow a rendering, as the first pose of a live play does.
   page.setDefaultTimeout(WAIT.timeout);
   page.complaints = [];
-  // A device that nobody has calibrated has no calibration.
-  const isExpected = (url) => url?.endsWith("/v1/calibration");
-  page.on("console", (message) => message.type() === "error" && !isExpected(message.location().url) && page.complaints.push(`${message.text()} ${message.location().url}`));
+  page.on("console", (message) => message.type() === "error" && page.complaints.push(`${message.text()} ${message.location().url}`));
   page.on("pageerror", (error) => page.complaints.push(String(error)));
   // The daemon ends a live play of a page that is silent for a second: beside a build, pages are.
   await page.evaluateOnNewDocument(() => {

@@ -94,7 +94,6 @@ for (const name of ["tula35-6x4", "tula35-2x3", "ubi-pen-3x3", "simulated-8x8", 
       const [right, down] = [places[i][0] - places[0][0], places[0][1] - places[i][1]].map((mm) => (29 * mm) / pitch);
       assert.ok(Math.hypot(x - pins[0][0] - right, y - pins[0][1] - down) < 1e-6 && isOnSkin, `pin ${i} at ${x}, ${y}`);
     });
-    assert.equal(await page.$$eval("#calibrate-motor option", (options) => options.length), places.length + 1);
     assert.equal(await page.evaluate(() => document.documentElement.scrollWidth), 360);
     await view(page, "design");
     const onPad = await page.$$eval("#pad .pin-place", (pins) => pins.map((pin) => [Number(pin.getAttribute("cx")), -pin.getAttribute("cy")]));
@@ -146,56 +145,6 @@ test("the doctor's findings come with verdicts and remedies, the worst first", a
   const after = await listed();
   assert.ok(after[0][0] === "fail" && after[0][2].startsWith("state "), after[0][2]);
   assert.deepEqual(after.map(([level]) => level), after.map(([level]) => level).sort((a, b) => "fwo".indexOf(a[0]) - "fwo".indexOf(b[0])));
-});
-
-test("a person calibrates after a warning, sees the fits as numbers, and may stop", async () => {
-  const daemon = await new Daemon("[mock]\ngain_sd = 0.01\nasymmetry_sd = 0.05\n").start();
-  const page = await openView(daemon, "device");
-  await shows(page, "calibration-note", "No calibration is in use: nothing was calibrated yet");
-  await shows(page, "calibrate-note", "Arm first");
-  await arm(page);
-  const plan = { pulses: [14, 70, 140], repetitions: 1 };
-  await fetch(`${daemon.url}/v1/calibrate`, { method: "POST", headers: { "content-type": "application/json" }, body: JSON.stringify(plan) });
-  await shows(page, "calibrate-note", "Calibrating for ");
-  await shows(page, "calibrate-result", "Stored: 24 motors.", WAIT);
-  await shows(page, "calibration-note", "The daemon uses these gains.");
-  const { motors } = await get(daemon, "/v1/calibration");
-  const rows = await page.$$eval("#fit-table tbody tr", (rows) => rows.map((row) => [row.cells[0].textContent, row.cells[1].textContent.split(" ")[0], row.cells[7].textContent]));
-  assert.deepEqual(rows, motors.map(({ motor, gain_up, down }) => [`${motor}`, gain_up.toFixed(3), down.slope_um_per_pulse.toFixed(4)]));
-  const begin = async (motor) => {
-    await page.waitForSelector("#calibrate:not([disabled])");
-    await page.select("#calibrate-motor", motor);
-    await press(page, "#calibrate");
-  };
-  const asks = () => page.evaluate(() => {
-    const event = new Event("beforeunload", { cancelable: true });
-    dispatchEvent(event);
-    return event.defaultPrevented;
-  });
-  await begin("7");
-  await shows(page, "calibrate-what", "Motor 7 is measured.");
-  await press(page, "#calibrate-yes");
-  assert.equal(await page.$eval("#calibrate-dialog", (dialog) => dialog.open), true, "nothing touches the pins must be ticked");
-  await press(page, "#calibrate-clear");
-  await daemon.run("disarm");
-  await press(page, "#calibrate-yes");
-  await answers(page, "#calibrate", "The motors are disarmed: press Arm first.");
-  await arm(page);
-  assert.equal(await asks(), false);
-  await begin("");
-  await press(page, "#calibrate-clear");
-  await press(page, "#calibrate-yes");
-  await shows(page, "touch", "Calibration: do not touch the pins.");
-  await page.waitForFunction(() => {
-    const event = new Event("beforeunload", { cancelable: true });
-    return !dispatchEvent(event);
-  }, WAIT);
-  await page.waitForSelector("#stop:not([disabled])");
-  await press(page, "#stop");
-  await shows(page, "calibrate-result", "Calibration failed: the calibration was cut (stop)");
-  await shows(page, "state-text", "Armed");
-  assert.equal(await asks(), false);
-  assert.deepEqual((await get(daemon, "/v1/calibration")).motors, motors);
 });
 
 test("an emergency stop waits for no other request of the browser's windows", async () => {

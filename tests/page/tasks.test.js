@@ -3,7 +3,7 @@
 
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import { answers, arm, browsing, Daemon, press, proxied, shows, view, WAIT } from "./daemon.js";
+import { arm, browsing, Daemon, press, proxied, shows, view, WAIT } from "./daemon.js";
 import { choose, get } from "./play.js";
 
 const { blank } = browsing();
@@ -77,11 +77,8 @@ test("the receipt of a sequence of 4096 items is shown in short tasks", async ()
     const items = Array.from({ length: 4096 }, (_, i) => ({ pattern: i % 2 ? "pin-60" : "edge-45", seconds: 0.05, gap_ms: i % 3 }));
     assert.ok((await fetch(`${daemon.url}/v1/play`, { method: "POST", headers: { "content-type": "application/json" }, body: JSON.stringify({ name: "long", items }) })).ok);
     await shows(page, "queue", "4096 items; began");
-    await page.$eval("#receipt-more", (details) => (details.open = true));
     await fetch(`${daemon.url}/v1/stop`, { method: "POST" });
-    await shows(page, "receipt-json", '"items"');
-    await shows(page, "receipt-more", "with items 1 to 100 of 4096");
-    await page.$eval("#receipt-json", (place) => place.scrollIntoView());
+    await shows(page, "receipt-facts", "not-begun");
     await judge(page, "sequence");
     await page.close();
   });
@@ -105,7 +102,6 @@ test("lists of 10 000 patterns and sessions are shown in short tasks", async () 
     await page.waitForSelector('li[data-name="many-7700"]');
     await view(page, "record");
     await shows(page, "sessions-none", "The newest 100 of 10000");
-    await page.waitForFunction(() => document.querySelectorAll("#other option").length === 10000, WAIT);
     await judge(page, "lists");
     await page.close();
   });
@@ -126,7 +122,7 @@ test("4096 events that come at once are taken in short tasks", async () => {
   });
 });
 
-test("a pattern of 4096 drives is shown and compared in short tasks", async () => {
+test("a pattern of 4096 drives is shown in short tasks", async () => {
   const daemon = await new Daemon().start();
   const drives = Array.from({ length: 4096 }, (_, i) => `[[drive]]\nmotor = ${i % 24}\nfrequency_hz = 60.0\namplitude_um = 50.0\nphase = 0.0\nstart_s = ${(Math.floor(i / 24) / 10).toFixed(1)}\nstop_s = ${(Math.floor(i / 24) / 10 + 0.09).toFixed(2)}\n`).join("");
   const stored = await fetch(`${daemon.url}/v1/patterns/long`, { method: "PUT", headers: { "content-type": "application/toml" }, body: `format = 1\nname = "long"\narray = "tula35-6x4"\nduration_s = 18.0\n${drives}` });
@@ -135,14 +131,12 @@ test("a pattern of 4096 drives is shown and compared in short tasks", async () =
     const page = await counting(url, "play");
     await choose(page, "long");
     await page.waitForSelector("#previews .traces");
-    await page.$eval('li[data-name="rotating-edge"] .compare', (button) => button.click());
-    await page.waitForFunction(() => document.querySelectorAll("#previews .preview").length === 2, WAIT);
     await judge(page, "drives");
     await page.close();
   });
 });
 
-test("a session of 5000 plays is shown and saved in short tasks", async () => {
+test("a session of 5000 plays is shown in short tasks", async () => {
   const daemon = await new Daemon().start();
   await daemon.run("arm", "--assume-rest");
   const post = async (path, body) => (await fetch(`${daemon.url}${path}`, { method: "POST", headers: { "content-type": "application/json" }, body: JSON.stringify(body) })).json();
@@ -160,10 +154,6 @@ test("a session of 5000 plays is shown and saved in short tasks", async () => {
     await page.waitForSelector("#sessions button");
     await press(page, "#sessions button");
     await shows(page, "plays-none", "Rows 1 to 100.");
-    for (const kind of ["csv", "json"]) {
-      await press(page, `#save-${kind}`);
-      await answers(page, `#save-${kind}`, "Saved as session-");
-    }
     await judge(page, "session");
     await page.close();
   });

@@ -115,7 +115,7 @@ test("E-STOP is the same rectangle in all states, whatever stands beside it, and
       await page.waitForFunction((more) => Object.entries(more).every(([key, value]) => JSON.stringify(meissner.known()?.[key]) === JSON.stringify(value)), WAIT, more);
       await measure(what);
     }
-    for (const dialog of ["arm-dialog", "reset-dialog", "calibrate-dialog"]) {
+    for (const dialog of ["arm-dialog", "reset-dialog"]) {
       await page.$eval(`#${dialog}`, (one) => one.show());
       await measure(dialog);
       await page.$eval(`#${dialog}`, (one) => one.close("cancel"));
@@ -241,7 +241,6 @@ for (const scheme of ["light", "dark"]) {
     await page.waitForSelector("#pattern-list .thumbnail");
     await press(page, "#pattern-list li button");
     await shows(page, "receipt-summary", ": done");
-    await page.$eval("#receipt-more", (details) => (details.open = true));
     await view(page, "design");
     await page.select("#shape", "braille");
     await page.waitForSelector("#thing-maps figure", WAIT);

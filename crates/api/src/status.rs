@@ -109,7 +109,8 @@ impl StandingPins {
     /// As a clause.
     #[must_use]
     pub fn text(&self) -> String {
-        format!("pins stand up to {:.0} um above rest, for {:.0} s", self.height_um, self.age_s)
+        let time = if self.age_s < 0.5 { String::new() } else { format!(", for {:.0} s", self.age_s) };
+        format!("pins stand up to {:.0} um above rest{time}", self.height_um)
     }
 }
 

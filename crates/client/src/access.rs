@@ -1,10 +1,10 @@
 //! Explains why a user may not use the daemon's socket, and which command helps.
 //!
-//! The client calls it when the system denies a connection; `meissner doctor` asks it about groups. It looks users and groups up
-//! with the system's own functions, so that a site's directory service counts like `/etc/group`. It does not read access control
-//! lists, and gives no explanation where they may decide.
+//! The client calls it when the system denies a connection. It looks users and groups up with the
+//! system's own functions, so that a site's directory service counts like `/etc/group`. It does not read access control lists, and
+//! gives no explanation where they may decide.
 //!
-//! Invariant: [`join_command`] is offered only to users who are not members of the group, now or after the next login.
+//! Invariant: joining the group is offered only to users who are not members of the group, now or after the next login.
 
 use nix::unistd::{Gid, Group, Uid, User, getegid, geteuid, getgroups};
 use std::fs;
@@ -12,88 +12,36 @@ use std::os::unix::fs::MetadataExt;
 use std::path::Path;
 
 /// The user who runs this process.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct CurrentUser {
+struct CurrentUser {
     /// Name.
-    pub name: String,
+    name: String,
     /// User id.
-    pub uid: u32,
+    uid: u32,
     /// Id of the primary group, as a login sets it.
-    pub login_gid: u32,
+    login_gid: u32,
     /// Ids of the groups this process belongs to.
-    pub gids: Vec<u32>,
+    gids: Vec<u32>,
 }
 
 /// A group of users.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct UserGroup {
+struct UserGroup {
     /// Name.
-    pub group: String,
+    group: String,
     /// Group id.
-    pub gid: u32,
+    gid: u32,
     /// Names of the users listed in it.
-    pub names: Vec<String>,
-}
-
-/// Whether a user belongs to a group.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Membership {
-    /// The user's processes belong to it.
-    Member,
-    /// The user is in the group, but this session began before that.
-    MemberAfterLogin,
-    /// The user is not in the group.
-    NotMember,
+    names: Vec<String>,
 }
 
 impl CurrentUser {
     /// The user who runs this process; `None` if the system knows no name for the id.
-    #[must_use]
-    pub fn look_up() -> Option<Self> {
+    fn look_up() -> Option<Self> {
         let uid = geteuid();
         let user = User::from_uid(uid).ok()??;
         let mut gids: Vec<u32> = getgroups().unwrap_or_default().into_iter().map(Gid::as_raw).collect();
         gids.push(getegid().as_raw());
         Some(Self { name: user.name, uid: uid.as_raw(), login_gid: user.gid.as_raw(), gids })
     }
-
-    /// Whether this user belongs to a group.
-    #[must_use]
-    pub fn membership(&self, group: &UserGroup) -> Membership {
-        if self.gids.contains(&group.gid) {
-            Membership::Member
-        } else if self.login_gid == group.gid || group.names.contains(&self.name) {
-            Membership::MemberAfterLogin
-        } else {
-            Membership::NotMember
-        }
-    }
-}
-
-impl UserGroup {
-    /// The group with this id.
-    #[must_use]
-    pub fn of(gid: u32) -> Option<Self> {
-        Some(Self::from(Group::from_gid(Gid::from_raw(gid)).ok()??))
-    }
-
-    /// The group with this name.
-    #[must_use]
-    pub fn named(name: &str) -> Option<Self> {
-        Some(Self::from(Group::from_name(name).ok()??))
-    }
-}
-
-impl From<Group> for UserGroup {
-    fn from(group: Group) -> Self {
-        Self { group: group.name, gid: group.gid.as_raw(), names: group.mem }
-    }
-}
-
-/// The command that adds a user to a group.
-#[must_use]
-pub fn join_command(me: &CurrentUser, group: &UserGroup) -> String {
-    format!("`sudo usermod -aG {} {}`, then log in again", group.group, me.name)
 }
 
 /// Why this process may not use an existing socket, and what to do; `None` if file modes and groups do not explain it.
@@ -101,7 +49,9 @@ pub(super) fn denied(socket: &Path) -> Option<(String, String)> {
     let there = fs::metadata(socket).ok()?;
     let owner = User::from_uid(Uid::from_raw(there.uid())).ok().flatten();
     let owner = owner.map_or_else(|| format!("uid {}", there.uid()), |user| user.name);
-    why(&CurrentUser::look_up()?, &UserGroup::of(there.gid())?, (there.uid(), &owner), there.mode(), socket)
+    let group = Group::from_gid(Gid::from_raw(there.gid())).ok()??;
+    let group = UserGroup { group: group.name, gid: there.gid(), names: group.mem };
+    why(&CurrentUser::look_up()?, &group, (there.uid(), &owner), there.mode(), socket)
 }
 
 fn why(
@@ -123,16 +73,15 @@ fn why(
         return Some((found, format!("run this with `sudo -u {owner}`, {OTHERWISE}")));
     }
     let group_name = &group.group;
-    match me.membership(group) {
-        Membership::Member => None,
-        Membership::MemberAfterLogin => {
-            let found = format!("you ({name}) are in its group `{group_name}`, but not yet in this session");
-            Some((found, "log in again".to_owned()))
-        }
-        Membership::NotMember => {
-            Some((format!("you ({name}) are not in its group `{group_name}`"), join_command(me, group)))
-        }
+    if me.gids.contains(&group.gid) {
+        return None;
     }
+    if me.login_gid == group.gid || group.names.contains(name) {
+        let found = format!("you ({name}) are in its group `{group_name}`, but not yet in this session");
+        return Some((found, "log in again".to_owned()));
+    }
+    let advice = format!("`sudo usermod -aG {group_name} {name}`, then log in again");
+    Some((format!("you ({name}) are not in its group `{group_name}`"), advice))
 }
 
 #[cfg(test)]
@@ -186,11 +135,11 @@ mod tests {
     #[test]
     fn the_primary_group_counts() {
         let me = CurrentUser { login_gid: 991, ..anna(&[1000]) };
-        assert_eq!(me.membership(&haptics(&[])), Membership::MemberAfterLogin);
+        let line = line(&me, &haptics(&[]), (990, "meissner"), 0o140_660);
+        assert!(line.ends_with("but not yet in this session: log in again"), "{line}");
         // The user who runs the tests.
         if let Some(me) = CurrentUser::look_up() {
             assert!(me.gids.contains(&getegid().as_raw()));
         }
-        assert_eq!(UserGroup::named("no-such-group"), None);
     }
 }

@@ -7,7 +7,7 @@
 //! - [`Client`]: calls that wait for their answer, by default for [`ANSWER_TIMEOUT`]. Each client has its own small async runtime.
 //! - [`Events`]: the daemon's events, on a separate connection.
 //! - [`estop_at`]: an emergency stop, on a socket of its own if there is one.
-//! - [`ClientError`]: the errors, each one line that says what to do; [`access`] explains why a socket is denied.
+//! - [`ClientError`]: the errors, each one line that says what to do.
 //!
 //! ```no_run
 //! use meissner_api::{ArmRequest, Event, Item, Order, PlayAccepted, Status, Terms};
@@ -31,7 +31,7 @@
 //!
 //! Invariant: the client sends a request that may change something only once. It may repeat an emergency stop.
 
-pub mod access;
+mod access;
 mod client;
 mod connection;
 mod endpoint;

@@ -11,7 +11,6 @@
 - `demo`: a daemon with the simulated array, and a client of it. `Daemon` is the daemon alone.
 - `simulate`, `design`, `render`, `judge`, `displacement`: predicted spikes, a search for patterns, a pattern that feels like an object,
   how near it comes, and how far pins move, by the installed program.
-- `align`: the map between the device's ticks and another recorder's clock, by pulses that both have.
 - `experiment`: trial lists, staircases, QUEST+, keys and button boxes.
 - `errors`: one class for each code of the API.
 """
@@ -27,7 +26,6 @@ from ._endpoint import Endpoint, endpoints
 from ._live import Update
 from ._operations import Core, begin
 from ._sse import Event
-from .alignment import Aligned, align
 from .arrays import Array
 from .client import Client, Play, Session
 from .clocks import ClientClock, Instant
@@ -38,7 +36,6 @@ from .results import Item, LiveResult, PlanCheck, Receipt, Status
 from .traces import Displacement, displacement
 
 __all__ = [
-    "Aligned",
     "ApiError",
     "Array",
     "Client",
@@ -63,7 +60,6 @@ __all__ = [
     "Status",
     "Unreachable",
     "Update",
-    "align",
     "connect",
     "demo",
     "design",

@@ -13,7 +13,6 @@ from ._operations import Core, pattern, status
 from ._sessions import session_plays, warn_of_gaps
 from .clocks import NS, Instant
 from .errors import BadPattern, IncompleteSession, NotFound
-from .traces import ArrayName
 
 
 def _complete(recorded: Mapping[str, Any]) -> None:
@@ -24,11 +23,6 @@ def _complete(recorded: Mapping[str, Any]) -> None:
             f"the record of session {recorded['session']['id']} is incomplete: {'; '.join(missing)}: nothing was written; pass "
             "incomplete=True to export what there is"
         )
-
-
-def _check_rate(displacement_hz: float | None) -> None:
-    if displacement_hz is not None and number("displacement_hz", displacement_hz) <= 0:
-        raise ValueError(f"`displacement_hz` is {displacement_hz}: must be above 0, or None for no displacement")
 
 
 def _stimuli(core: Core, session_id: str, incomplete: bool) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
@@ -58,12 +52,10 @@ def export_bids(
     session: str | None = None,
     run: int | str | None = None,
     zero: float | Instant | None = None,
-    displacement_hz: float | None = 1000.0,
-    array: ArrayName | None = None,
     incomplete: bool = False,
     overwrite: bool = False,
 ) -> bids.Export:
-    """Write a recorded session into a BIDS dataset: events, the patterns as stimuli, the displacement of the pins.
+    """Write a recorded session into a BIDS dataset: events, and the patterns as stimuli.
 
     `task` names the task, else the session's experiment does. `subject` and `session` are labels of letters and digits, by
     default what remains of the participant's pseudonym and of the session's id; `run` is a number. Raises `BidsConflict` if one of
@@ -72,12 +64,9 @@ def export_bids(
 
     `zero` is the instant from which onsets count, such as the
     start of an EEG recording: of this process's `time.monotonic()`, or an `Instant`. Without it the first onset counts.
-    `displacement_hz`: samples of the pins' displacement a second, computed by the program `meissner` on this machine; None: none.
-    `array`: the file of the array's description, if that program does not ship it.
 
     Raises `IncompleteSession` if the record lacks something of the session, unless `incomplete`; `left_out` then says what.
     """
-    _check_rate(displacement_hz)
     recorded, found = _stimuli(core, session_id, incomplete)
     if isinstance(zero, Instant):
         zero_host_ns: int | None = zero.host_ns
@@ -91,11 +80,9 @@ def export_bids(
         task=task,
         zero_host_ns=zero_host_ns,
         software=core.daemon,
-        displacement_hz=displacement_hz,
         subject=subject,
         session=session,
         run=run,
-        array=array,
         overwrite=overwrite,
     )
 
@@ -107,20 +94,17 @@ def export_nwb(
     *,
     subject: Mapping[str, Any] | None = None,
     metadata: Mapping[str, Any] | None = None,
-    displacement_hz: float | None = 1000.0,
-    array: ArrayName | None = None,
     incomplete: bool = False,
     overwrite: bool = False,
 ) -> nwb.Export:
-    """Write a recorded session as an NWB file: a table of stimuli, the trials with their answers, the displacement of the pins.
+    """Write a recorded session as an NWB file: a table of stimuli, and the trials with their answers.
 
     It needs the package `pynwb`. `subject` has keys of `pynwb.file.Subject`, such as `age="P30Y"` and `sex="F"`, `metadata` those of
-    `pynwb.NWBFile`, such as `experimenter`, `institution` and `keywords`. `displacement_hz`,
-    `array` and `incomplete`: as in `export_bids`. A file that is there is left as it is, unless `overwrite`.
+    `pynwb.NWBFile`, such as `experimenter`, `institution` and `keywords`.
+    `incomplete`: as in `export_bids`. A file that is there is left as it is, unless `overwrite`.
     """
     nwb.needs_pynwb()
     nwb.check_place(Path(file), overwrite)
-    _check_rate(displacement_hz)
     about = {
         name: None if given is None else table(name, given, such_as)
         for name, given, such_as in (
@@ -135,7 +119,5 @@ def export_nwb(
         found,
         status=status(core),
         **about,
-        displacement_hz=displacement_hz,
-        array=array,
         overwrite=overwrite,
     )

@@ -1,5 +1,4 @@
-"""BIDS: writes a recorded session as `events.tsv` with its sidecar, the stimuli, the pins' displacement (`stim.tsv.gz`), and what
-a dataset needs around them.
+"""BIDS: writes a recorded session as `events.tsv` with its sidecar, the stimuli, and what a dataset needs around them.
 
 `Client.export_bids` uses it. The files follow BIDS 1.10 for behavioural data (`beh`): onsets in seconds, sorted, and every
 column described. What a dataset has already stays: the participant is added. `_bids_names.py` names the files.
@@ -11,7 +10,6 @@ places before the first one takes its place. No file of others is replaced unles
 from __future__ import annotations
 
 import contextlib
-import gzip
 import json
 import platform
 import re
@@ -24,10 +22,9 @@ from ._bids_names import SESSION_SOURCE, SOURCE, Names, source, with_participant
 from ._bids_names import label as label
 from ._labels import Labels, exact
 from ._text_file import replacing, text_of
-from .errors import BidsConflict, MeissnerError, ProgramError
+from .errors import BidsConflict, MeissnerError
 from .motions import pattern_toml
 from .results import reached_um
-from .traces import ArrayName, Grid, is_blank, unknown
 
 VERSION = "1.10.0"
 _HED_VERSION = "8.3.0"
@@ -98,8 +95,6 @@ class Export:
     """The file of events."""
     stimuli: dict[str, str]
     """The patterns by SHA-256, and their files below `stimuli`."""
-    displacement: Path | None
-    """The file of the pins' displacement."""
     left_out: tuple[str, ...]
     """What could not be exported, one line each."""
     plays_missing: int = 0
@@ -129,11 +124,9 @@ def write(
     task: str | None,
     zero_host_ns: int | None,
     software: tuple[int, str] | None,
-    displacement_hz: float | None = None,
     subject: str | None = None,
     session: str | None = None,
     run: int | str | None = None,
-    array: ArrayName | None = None,
     overwrite: bool = False,
 ) -> Export:
     """Writes a session. `recorded` is as of `session_plays`, `patterns` holds the patterns' keys by SHA-256.
@@ -149,10 +142,9 @@ def write(
     zero = zero_host_ns if zero_host_ns is not None else (rows[0]["onset_monotonic_ns"] if rows else 0)
     left_out = losses(recorded)
     for row in rows:
-        is_live = row["live"] is not None
-        line = f"the text of {row['pattern']} as played is not kept: its stim_file is n/a"
-        line = f"{unknown(row, texts)}: its stim_file is n/a" if is_live else line
-        if row["pattern_sha256"] not in stimuli and line not in left_out and not is_blank(row):
+        line = f"{not_kept(row)}: its stim_file is n/a"
+        # A blank item, as in a catch trial, has no pattern.
+        if row["pattern_sha256"] not in ("", *stimuli) and line not in left_out:
             left_out.append(line)
     merged, has_hed = _dataset(root, names)
     if not has_hed:
@@ -165,32 +157,18 @@ def write(
     sidecar = {**about, **_sidecar(rows, labels, software, has_hed)}
     made[events.with_suffix(".json")] = _json(sidecar)
     made[events] = _tsv(columns, [{**_event(row, zero, stimuli, labels), **labels.cells(row)} for row in rows])
-    samples = events.with_name(events.name.replace("_events.tsv", "_stim.tsv.gz"))
-    grid = None
-    if displacement_hz is not None and rows:
-        try:
-            grid = Grid(rows, texts, zero_ns=zero, rate_hz=displacement_hz, array=array)
-        except ProgramError as error:
-            left_out.append(f"no displacement of the pins: {error}")
-        else:
-            made[samples.with_name(samples.name.replace(".tsv.gz", ".json"))] = _samples_sidecar(grid, names.task_name)
     files = {**merged, **made}
     changed = {file: data for file, data in files.items() if not _holds(file, data)}
     if not overwrite:
         is_own = source(events.with_suffix(".json")) == names.session_id
-        of_others = [
-            file for file in (*changed, samples) if file not in merged and not (is_own and file.parent == events.parent)
-        ]
+        of_others = [file for file in changed if file not in merged and not (is_own and file.parent == events.parent)]
         _check_foreign(of_others)
     writers: dict[Path, Callable[[Path], object]] = {
         file: lambda beside, data=data: beside.write_bytes(data)  # type: ignore[misc]
         for file, data in changed.items()
     }
-    if grid:
-        writers[samples] = lambda beside: _displacement(beside, grid)
     _write_all(root, writers)
-    left_out += grid.problems if grid else []
-    return Export(events, stimuli, samples if grid else None, tuple(left_out), recorded["plays_missing"])
+    return Export(events, stimuli, tuple(left_out), recorded["plays_missing"])
 
 
 def _holds(file: Path, data: bytes) -> bool:
@@ -241,33 +219,13 @@ def _incomplete(recorded: Mapping[str, Any]) -> dict[str, Any]:
     return {"Incomplete": {"Missing": losses(recorded), **told}}
 
 
-_AT_ONCE = 10_000
-
-
-def _displacement(file: Path, grid: Grid) -> None:
-    """The samples. The same samples make the same bytes: no name and no time in the file."""
-    zeros, unknown = (("\t".join([cell] * grid.pins) + "\n").encode() for cell in ("0", "n/a"))
-    with file.open("wb") as opened, gzip.GzipFile("", "wb", 6, opened, mtime=0) as packed:
-        due = grid.first
-        for index, row in grid:
-            while due < index:
-                rest = min(index - due, _AT_ONCE)
-                packed.write(zeros * rest)
-                due += rest
-            packed.write(unknown if row is None else ("\t".join(map(_um, row)) + "\n").encode())
-            due += 1
-
-
-def _samples_sidecar(grid: Grid, task: str) -> bytes:
-    names = [f"pin_{pin}" for pin in range(grid.pins)]
-    about = "displacement from rest towards the finger, by the motor model from what was ordered: not measured"
-    columns = {name: {"Description": f"Pin {name[4:]}: {about}", "Units": "um"} for name in names}
-    sampling = {"SamplingFrequency": grid.rate_hz, "StartTime": grid.first / grid.rate_hz, "Columns": names}
-    return _json({"TaskName": task, **sampling, **columns})
-
-
-def _um(value: float) -> str:
-    return f"{value:.3f}" if value else "0"
+def not_kept(row: Mapping[str, Any]) -> str:
+    """Why the pattern of a stimulus as it was played is not kept."""
+    if (live := row["live"]) is not None:
+        return (
+            f"play {row['play']} was live: the record has the number of its updates ({live['updates']}), not its moves"
+        )
+    return f"the text of {row['pattern']} as played is not kept"
 
 
 def _event(row: Mapping[str, Any], zero: int, stimuli: Mapping[str, str], labels: Labels) -> dict[str, Any]:

@@ -1,7 +1,7 @@
-"""NWB: writes a recorded session as a file with a table of stimuli, the pins' displacement, and the device.
+"""NWB: writes a recorded session as a file with a table of stimuli, the trials, and the device.
 
 `Client.export_nwb` uses it; it needs `pynwb`: `pip install 'pynwb>=4'`. Times count from the session's start on the
-recording PC's clock. The displacement has samples during stimuli alone: in between all pins rest.
+recording PC's clock.
 
 Invariant: a file that is there is replaced only if the caller says so: whole, and once everything was written.
 """
@@ -9,7 +9,6 @@ Invariant: a file that is there is replaced only if the caller says so: whole, a
 from __future__ import annotations
 
 import math
-from array import array
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import datetime
@@ -18,12 +17,11 @@ from typing import Any
 
 from ._labels import Labels
 from ._text_file import replacing
-from .bids import answer_cells, edge_cells, first_pulse_ns, losses, stimulus_rows, trial_rows
+from .bids import answer_cells, edge_cells, first_pulse_ns, losses, not_kept, stimulus_rows, trial_rows
 from .clocks import NS
-from .errors import MeissnerError, ProgramError
+from .errors import MeissnerError
 from .motions import pattern_toml
 from .results import Status, reached_um
-from .traces import ArrayName, Grid
 
 _COLUMNS = {
     "pattern": "Name of the vibration pattern",
@@ -88,8 +86,6 @@ def write(
     status: Status,
     subject: Mapping[str, Any] | None = None,
     metadata: Mapping[str, Any] | None = None,
-    displacement_hz: float | None = 1000.0,
-    array: ArrayName | None = None,
     overwrite: bool = False,
 ) -> Export:
     """Writes a session. `recorded` is as of `session_plays`, `patterns` holds the patterns' keys by SHA-256."""
@@ -99,7 +95,8 @@ def write(
     if not rows:
         raise MeissnerError(f"session {session['id']} has no stimuli: there is nothing to export")
     texts = {sha256: pattern_toml(keys) for sha256, keys in patterns.items()}
-    left_out = losses(recorded)
+    missing = (not_kept(row) for row in rows if row["pattern_sha256"] not in ("", *patterns))
+    left_out = [*losses(recorded), *dict.fromkeys(missing)]
     started = datetime.fromisoformat(session["started"])
     zero_ns = _zero_ns(rows, started)
     about = {
@@ -121,13 +118,6 @@ def write(
     _add_trials(nwb, trial_rows(recorded["plays"]), session, zero_ns)
     if "age" not in person and "date_of_birth" not in person:
         left_out.append("the participant's age, which archives ask for: export with subject={'age': 'P30Y'}")
-    if displacement_hz is not None:
-        try:
-            grid = Grid(rows, texts, zero_ns=zero_ns, rate_hz=displacement_hz, array=array)
-        except ProgramError as error:
-            left_out.append(f"no displacement of the pins: {error}")
-        else:
-            left_out += _add_displacement(pynwb, nwb, grid)
     with replacing(file) as beside, pynwb.NWBHDF5IO(str(beside), "w") as io:
         io.write(nwb)
     return Export(file, tuple(left_out), recorded["plays_missing"])
@@ -229,39 +219,3 @@ def _add_trials(nwb: Any, plays: list[dict[str, Any]], session: Mapping[str, Any
                 name: _number(cell) if name in numbers else "" if cell is None else cell for name, cell in cells.items()
             },
         )
-
-
-def _add_displacement(pynwb: Any, nwb: Any, grid: Grid) -> list[str]:
-    """Adds the samples of all stimuli. Returns what is missing."""
-    import numpy
-
-    indices, values = array("q"), array("f")
-    unknown, is_known = [math.nan] * grid.pins, False
-    for index, row in grid:
-        indices.append(index)
-        values.extend(unknown if row is None else row)
-        is_known = is_known or row is not None
-    if not is_known:
-        return [*grid.problems, "no displacement of the pins: that of no stimulus is known"]
-    while len(indices) <= grid.pins:
-        # After the last stimulus all pins rest. A table with more columns than rows looks like one whose rows are pins.
-        indices.append(indices[-1] + 1)
-        values.extend([0.0] * grid.pins)
-    data = numpy.frombuffer(values, dtype=numpy.float32).reshape(-1, grid.pins)
-    is_even = indices[-1] - indices[0] == len(indices) - 1
-    times: dict[str, Any] = {"timestamps": numpy.frombuffer(indices, dtype=numpy.int64) / grid.rate_hz}
-    if is_even:
-        times = {"rate": float(grid.rate_hz), "starting_time": indices[0] / grid.rate_hz}
-    nwb.add_stimulus(
-        pynwb.TimeSeries(
-            name="pin_displacement",
-            description=f"Displacement of pins 0 to {grid.pins - 1} from rest towards the finger, by the motor model from what was "
-            "ordered: not measured. Between stimuli, where there are no samples, all pins rest. NaN: not known.",
-            data=pynwb.H5DataIO(data, compression="gzip"),
-            unit="meters",
-            conversion=1e-6,
-            resolution=1e-9,
-            **times,
-        )
-    )
-    return grid.problems

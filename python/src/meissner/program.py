@@ -69,9 +69,7 @@ def _run(arguments: Sequence[str], stdin: str | None = None) -> Any:
 def failure(command: str, stderr: str, code: int) -> ProgramError:
     """Why a command has failed."""
     lines = stderr.strip().splitlines() or [f"exit code {code}"]
-    # What is wrong with the arguments stands in front of the usage; other errors are the last line.
-    said = next((line.removeprefix("error: ") for line in lines if line.startswith("error: ")), lines[-1])
-    return ProgramError(f"`meissner {command}` failed: {said}")
+    return ProgramError(f"`meissner {command}` failed: {lines[-1]}")
 
 
 def find_array(array: str | os.PathLike[str]) -> Array:

@@ -3,7 +3,7 @@
 //! The limits are here, each with its reason. [`crate::doctor::device`] has the checks that a daemon also makes on its device. The
 //! device is closed again before the doctor prints anything.
 
-use super::{port, self_test};
+use super::self_test;
 use crate::doctor::device::{line, simulated, telemetry, trigger_input};
 use crate::receipts::{board_status, device_info};
 use firmware_protocol::frame::PROTOCOL;
@@ -11,10 +11,9 @@ use meissner_api::{BoardStatus, DeviceInfo, Finding, Level};
 use meissner_array::simulated::SimulatedMotorsConfig;
 use meissner_array::spec::Array;
 use meissner_stream::Settings;
-use meissner_stream::device::{self, DeviceError, Spec};
+use meissner_stream::device::{self, Spec};
 use meissner_stream::diagnostics::{self, Drift, LinkReport, RoundTripStats};
 use serde::Serialize;
-use std::path::{Path, PathBuf};
 
 /// A correction leaves the host this long before its burst, us: with a slower round trip it comes late.
 const CORRECTION_US: f64 = 3_000.0;
@@ -45,7 +44,6 @@ pub(super) struct Examined {
 
 /// Opens and measures a device, and adds what it found to `findings`; `None` if that failed.
 pub(super) fn examine(
-    root: &Path,
     spec: &Spec,
     array: Array,
     self_test: bool,
@@ -55,17 +53,12 @@ pub(super) fn examine(
         Ok(device) => device,
         Err(error) => {
             findings.push(Finding::fail("device", error.found(), error.advice()));
-            findings.extend(taken(&error).and_then(|path| port::holders(root, &path, true)));
             return None;
         }
     };
     let (kind, serial_number) = (device.kind(), device.serial_number().map(str::to_owned));
     let checked = diagnostics::measure(&mut device, array, self_test);
     drop(device);
-    // A program that already had the port open reads bytes meant for us.
-    if let Spec::Serial(path) = spec {
-        findings.extend(port::holders(root, path, false));
-    }
     let checked = match checked {
         Ok(checked) => checked,
         Err(error) => {
@@ -81,15 +74,6 @@ pub(super) fn examine(
         findings.extend(self_test::judged(state, checked.hello.array.motors, checked.hello.array.tick_hz));
     }
     Some(examined)
-}
-
-/// The file that another program has open, if that is the problem.
-fn taken(error: &DeviceError) -> Option<PathBuf> {
-    match error {
-        DeviceError::InUse(path) => Some(path.clone()),
-        DeviceError::UsbInUse(place) => Some(Path::new("/dev/bus/usb").join(place)),
-        _ => None,
-    }
 }
 
 fn examined(kind: &str, serial_number: Option<String>, checked: &LinkReport) -> Examined {

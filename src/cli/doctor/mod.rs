@@ -1,15 +1,13 @@
 //! `doctor`: checks what could keep this machine, its service, its daemon or its device from playing patterns in time.
 //!
 //! It first measures how late [`timers`] wake a thread, while no other check runs. Then it makes the checks that the daemon also
-//! makes ([`crate::doctor`]), and those of its user and of a device without a daemon: [`rights`], [`group`], [`unreachable`]
-//! daemons, [`port`]s, and the [`board`], unless a daemon has opened it. On request the board tests itself ([`self_test`]). The
+//! makes ([`crate::doctor`]), and those of its user and of a device without a daemon: [`rights`], [`unreachable`] daemons, and the
+//! [`board`], unless a daemon has opened it. On request the board tests itself ([`self_test`]). The
 //! doctor does not arm, move or repair anything.
 //!
 //! Invariant: every finding that is not `ok` says what to do; the verdict is `go` only if no finding says `FAIL`.
 
 mod board;
-mod group;
-mod port;
 mod rights;
 mod self_test;
 mod timers;
@@ -24,7 +22,6 @@ use board::Examined;
 use meissner_api::{DoctorReport, Finding, Level, Status};
 use meissner_array::spec::Array;
 use meissner_client::ClientError;
-use meissner_client::access::CurrentUser;
 use meissner_stream::device::Spec;
 use serde::Serialize;
 use std::path::Path;
@@ -58,11 +55,6 @@ pub(super) fn run(
     let mut findings = Vec::from(rights::of_user(realtime, granted, units.is_installed()));
     findings.push(timers::finding(&wake_up));
     findings.extend(machine(root, &units));
-    // A refusal by the daemon already explains the groups.
-    let denied = matches!(status, Err(ClientError::Denied { .. }));
-    if !denied && let Some(me) = CurrentUser::look_up() {
-        findings.extend(group::finding(root, &units, &me));
-    }
     let daemons = match status {
         Ok(status) => {
             findings.extend(daemon::findings(root, &status, &units));
@@ -84,8 +76,8 @@ pub(super) fn run(
             }
             None
         }
-        None => board::examine(root, &Spec::Board, array, self_test, &mut findings),
-        Some(spec) => board::examine(root, &spec, array, self_test, &mut findings),
+        None => board::examine(&Spec::Board, array, self_test, &mut findings),
+        Some(spec) => board::examine(&spec, array, self_test, &mut findings),
     };
     let simulated = match &device {
         Some(examined) => examined.device.simulated,

@@ -2,23 +2,32 @@
 //!
 //! The page is plain HTML, CSS and JavaScript modules without a build step. It uses only the API (`assets/api.js`), so the OpenAPI
 //! document covers everything that it does. `assets/estop.js` holds the parts that must work alone: the emergency stop, and the
-//! state with its age. The modules read the state there, and only that script shows it. `served` answers requests for files: what a
-//! browser has, it does not load again.
+//! state with its age. The modules read the state there, and only that script shows it. A browser asks again for each file with the tag
+//! of what it has; unless the file differs, the answer is 304.
 //!
 //! The page has four views, each with modules and a style sheet of its own. `assets/views.js` says how a module adds a part to a view,
 //! and `assets/control.js` how it says beside a control what came of it.
 //!
 //! Invariant: the page loads nothing from other sites, and its policy forbids that.
 
-mod served;
-
+use crate::store;
 use axum::Router;
-use axum::extract::Path;
-use axum::http::HeaderMap;
+use axum::http::header::{
+    CACHE_CONTROL, CONTENT_SECURITY_POLICY, CONTENT_TYPE, ETAG, IF_NONE_MATCH, REFERRER_POLICY,
+};
+use axum::http::{HeaderMap, StatusCode};
+use axum::response::{IntoResponse, Response};
 use axum::routing::get;
+use std::sync::LazyLock;
 
-/// The address of the files but the first.
-const FOLDER: &str = "/page/";
+/// The policy: scripts, styles and requests of this daemon alone; no frame around it.
+const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; connect-src 'self'; base-uri 'none'; \
+                      form-action 'none'; frame-ancestors 'none'";
+/// The tag of all files: they come and go together, with the program.
+static TAG: LazyLock<String> = LazyLock::new(|| {
+    let all: String = FILES.iter().map(|(.., text)| *text).collect();
+    format!("\"{}\"", store::hash(all.as_bytes()))
+});
 const STYLE: &str = "text/css; charset=utf-8";
 const SCRIPT: &str = "text/javascript; charset=utf-8";
 
@@ -61,40 +70,47 @@ const FILES: &[(&str, &str, &str)] = &[
     ("/page/receipt.js", SCRIPT, include_str!("assets/receipt.js")),
     ("/page/device.js", SCRIPT, include_str!("assets/device.js")),
     ("/page/doctor.js", SCRIPT, include_str!("assets/doctor.js")),
-    ("/page/calibration.js", SCRIPT, include_str!("assets/calibration.js")),
     ("/page/record.js", SCRIPT, include_str!("assets/record.js")),
     ("/page/session.js", SCRIPT, include_str!("assets/session.js")),
     ("/page/events.js", SCRIPT, include_str!("assets/events.js")),
-    ("/page/experiment.js", SCRIPT, include_str!("assets/experiment.js")),
-    ("/page/choice.js", SCRIPT, include_str!("assets/choice.js")),
-    ("/page/export.js", SCRIPT, include_str!("assets/export.js")),
 ];
 
 /// Whether a request is for a file of the page. They contain no secrets, so a client needs no token for them.
 pub(super) fn is_file(method: &str, path: &str) -> bool {
-    let kept = path.strip_prefix(FOLDER).and_then(|rest| rest.split_once('/'));
-    let kept = kept.filter(|(version, _)| version.bytes().all(|byte| byte.is_ascii_hexdigit()));
-    let is_known =
-        |known: &str| known == path || kept.is_some_and(|(_, name)| known.strip_prefix(FOLDER) == Some(name));
-    matches!(method, "GET" | "HEAD") && FILES.iter().any(|(known, ..)| is_known(known))
+    matches!(method, "GET" | "HEAD") && FILES.iter().any(|(known, ..)| *known == path)
 }
 
-/// The routes of the page: each file at its address, and below `/page/VERSION/`, where a browser may keep it.
+/// The routes of the page.
 pub(super) fn routes<S: Clone + Send + Sync + 'static>() -> Router<S> {
-    FILES.iter().enumerate().fold(Router::new(), |router, (index, (path, ..))| {
-        let fresh = get(move |headers: HeaderMap| served::serve(index, None, headers));
-        let router = router.route(path, fresh);
-        let Some(name) = path.strip_prefix(FOLDER) else { return router };
-        let kept = get(move |Path(version): Path<String>, headers: HeaderMap| {
-            served::serve(index, Some(version), headers)
-        });
-        router.route(&format!("{FOLDER}{{version}}/{name}"), kept)
+    FILES.iter().fold(Router::new(), |router, &(path, kind, text)| {
+        router.route(path, get(move |headers: HeaderMap| async move { serve(kind, text, &headers) }))
     })
+}
+
+/// Answers a request for a file.
+fn serve(kind: &'static str, text: &'static str, request: &HeaderMap) -> Response {
+    let headers = [
+        (CONTENT_TYPE, kind),
+        (CONTENT_SECURITY_POLICY, POLICY),
+        (REFERRER_POLICY, "no-referrer"),
+        (CACHE_CONTROL, "no-cache"),
+        (ETAG, TAG.as_str()),
+    ];
+    let is_known = request
+        .get_all(IF_NONE_MATCH)
+        .iter()
+        .any(|tags| tags.to_str().is_ok_and(|tags| tags.contains(TAG.as_str())));
+    if is_known {
+        (StatusCode::NOT_MODIFIED, headers).into_response()
+    } else {
+        (headers, text).into_response()
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use axum::http::HeaderValue;
 
     #[test]
     fn the_page_loads_nothing_from_elsewhere() {
@@ -136,10 +152,25 @@ mod tests {
         assert!(
             !is_file("POST", "/") && !is_file("GET", "/v1/status") && !is_file("GET", "/page/../v1/status")
         );
-        assert!(is_file("GET", "/page/0123/app.js") && is_file("GET", "/favicon.ico"));
-        for path in ["/page/0123/status", "/page/v1/app.js", "/page/0123/../app.js", "/page/0123//", "/page/"]
-        {
-            assert!(!is_file("GET", path), "{path}");
+        assert!(is_file("GET", "/favicon.ico") && !is_file("GET", "/page/"));
+    }
+
+    #[test]
+    fn a_file_that_the_browser_has_is_not_sent_again() {
+        let (kind, text) = (FILES[0].1, FILES[0].2);
+        let known = |tags: &str| {
+            let request = HeaderMap::from_iter([(IF_NONE_MATCH, HeaderValue::from_str(tags).unwrap())]);
+            serve(kind, text, &request).status()
+        };
+        let first = serve(kind, text, &HeaderMap::new());
+        assert_eq!(
+            (first.status(), first.headers()[CACHE_CONTROL].as_bytes()),
+            (StatusCode::OK, &b"no-cache"[..])
+        );
+        let tag = first.headers()[ETAG].to_str().unwrap();
+        for tags in [tag.to_owned(), format!("\"other\", W/{tag}")] {
+            assert_eq!(known(&tags), StatusCode::NOT_MODIFIED, "{tags}");
         }
+        assert_eq!(known("\"other\""), StatusCode::OK);
     }
 }

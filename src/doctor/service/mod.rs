@@ -9,7 +9,6 @@ use crate::config::{Config, ConfigError};
 use meissner_api::Finding;
 use meissner_client::is_installed;
 use std::collections::HashMap;
-use std::fs;
 use std::io::{self, Read};
 use std::path::Path;
 use std::process::{Command, Stdio};
@@ -18,20 +17,18 @@ use std::time::{Duration, Instant};
 
 /// How long `systemctl` may take.
 const TIMEOUT: Duration = Duration::from_secs(3);
-const ASKED: &str =
-    "Id,LoadState,ActiveState,SubState,UnitFileState,NRestarts,Result,MainPID,NeedDaemonReload";
-pub(crate) const SERVICE: &str = "meissner.service";
-pub(crate) const SOCKET: &str = "meissner.socket";
+const ASKED: &str = "Id,LoadState,ActiveState,SubState,UnitFileState,Result,MainPID";
+const SERVICE: &str = "meissner.service";
+const SOCKET: &str = "meissner.socket";
 const CONFIG: &str = "etc/meissner/meissner.toml";
-/// Where rules may be installed; an earlier file hides the later ones.
+/// Where rules may be installed.
 const RULES: [&str; 4] = [
     "etc/udev/rules.d/70-meissner.rules",
     "usr/local/lib/udev/rules.d/70-meissner.rules",
     "usr/lib/udev/rules.d/70-meissner.rules",
     "lib/udev/rules.d/70-meissner.rules",
 ];
-pub(super) const RELOAD: &str = "sudo udevadm control --reload && sudo udevadm trigger";
-const JOURNAL: &str = "`journalctl -u meissner -e` shows why";
+const RELOAD: &str = "sudo udevadm control --reload && sudo udevadm trigger";
 
 /// What systemd reports about our units; empty if none is installed.
 #[derive(Debug, Default)]
@@ -121,36 +118,24 @@ fn state(units: &Units) -> Vec<Finding> {
     for (what, unit) in [("service", SERVICE), ("socket unit", SOCKET)] {
         let of = |property| units.of(unit, property);
         let (load, active, sub) = (of("LoadState"), of("ActiveState"), of("SubState"));
-        findings.push(match (load, active) {
-            ("masked", _) => {
-                Finding::warn(what, format!("{unit} is masked"), format!("`sudo systemctl unmask {unit}`"))
-            }
-            ("not-found", _) => {
-                let advice = "install the package again: `sudo apt install --reinstall ./meissner_*.deb`";
-                Finding::warn(what, format!("{unit} is not installed"), advice)
-            }
-            ("loaded", "failed") => {
+        findings.push(match active {
+            "failed" => {
                 let found = format!("{unit} failed ({})", of("Result"));
-                Finding::fail(what, found, format!("{JOURNAL}; then `sudo systemctl restart {unit}`"))
+                Finding::fail(what, found, format!("`journalctl -u {unit} -e` shows why"))
             }
-            ("loaded", _) if sub == "auto-restart" => {
+            _ if sub == "auto-restart" => {
                 let found = format!("systemd restarts {unit} again and again ({})", of("Result"));
-                Finding::fail(what, found, JOURNAL)
+                Finding::fail(what, found, format!("`journalctl -u {unit} -e` shows why"))
             }
-            ("loaded", "active" | "activating" | "reloading") => {
-                Finding::ok(what, format!("{unit} is {active} ({sub})"))
-            }
+            "active" | "activating" | "reloading" => Finding::ok(what, format!("{unit} is {active} ({sub})")),
             // The service starts when a client connects.
-            ("loaded", _) if unit == SERVICE && units.of(SOCKET, "ActiveState") == "active" => {
+            _ if load == "loaded" && unit == SERVICE && units.of(SOCKET, "ActiveState") == "active" => {
                 Finding::ok(what, format!("{unit} is {active}, and starts with the first client"))
             }
-            ("loaded", _) => {
-                let advice = format!("`sudo systemctl start {SOCKET} {SERVICE}`");
-                Finding::warn(what, format!("{unit} is {active}"), advice)
-            }
             _ => {
-                let found = format!("{unit} cannot be used ({load})");
-                Finding::fail(what, found, format!("`systemctl status {unit}` shows why"))
+                let advice =
+                    format!("`sudo systemctl start {SOCKET} {SERVICE}`, or see `systemctl status {unit}`");
+                Finding::warn(what, format!("{unit} is {active} ({load})"), advice)
             }
         });
     }
@@ -162,16 +147,6 @@ fn state(units: &Units) -> Vec<Finding> {
             "neither unit is enabled, so no daemon runs after a boot",
             advice,
         ));
-    }
-    let restarts = units.of(SERVICE, "NRestarts");
-    if !matches!(restarts, "" | "0") {
-        let advice = format!("{JOURNAL}; `sudo systemctl reset-failed {SERVICE}` resets the count");
-        let found = format!("systemd has restarted the daemon {restarts} times: it failed, or was upgraded");
-        findings.push(Finding::warn("restarts", found, advice));
-    }
-    if units.of(SERVICE, "NeedDaemonReload") == "yes" {
-        let advice = format!("`sudo systemctl daemon-reload && sudo systemctl restart {SERVICE}`");
-        findings.push(Finding::warn("unit files", "they changed since systemd read them", advice));
     }
     findings
 }
@@ -195,19 +170,15 @@ fn config(root: &Path) -> Option<Finding> {
     })
 }
 
-/// The text of the rules that udev uses.
-pub(super) fn rules_text(root: &Path) -> Option<String> {
-    RULES.iter().find_map(|rules| fs::read_to_string(root.join(rules)).ok())
+/// The rules that udev uses.
+pub(super) fn rules_file(root: &Path) -> Option<&'static str> {
+    RULES.into_iter().find(|rules| root.join(rules).exists())
 }
 
 fn rules(root: &Path, units: &Units) -> Option<Finding> {
-    if !units.installed {
-        return None;
-    }
-    let texts = RULES.iter().filter_map(|rules| Some((rules, fs::read_to_string(root.join(rules)).ok()?)));
-    let texts: Vec<_> = texts.collect();
-    Some(match &texts[..] {
-        [] => {
+    units.installed.then(|| match rules_file(root) {
+        Some(used) => Finding::ok("udev rules", format!("/{used}")),
+        None => {
             let advice = format!(
                 "install the package again: `sudo apt install --reinstall ./meissner_*.deb && {RELOAD}`"
             );
@@ -217,11 +188,6 @@ fn rules(root: &Path, units: &Units) -> Option<Finding> {
                 advice,
             )
         }
-        [(used, text), (hidden, other), ..] if text != other => {
-            let found = format!("/{used} hides /{hidden}, whose text differs");
-            Finding::warn("udev rules", found, format!("`sudo rm /{used} && {RELOAD}`"))
-        }
-        [(used, _), ..] => Finding::ok("udev rules", format!("/{used}")),
     })
 }
 

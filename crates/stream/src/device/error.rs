@@ -82,7 +82,7 @@ impl DeviceError {
             Self::Denied(_) => "join the group that owns the port (`haptics`, or `dialout` without our udev rules) and \
                                 log in again"
                 .to_owned(),
-            Self::InUse(_) | Self::UsbInUse(_) => "stop that program first; `meissner status` shows the device of a \
+            Self::InUse(_) | Self::UsbInUse(_) => "stop that program first: `sudo fuser -v FILE` names it; `meissner status` shows the device of a \
                                                    daemon, `meissner status --socket PATH` that of one at another socket"
                 .to_owned(),
             Self::NotSerial(_) => "name a port from `ls /dev/serial/by-id`".to_owned(),

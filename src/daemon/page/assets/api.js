@@ -71,25 +71,15 @@ export async function text(path, ms = ANSWER_MS) {
   return part(response.text(), signal);
 }
 
-// A JSON answer in which integers that a number of JavaScript cannot hold, as nanoseconds of the wall clock, are strings that begin with
-// `\u0000`.
-export async function exact(path, ms = ANSWER_MS) {
-  return JSON.parse((await text(path, ms)).replace(/"(?:[^"\\]|\\.)*"|(?<![\d.])-?\d{16,}(?![\d.eE])/g, (found) => (found.startsWith('"') ? found : `"\\u0000${found}"`)));
-}
-
 // Orders a play, in the session that the page shows: the daemon refuses it if another one runs.
 export async function order(path, body) {
   if (!known()) await poll();
   const status = known();
   if (!status) throw new Problem("not-known", "Nothing was ordered: the state is not known.");
-  const answer = await orderIn(status.session?.id, path, body);
+  const session = status.session?.id;
+  const answer = await call("POST", path, session ? { ...body, session } : body, COMPILE_MS);
   await poll();
   return answer;
-}
-
-// Orders a play in this session; the daemon refuses it if another one runs, or none.
-export function orderIn(session, path, body) {
-  return call("POST", path, session ? { ...body, session } : body, COMPILE_MS);
 }
 
 // Stores a TOML file.

@@ -3,7 +3,6 @@
 
 import { known, last, listen, poll } from "./api.js";
 import { loadArray } from "./array.js";
-import { bindCalibration } from "./calibration.js";
 import { $, bindControls, element, say, showControls, write } from "./control.js";
 import { Designer } from "./designer.js";
 import { bindDevice } from "./device.js";
@@ -113,7 +112,6 @@ bindReceipt();
 bindRecord();
 bindDevice();
 bindDoctor();
-bindCalibration();
 startViews();
 document.querySelector(".colours").style.backgroundImage = gradient();
 $("scale-most").textContent = `${FULL_UM} µm`;

@@ -1,10 +1,10 @@
-// The chosen pattern: its figures, with those of a second one beside them, and its file. The list plays it.
+// The chosen pattern: its figures, and its file. The list plays it.
 
 import { call, DISK_MS } from "./api.js";
 import { array, isForeign } from "./array.js";
 import { $, element, open, refuse, saveFile, say } from "./control.js";
 import { complain, forgive, number } from "./number.js";
-import { figures, highest, preview } from "./preview.js";
+import { figures, preview } from "./preview.js";
 import { toml } from "./toml.js";
 
 const MOTIONS = ["wave", "ramp", "tone", "noise"];
@@ -12,9 +12,8 @@ const MOTIONS = ["wave", "ramp", "tone", "noise"];
 const MOST_PREVIEWS = 40;
 
 export class Chosen {
-  // The chosen pattern and the second one, each as the list has it.
+  // The chosen pattern, as the list has it.
   #first = null;
-  #second = null;
   // The chosen pattern in full.
   #full = null;
   #details;
@@ -39,14 +38,13 @@ export class Chosen {
     on("chosen-keep", "click", () => this.#run($("chosen-keep"), () => saveFile([toml(this.#full.pattern)], "application/toml", `${this.#first.name}.toml`)));
     for (const id of ["preview-from", "preview-seconds"]) on(id, "change", () => this.#draw());
     on("preview-motor", "change", () => complain("preview-motor") && this.#choosePin(number("preview-motor")));
-    on("compare-end", "click", () => this.compare(null));
     document.addEventListener("pin", ({ detail }) => this.#choosePin(detail));
     document.addEventListener("array", () => this.choose(null));
   }
 
-  // The names of the chosen pattern and of the second one; null for none.
-  get names() {
-    return [this.#first?.name ?? null, this.#second?.name ?? null];
+  // The name of the chosen pattern; null for none.
+  get name() {
+    return this.#first?.name ?? null;
   }
 
   // Shows a pattern of the list; null for none.
@@ -65,7 +63,6 @@ export class Chosen {
 
   #begin(pattern) {
     [this.#first, this.#full] = [pattern, null];
-    if (!pattern || this.#second?.name === pattern.name) this.#second = null;
     this.#marked();
     $("chosen-title").textContent = pattern ? `Pattern ${pattern.name}` : "Pattern";
     $("chosen-none").hidden = Boolean(pattern);
@@ -74,18 +71,9 @@ export class Chosen {
     return ++this.#asked;
   }
 
-  // Shows a second pattern of the list beside the first; null for none.
-  compare(pattern) {
-    this.#second = pattern?.name === this.#first?.name ? null : pattern;
-    this.#marked();
-    this.#draw();
-    $("previews-title").scrollIntoView({ block: "nearest" });
-  }
-
   // Takes the patterns that are stored now, by name.
   renew(patterns) {
-    const [first, second] = this.names.map((name) => patterns.get(name) ?? null);
-    if (second?.sha256 !== this.#second?.sha256) this.compare(second);
+    const first = patterns.get(this.name) ?? null;
     if (this.#first && first?.sha256 !== this.#first.sha256) this.choose(first);
   }
 
@@ -153,22 +141,19 @@ export class Chosen {
   async #draw() {
     if (!this.#full || isForeign(this.#first) || !complain("preview-from")) return;
     const asked = ++this.#asked;
-    const shown = [this.#first, this.#second].filter(Boolean);
-    $("compare-end").hidden = !this.#second;
+    const shown = this.#first;
     const piece = [number("preview-from"), $("preview-seconds").value];
     const wait = setTimeout(() => say($("preview-from"), "The daemon computes the figures …", "wait"), 300);
     try {
-      const found = await Promise.all(shown.map((pattern) => this.#preview(pattern, ...piece)));
+      const found = await this.#preview(shown, ...piece);
       if (asked !== this.#asked) return;
       // Others may have stored another one meanwhile.
-      if (found.some((of, i) => of.sha256 !== shown[i].sha256)) {
+      if (found.sha256 !== shown.sha256) {
         this.#previews.clear();
         this.#stored();
       }
-      // Both have the same scale.
-      const high = Math.max(...found.map(highest));
-      const width = Math.floor($("previews").clientWidth / found.length) - 16;
-      $("previews").replaceChildren(...found.map((of, i) => figures(of, shown[i].name, high, this.#motor, width, (motor) => this.#choosePin(motor))));
+      const width = Math.floor($("previews").clientWidth) - 16;
+      $("previews").replaceChildren(figures(found, shown.name, this.#motor, width, (motor) => this.#choosePin(motor)));
       say($("preview-from"), "");
     } catch (error) {
       if (asked !== this.#asked) return;

@@ -13,8 +13,6 @@ const HOME_MS = 30000;
 // This long after the window's last sign of life the daemon disarms the motors that the window has armed, s. While the window is
 // visible, each poll is a sign of life.
 const SILENCE_S = 10;
-// The name of the play that calibrates.
-export const CALIBRATION = "calibration";
 
 // An order without an answer after this time says that it is under way.
 const SLOW_MS = 500;
@@ -121,20 +119,6 @@ export function open(dialog) {
   [...dialog.querySelectorAll("input, button")].find((field) => field.checkVisibility()).focus();
   // The focus may have scrolled past the warning.
   dialog.scrollTop = 0;
-}
-
-// Things that are made in one task, at most: E-STOP is heard between two tasks.
-const SLICE = 50;
-const nextTask = () => new Promise((done) => setTimeout(done));
-
-// What `make` makes of each of these things, however many they are.
-export async function built(things, make, slice = SLICE) {
-  const all = [];
-  for (const [i, thing] of things.entries()) {
-    if (i && i % slice === 0) await nextTask();
-    all.push(make(thing, i));
-  }
-  return all;
 }
 
 // Reads a text to screen readers. Within a second only the last text of each `topic` is read.

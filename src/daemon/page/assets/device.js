@@ -1,27 +1,11 @@
-// Facts about the device, its link and clock, the array, the daemon, and who may reach it.
+// Facts about the device, its link and clock, the array, and the daemon.
 
-import { known, last, text } from "./api.js";
+import { known, last } from "./api.js";
 import { array } from "./array.js";
-import { $, facts, write } from "./control.js";
+import { $, facts } from "./control.js";
 import { part } from "./views.js";
 
-const ROLES = { operate: "everything but tokens: role “operate”", observe: "only read: role “observe”" };
-
-// The link's counters by name, from the metrics; null until they are known, and when they are too old.
-let counters = null;
-let asked = -Infinity;
-const COUNTERS_MS = 2000;
-
 const plural = (count, one, more = `${one}s`) => `${count} ${count === 1 ? one : more}`;
-
-// The counters that a device restarts when it is connected.
-async function loadCounters() {
-  asked = performance.now();
-  const lines = (await text("/v1/metrics")).matchAll(/^meissner_(\w+?)(?:_total)?(?:\{[^}]*\})? (\S+)$/gm);
-  counters = {};
-  for (const [, name, value] of lines) counters[name] = (counters[name] ?? 0) + Number(value);
-  showStatus();
-}
 
 function link(status) {
   const { device, line_bytes_per_s: line, board } = status;
@@ -29,13 +13,11 @@ function link(status) {
   const isKnown = status.position === "known" || status.motors.every((motor) => motor.source !== "none");
   const offsets = isKnown ? status.motors.map((motor) => Math.abs(motor.rest_error_um)) : [];
   const worst = Math.max(0, ...offsets);
-  const { sent_bytes: sent, retransmitted_frames: again, bad_frames: bad, device_bad_frames: badThere } = counters ?? {};
   return [
     ["Device", device ? `${device.kind}${device.simulated ? ", simulated" : ""}, firmware ${device.firmware}, ${device.telemetry ? "with" : "without"} telemetry` : status.missing ?? "none"],
     ["Largest offset from rest", offsets.length ? `${worst.toFixed(1)} µm, pin ${offsets.indexOf(worst)}, of at most ${status.drift_limit_um} µm` : "not known"],
     ["Position", status.position],
     ["Line", line === null ? "not measured" : `${(line / 1000).toFixed(0)} kB/s`],
-    ["Frames sent again, damaged", counters ? `${again} sent again, ${bad + badThere} damaged, ${(sent / 1e6).toFixed(1)} MB sent` : "not known"],
     ["Messages that cannot be true", status.contradictions],
     ["Clock", status.clock_uncertainty_us === null ? "not synchronised" : `synchronised to ±${status.clock_uncertainty_us.toFixed(1)} µs`],
     ["Host watchdog", `${status.lease_ms.toFixed(0)} ms without the daemon stop the device; strokes are sent ${status.lead_ms.toFixed(0)} ms ahead`],
@@ -58,23 +40,9 @@ function daemon(status) {
   ];
 }
 
-function network({ network, role }) {
-  const may = ["This window may", ROLES[role] ?? "not known"];
-  if (!network) return [may, ["Listens on", "its socket only"]];
-  const { address, problem, operate_tokens: operate, observe_tokens: observe, loopback_without_token: open, denied } = network;
-  return [
-    may,
-    ["Listens on", problem ? `not on ${address}: ${problem}` : address],
-    ["Tokens", `${operate} may operate, ${observe} may read`],
-    ["Without a token", open ? "clients on the daemon's machine may do everything" : "nobody over the network"],
-    ["Requests refused", denied],
-  ];
-}
-
 function showStatus() {
   const status = known();
-  if (status && performance.now() - asked >= COUNTERS_MS) loadCounters().catch(() => ((counters = null), showStatus()));
-  for (const [id, describe] of [["facts", link], ["daemon-facts", daemon], ["network-facts", network]]) {
+  for (const [id, describe] of [["facts", link], ["daemon-facts", daemon]]) {
     // Keep the rows in place.
     const rows = last() ? describe(last()) : [];
     facts($(id), status ? rows : rows.map(([name]) => [name, "not known"]));
@@ -82,7 +50,7 @@ function showStatus() {
 }
 
 function showArray() {
-  const { name, hash, positions_mm: places, grid, pitch_mm: pitch, pin_radius_mm: radius, motor, duty, rails, chips, tick_hz: hz, toml } = array();
+  const { name, hash, positions_mm: places, grid, pitch_mm: pitch, pin_radius_mm: radius, motor, duty, rails, chips, tick_hz: hz } = array();
   const isRun = (motors) => motors.length > 2 && motors.every((motor, i) => motor === motors[0] + i);
   const groups = (list) => list.map((motors) => (isRun(motors) ? `${motors[0]} to ${motors.at(-1)}` : motors.join(", ")));
   facts($("array-facts"), [
@@ -95,10 +63,9 @@ function showArray() {
     ["Driver chips", `${chips.length}, motors ${groups(chips).join("; ")}`],
     ["Carrier", `${(hz / 1000).toFixed(0)} kHz, high for ${duty.up} of a tick up, ${duty.down} down`],
   ]);
-  write($("array-toml"), toml);
 }
 
 export function bindDevice() {
-  part({ view: "device", at: "facts-title", load: loadCounters, state: showStatus, on: { connected: loadCounters, ended: loadCounters, disconnected: () => ((counters = null), showStatus()) } });
+  part({ view: "device", at: "facts-title", state: showStatus });
   document.addEventListener("array", showArray);
 }

@@ -12,7 +12,7 @@ const PAUSE_MS = 2000;
 const VERDICTS = { fail: "Failure", warn: "Warning", ok: "OK" };
 
 // Fills an element with a text whose commands, between backticks, are shown as code.
-export function worded(place, text) {
+function worded(place, text) {
   place.replaceChildren(...text.split("`").map((part, i) => (i % 2 ? element("code", part) : part)));
   return place;
 }

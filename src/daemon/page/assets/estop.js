@@ -96,7 +96,7 @@
   function touch(status) {
     if (!status) return NOT_KNOWN;
     const off = Math.max(0, ...(status.motors ?? []).map((motor) => Math.abs(motor.rest_error_um)));
-    const standing = status.standing ? `Pins stand up to ${Math.ceil(status.standing.height_um)} µm above rest, for ${Math.round(status.standing.age_s)} s. ` : "";
+    const standing = status.standing ? `Pins stand up to ${Math.ceil(status.standing.height_um)} µm above rest${status.standing.age_s < 0.5 ? "" : `, for ${Math.round(status.standing.age_s)} s`}. ` : "";
     if (status.play) return status.play.pattern === "calibration" ? "Calibration: do not touch the pins." : "Pins vibrate.";
     switch (status.state) {
       case "disarmed":

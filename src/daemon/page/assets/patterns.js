@@ -1,4 +1,4 @@
-// The patterns: list, search, maps, play. A person chooses one for its details, and a second one to compare.
+// The patterns: list, search, maps, play. A person chooses one for its details.
 //
 // Others may store, replace and remove patterns meanwhile, and no event tells of it. So the list is fetched whenever it comes into sight, and
 // a pattern plays only if the daemon still has the one that is drawn.
@@ -126,10 +126,8 @@ export class Patterns {
       element("span", `${length}; ${moves}; ${where(pattern)}${isForeign(pattern) ? `; for the array ${pattern.array}` : ""}`),
     );
     choose.addEventListener("click", () => this.#chosen.choose(pattern));
-    const compare = element("button", "Compare", { type: "button", className: "compare", ariaLabel: `Compare with ${name}` });
-    compare.addEventListener("click", () => this.#chosen.compare(pattern));
     const [play, said] = ["button", ".say"].map((part) => item.querySelector(`:scope > ${part}`));
-    item.replaceChildren(play ?? this.#player(name), element("div", "", { className: "map" }), choose, compare, ...(said ? [said] : []));
+    item.replaceChildren(play ?? this.#player(name), element("div", "", { className: "map" }), choose, ...(said ? [said] : []));
     this.#markItem(item);
   }
 
@@ -147,17 +145,15 @@ export class Patterns {
     this.details(pattern).then((details) => pattern.sha256 === this.#byName.get(pattern.name)?.sha256 && item.querySelector(".map").replaceChildren(thumbnail(details)), () => {});
   }
 
-  // Marks the chosen pattern, and the one beside it.
+  // Marks the chosen pattern.
   #mark() {
-    $("pattern-list").classList.toggle("has-chosen", this.#chosen.names[0] !== null);
     for (const item of $("pattern-list").children) this.#markItem(item);
   }
 
   #markItem(item) {
-    const [chosen, beside] = this.#chosen.names.map((name) => name === item.dataset.name);
+    const chosen = this.#chosen.name === item.dataset.name;
     item.classList.toggle("chosen", chosen);
     item.querySelector(".choose")?.setAttribute("aria-pressed", chosen);
-    item.querySelector(".compare")?.setAttribute("aria-pressed", beside);
   }
 
   async #play(pattern) {

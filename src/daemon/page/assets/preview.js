@@ -23,7 +23,7 @@ const PARTS = 320;
 export const preview = (name, from, seconds) => call("GET", `/v1/patterns/${encodeURIComponent(name)}/preview?from_s=${from}&seconds=${seconds}`, undefined, ANSWER_MS);
 
 // The highest point of all pins, µm, at least 1.
-export const highest = ({ heights_um: heights }) => heights.flat().reduce((high, um) => Math.max(high, um), 1);
+const highest = ({ heights_um: heights }) => heights.flat().reduce((high, um) => Math.max(high, um), 1);
 
 // A line through the lowest and the highest of the values in each part.
 function path(values, across, upward, parts = PARTS) {
@@ -115,11 +115,12 @@ export function figure(title, text, ...drawn) {
   return figure;
 }
 
-// The figures of a pattern: all pins, one of them in large, and the spikes. `high`: the top of all scales, µm. `pixels`: the width there is.
+// The figures of a pattern: all pins, one of them in large, and the spikes. `pixels`: the width there is.
 // `choose(motor)`: called when a person clicks on a pin.
-export function figures(of, title, high, motor, pixels, choose) {
+export function figures(of, title, motor, pixels, choose) {
+  const high = highest(of);
   const width = Math.min(Math.max(pixels, WIDTHS[0]), WIDTHS[1]);
   const [spikes, counts] = raster(of, title, width);
-  const said = `Pins up to ${highest(of).toFixed(0)} µm; predicted spikes: ${counts}`;
+  const said = `Pins up to ${high.toFixed(0)} µm; predicted spikes: ${counts}`;
   return figure(title, said, traces(of, high, title, motor, choose), trace(of, high, title, motor, width), spikes);
 }

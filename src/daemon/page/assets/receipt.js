@@ -4,8 +4,6 @@ import { call, last, text } from "./api.js";
 import { $, facts, refuse, saveFile, say, write } from "./control.js";
 import { part } from "./views.js";
 
-// Items of a sequence that are shown as JSON: the file has all.
-const ITEMS = 100;
 // The play that is shown.
 let shown = null;
 const NONE = $("receipt-summary").textContent;
@@ -28,10 +26,7 @@ function show(receipt) {
     ["Duration played, ordered", `${ms.played?.toFixed(1) ?? "-"} ms, ${ms.ordered?.toFixed(1) ?? "without end"} ms`],
     ["Largest offset from rest at the end", rest === null ? "not known" : `${rest.toFixed(1)} µm`],
   ]);
-  $("receipt-more").hidden = $("receipt-keep").hidden = false;
-  const isCut = receipt.items?.length > ITEMS;
-  write($("receipt-more").firstElementChild, isCut ? `The receipt, with items 1 to ${ITEMS} of ${receipt.items.length}: the file has all` : "The whole receipt");
-  $("receipt-json").textContent = JSON.stringify(isCut ? { ...receipt, items: receipt.items.slice(0, ITEMS) } : receipt, null, 1);
+  $("receipt-keep").hidden = false;
 }
 
 // How many items of a sequence ended in which state.
@@ -49,7 +44,7 @@ async function load() {
   shown = null;
   write($("receipt-summary"), NONE);
   facts($("receipt-facts"), []);
-  $("receipt-more").hidden = $("receipt-keep").hidden = true;
+  $("receipt-keep").hidden = true;
 }
 
 export function bindReceipt() {

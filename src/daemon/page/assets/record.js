@@ -3,9 +3,7 @@
 // A session may have thousands of plays. The daemon answers with some of them, and the table has a page of these.
 
 import { call, DISK_MS } from "./api.js";
-import { $, element, facts, refuse, saveFile, say, write } from "./control.js";
-import { bindExperiment } from "./experiment.js";
-import { csv, json, readSession } from "./export.js";
+import { $, element, facts, refuse, say, write } from "./control.js";
 import { number, right } from "./number.js";
 import { bindSession } from "./session.js";
 import { part } from "./views.js";
@@ -15,7 +13,7 @@ const PAGE = 100;
 const LISTED = 100;
 
 let sessions = [];
-// The session that the table shows, and its first row: `{ id, from }`, counted from 0. Files are those of this session.
+// The session that the table shows, and its first row: `{ id, from }`, counted from 0.
 let shown = null;
 // What is to be shown: what a person has asked for last. As long as the daemon has not answered, or has failed to, it is not shown.
 let wanted = null;
@@ -69,7 +67,7 @@ async function refresh() {
   if (wanted) await turn(wanted.id, wanted.from);
 }
 
-// Shows a session from a row on. Until the daemon has answered, the table and the files are those of before; and an answer counts only
+// Shows a session from a row on. Until the daemon has answered, the table is that of before; and an answer counts only
 // if nothing else was asked for meanwhile.
 async function turn(id, from) {
   const mine = (wanted = { id, from });
@@ -102,6 +100,7 @@ function showPlays(from) {
     ["Plays, vibration", `${session.plays}, ${session.vibration_s.toFixed(1)} s`], ["Seed", session.seed ?? "none"],
     ["Missing in the record", missing.length ? missing.join("; ") : "nothing"],
   ]);
+  write($("csv-command"), `meissner session export ${session.id} -o session.csv`);
   write($("bids-command"), `python3 -c 'import meissner; meissner.connect().export_bids("${session.id}", "dataset")'`);
   const shown = rows.plays.slice(from - rows.from, from - rows.from + PAGE);
   $("play-rows").tBodies[0].replaceChildren(...shown.map(playRow));
@@ -123,26 +122,9 @@ function playRow(play) {
   return row;
 }
 
-// Saves the session that the table shows as a file. `write`: its text, in parts.
-async function download(button, kind, write) {
-  button.disabled = true;
-  say(button, "The daemon reads its record …", "wait");
-  try {
-    const read = await readSession(shown.id);
-    const name = `session-${read.session.id}${read.complete ? "" : "-incomplete"}.${kind.split("/")[1]}`;
-    saveFile(await write(read), kind, name);
-    say(button, read.complete ? `Saved as ${name}.` : `Saved as ${name}. It is incomplete: ${read.missing.join("; ")}.`, read.complete ? "good" : "bad");
-  } catch (error) {
-    refuse(button, error);
-  }
-  button.disabled = false;
-}
-
 export function bindRecord() {
   bindSession();
-  bindExperiment();
   part({ view: "record", at: "record-title", load, on: { "session-started": load, "session-ended": load, ended: ({ receipt }) => receipt.session === wanted?.id && refresh() } });
-  document.addEventListener("answered", () => refresh().catch((error) => refuse($("plays-next"), error)));
   $("record-filter").addEventListener("input", list);
   const page = (from) => turn(shown.id, Math.max(0, from)).then(() => say($("plays-next"), ""), (error) => {
     $("plays-from").value = shown.from + 1;
@@ -153,6 +135,4 @@ export function bindRecord() {
   $("plays-back").addEventListener("click", () => page(last() - PAGE));
   $("plays-next").addEventListener("click", () => page(last() + PAGE));
   $("plays-from").addEventListener("change", () => right("plays-from") && page(number("plays-from") - 1));
-  $("save-csv").addEventListener("click", () => download($("save-csv"), "text/csv", csv));
-  $("save-json").addEventListener("click", () => download($("save-json"), "application/json", json));
 }
