@@ -84,6 +84,7 @@ fn what_renders_nothing_is_said_in_one_line() {
     let bar = "shape = \"bar\"\nlength_mm = 12\nwidth_mm = 0.8";
     let tap = "[touch]\npress = { depth_um = 500, rise_s = 0.001, hold_s = 0.001, fall_s = 0.001 }\n";
     write(dir.path(), "tap", bar, tap);
+    fs::write(dir.path().join("p.toml"), "name = \"p\"\n[[ramp]]\nmotor = 1\n").unwrap();
     for (asked, line) in [
         (
             &["render", "tap.toml"][..],
@@ -94,10 +95,17 @@ fn what_renders_nothing_is_said_in_one_line() {
             &["optimise", "dot", "--budget", "1", "-o", "-"],
             "-o -: not a file: leave -o out to write to stdout",
         ),
+        (&["render", "p.toml"], "p.toml: this is a pattern, not an object: `meissner play`, `simulate`"),
+        (&["judge", "--object", "p.toml"], "p.toml: this is a pattern, not an object"),
+        (&["judge", "tap.toml", "--object", "dot"], "tap.toml: this is an object, not a pattern: make"),
+        (&["simulate", "tap.toml"], "tap.toml: this is an object, not a scene: make a pattern of it with"),
+        (&["tradeoff", "tap.toml"], "tap.toml: this is an object, not a scene"),
+        (&["tradeoff", "p.toml"], "p.toml: this is a pattern, not a scene"),
+        (&["simulate", "p.toml"], "p.toml:1: `format` is missing: add format = 1, or format = 2 if it has"),
         (&["render", "moving-edg"], "no object is called `moving-edg`: did you mean `moving-edge`?"),
     ] {
         let found = complaint(meissner().current_dir(dir.path()).args(asked));
         assert!(found.contains(line), "{found}");
     }
-    assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 1);
+    assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 2);
 }

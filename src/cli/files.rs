@@ -26,6 +26,45 @@ pub(super) struct Beside {
     place: PathBuf,
 }
 
+/// The kinds of files that people write.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Kind {
+    Pattern,
+    Object,
+    Scene,
+}
+
+impl Kind {
+    /// The kind of a TOML text: the first key that only one kind has decides.
+    pub(super) fn of(text: &str) -> Option<Self> {
+        text.lines().find_map(|line| {
+            let key = line.trim_start().trim_start_matches('[').split(['=', ']', '.', ' ', '\t']).next()?;
+            match key {
+                "format" | "drive" | "wave" | "ramp" | "tone" | "provenance" => Some(Self::Pattern),
+                "shape" | "touch" => Some(Self::Object),
+                "drives" | "afferents" | "receptors" | "pins" => Some(Self::Scene),
+                _ => None,
+            }
+        })
+    }
+
+    /// Refuses a text of another kind, of which every key would be called unknown.
+    pub(super) fn check(self, text: &str, at: &str) -> Result<()> {
+        let name = |kind| match kind {
+            Self::Pattern => "a pattern",
+            Self::Object => "an object",
+            Self::Scene => "a scene",
+        };
+        let Some(found) = Self::of(text).filter(|found| *found != self) else { return Ok(()) };
+        let advice = match found {
+            Self::Pattern => "`meissner play`, `simulate` and `judge` take patterns",
+            Self::Object => "make a pattern of it with `meissner render` or `meissner optimise`",
+            Self::Scene => "`meissner simulate` and `meissner tradeoff` take scenes",
+        };
+        bail!("{at}: this is {}, not {}: {advice}", name(found), name(self))
+    }
+}
+
 /// Whether an argument is a file rather than a name.
 pub(super) fn is_file(argument: &str) -> bool {
     argument.contains('/') || argument.ends_with(".toml")
@@ -133,4 +172,26 @@ pub(super) fn pattern_name(file: &Path) -> Result<String> {
         let place = file.to_string_lossy();
         anyhow!("{}: not a pattern's name: write 1 to 64 of a-z, 0-9 and -, then .toml", place.escape_debug())
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::Kind;
+
+    #[test]
+    fn a_kind_is_told_by_its_first_own_key() {
+        for (text, kind) in [
+            ("# a\nformat = 2\n", Some(Kind::Pattern)),
+            ("name = \"a\"\n  format=1\n", Some(Kind::Pattern)),
+            ("name = \"a\"\n[[ramp]]\nmotor = 1\n", Some(Kind::Pattern)),
+            ("format = 1\n[provenance.definition]\nshape = \"dots\"\n", Some(Kind::Pattern)),
+            ("duration_s = 1.0\nmotion.frames = 2\nshape = \"dots\"\n", Some(Kind::Object)),
+            ("duration_s = 1.0\n[[drives]]\nformat = 1\n", Some(Kind::Scene)),
+            ("noise = false\nramp_s = 0.1\npins = []\n", Some(Kind::Scene)),
+            ("{\"duration_s\": 1.0}", None),
+            ("formats = 1", None),
+        ] {
+            assert_eq!(Kind::of(text), kind, "{text}");
+        }
+    }
 }

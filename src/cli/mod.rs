@@ -246,7 +246,7 @@ enum Command {
     /// Compare simulation methods on this machine: time against error
     Tradeoff(tradeoff::Tradeoff),
     /// Compare both models of skin and afferents with published figures
-    Validate(validate::Validate),
+    Validate,
     /// Write the man pages, the completions of three shells and the OpenAPI document to a folder
     Manual {
         /// The folder
@@ -366,7 +366,7 @@ fn run(command: Command) -> Result<ExitCode> {
         Command::Tradeoff(asked) => tradeoff::run(&asked),
         Command::Render(asked) => render::run(&asked),
         Command::Judge(asked) => judge::run(&asked),
-        Command::Validate(asked) => validate::run(&asked),
+        Command::Validate => validate::run(),
         Command::Manual { folder } => manual::manual(&folder).map(|()| ExitCode::SUCCESS),
         Command::Doctor { device, array, board, seconds, options } => {
             doctor::run(device, array.find()?, board, Duration::from_secs_f64(seconds), &options)

@@ -1,6 +1,7 @@
 //! Reads objects: a file, or the name of a shipped one.
 
-use super::{files, progress};
+use super::files::{self, Kind};
+use super::progress;
 use crate::file::{dir_of, open_regular};
 use crate::rendering::{self, keys_or_name};
 use anyhow::{Result, anyhow};
@@ -47,7 +48,9 @@ pub(super) fn keys(argument: &str, name: &str) -> Result<Value> {
 /// The text of a file, or of a shipped object.
 pub(super) fn text(argument: &str) -> Result<String> {
     if files::is_file(argument) {
-        return files::text(Path::new(argument), meissner_touch::MAX_FILE_BYTES as u64, "an object");
+        let text = files::text(Path::new(argument), meissner_touch::MAX_FILE_BYTES as u64, "an object")?;
+        Kind::Object.check(&text, &files::shown(Path::new(argument)))?;
+        return Ok(text);
     }
     shipped_text(argument).map(ToOwned::to_owned).ok_or_else(|| {
         let nearest = nearest(&shipped_names(), argument);

@@ -4,15 +4,14 @@
 //!
 //! Invariant: no file that is too large is read into memory.
 
-use super::files;
+use super::files::{self, Kind};
 use crate::file::{dir_of, open_regular};
 use crate::store::{Store, StoreError};
-use anyhow::{Result, anyhow, bail};
-use meissner_array::pattern::{MAX_FILE_BYTES, MAX_PACKED_BYTES, MAX_SAMPLE_FILE_BYTES, Pattern};
+use anyhow::{Result, anyhow};
+use meissner_array::pattern::{MAX_PACKED_BYTES, MAX_SAMPLE_FILE_BYTES, Pattern};
 use std::io::Read;
 use std::path::Path;
 use std::sync::Arc;
-use toml::Table;
 
 /// The most bytes of a sample file.
 const MAX_SAMPLE_FILE: u64 = MAX_SAMPLE_FILE_BYTES as u64;
@@ -50,17 +49,7 @@ pub(super) fn of_argument(argument: &str) -> Result<Found> {
 /// Reads a pattern file.
 pub(super) fn of_file(file: &Path) -> Result<Found> {
     let text = files::text(file, MAX_PACKED_BYTES as u64, "a pattern")?;
-    // An object file has no key `format`, so the parser's error would mislead.
-    if text.len() <= MAX_FILE_BYTES
-        && text
-            .parse::<Table>()
-            .is_ok_and(|table| table.contains_key("shape") && !table.contains_key("format"))
-    {
-        bail!(
-            "{}: this is an object: make a pattern of it with `meissner render` or `meissner optimise`",
-            files::shown(file)
-        );
-    }
+    Kind::Pattern.check(&text, &files::shown(file))?;
     of_text(text, &file.to_string_lossy(), dir_of(file))
 }
 

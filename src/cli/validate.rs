@@ -1,23 +1,15 @@
 //! `validate`: compares both models of skin and afferents with published figures. It needs no daemon.
 
-use super::arguments::Output;
 use super::output::give;
 use super::{progress, text};
 use anyhow::Result;
-use clap::Args;
 use meissner_skin::ModelName;
 use meissner_skin::validate::{Case, Finding, Published, Validation, ValidationVerdict, validate};
 use std::process::ExitCode;
 
-#[derive(Debug, Args)]
-pub(super) struct Validate {
-    #[command(flatten)]
-    output: Output,
-}
-
-pub(super) fn run(asked: &Validate) -> Result<ExitCode> {
+pub(super) fn run() -> Result<ExitCode> {
     let found = progress::waiting("measuring both models", validate);
-    give(asked.output.json, &found, || summary(&found))
+    give(false, &(), || summary(&found))
 }
 
 fn summary(found: &Validation) -> String {

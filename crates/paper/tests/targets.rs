@@ -161,6 +161,10 @@ shape = "dots" | points = [[0, 0], |  [0, 12.1]]
     3: `points` has a point at [0, 12.1] mm: {pad}
 shape = "disc" | radius_mm = 1 | center_mm = [0, -12.1]
     4: `center_mm` has a point at [0, -12.1] mm: {pad}
+shape = "disc" | radius_mm = 2 | touch.scan = { depth_um = 500, speed_mm_s = 1, duration_s = 21 }
+    4: `touch.scan.duration_s` is 21: must be 0.01 to 20 s
+shape = "disc" | radius_mm = 2 | duration_s = 1 | touch.scan = { depth_um = 500, speed_mm_s = 1, duration_s = 1 }
+    4: `duration_s` is there, but `[touch.scan]` has its own: leave it out
 shape = "disc" | radius_mm = 20
     2: `reach_mm` is 1.5: all 306 afferents are within reach of the shape; lower it
 shape = "braille" | character = "c" | center_mm = [6, 0]
@@ -212,7 +216,9 @@ fn every_shipped_target_is_valid() {
             fs::read_to_string(file).unwrap().lines().take_while(|line| line.starts_with("# ")).count();
         assert!((1..=2).contains(&head), "{name}: describes the object in one or two lines");
         for seed in 0..20 {
-            target.with_population_seed(seed).unwrap();
+            let mut keys = target.definition();
+            keys["population"]["seed"] = seed.into();
+            read(&toml::to_string(&keys).unwrap()).unwrap();
         }
     }
     assert_eq!((meissner_paper::shipped("edge-46"), meissner_paper::shipped("../Cargo")), (None, None));

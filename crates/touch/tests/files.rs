@@ -206,6 +206,10 @@ fn what_is_wrong_is_said_in_one_line() {
             object("shape = \"braille\"\ntext = \"  \""),
             "o.toml:4: `text` has no dot: the object never touches; write a letter",
         ),
+        (
+            object("shape = \"braille\"\ncharacter = \"hi\""),
+            "o.toml:4: `character` is `hi`: must be one character; write a word as text = \"...\"",
+        ),
         (object(&long), "o.toml:4: `text` is a list of 700: must be at most 682 characters"),
         (touching(""), "o.toml:6: `touch` needs one of press, scan and path: it has 0"),
         (

@@ -14,8 +14,9 @@ pub(super) use afferents::Placed;
 pub(super) use label::MethodLabel;
 
 use crate::cli::arguments::{ArrayOption, FITS, Output, choice, positive};
+use crate::cli::files::{self, Kind};
 use crate::cli::output::give;
-use crate::cli::{files, progress, text};
+use crate::cli::{progress, text};
 use anyhow::Result;
 use clap::error::ErrorKind;
 use clap::{Args, ValueEnum};
@@ -164,6 +165,7 @@ fn method(asked: &Simulate) -> Result<Method, clap::Error> {
 /// Reads a scene of either model from a file, or from stdin.
 pub(super) fn read(file: &Path, model: Option<ModelName>) -> Result<AnyScene> {
     let (text, name) = files::text_or_stdin(file, MAX_JSON_BYTES as u64, "a scene")?;
+    Kind::Scene.check(&text, &name)?;
     Ok(AnyScene::read(&text, &name, model)?)
 }
 

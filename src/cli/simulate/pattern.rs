@@ -4,9 +4,10 @@
 
 use super::afferents::{OfClass, Placed};
 use super::{Simulate, print_csv};
+use crate::cli::files::{self, Kind};
 use crate::cli::output::give;
 use crate::cli::pattern_file::{self, Found};
-use crate::cli::{files, progress, text};
+use crate::cli::{progress, text};
 use crate::receipts::fit;
 use anyhow::{Result, bail};
 use clap::error::ErrorKind;
@@ -49,20 +50,12 @@ pub(super) fn find(argument: &Path) -> Result<Option<Found>> {
     if !files::is_file(&shown) && !argument.exists() {
         return pattern_file::of_argument(&shown).map(Some);
     }
-    // Only the beginning is read: it says the format of a pattern.
+    // Only the beginning is read: it says that it is a pattern.
     let mut beginning = Vec::new();
     let opened = crate::file::open_regular(argument);
     let read = opened.and_then(|file: File| file.take(1 << 16).read_to_end(&mut beginning));
-    let is_pattern = read.is_ok() && has_format(&String::from_utf8_lossy(&beginning));
+    let is_pattern = read.is_ok() && Kind::of(&String::from_utf8_lossy(&beginning)) == Some(Kind::Pattern);
     if is_pattern { pattern_file::of_file(argument).map(Some) } else { Ok(None) }
-}
-
-/// Whether a text is that of a pattern: scenes have no key `format`.
-pub(super) fn has_format(text: &str) -> bool {
-    let is_format = |line: &str| {
-        line.trim_start().strip_prefix("format").is_some_and(|rest| rest.trim_start().starts_with('='))
-    };
-    text.lines().take_while(|line| !line.trim_start().starts_with('[')).any(is_format)
 }
 
 pub(super) fn run(asked: &Simulate, pattern: &Pattern) -> Result<ExitCode> {
@@ -149,22 +142,4 @@ fn summary(document: &Document<'_>, spikes: u64) -> String {
     };
     let classes = text::columns(&["class", "afferents", "mean impulses/s"], document.classes.iter().map(row));
     format!("{pairs}\n\n{classes}")
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_pattern_is_told_from_a_scene_by_its_format() {
-        for (text, is) in [
-            ("# a\nformat = 2\n", true),
-            ("name = \"a\"\n  format=1\n", true),
-            ("duration_s = 1.0\n[[drives]]\nformat = 1\n", false),
-            ("{\"duration_s\": 1.0}", false),
-            ("formats = 1", false),
-        ] {
-            assert_eq!(has_format(text), is, "{text}");
-        }
-    }
 }

@@ -143,7 +143,7 @@ fn may_have_motions(text: &str) -> bool {
 
 fn wanted(key: &str) -> &'static str {
     match key {
-        "format" => "format = 1",
+        "format" => "format = 1, or format = 2 if it has waves, ramps, tones or noise",
         "name" => "name = \"...\", as the file is called",
         "motor" => "the motor's number, from 0 on",
         "frequency_hz" => "a frequency, 0.1 to 300 Hz",

@@ -25,7 +25,7 @@ pub(super) fn read(bytes: &[u8], column: Option<&Column>) -> Result<Found, Sampl
     let (place, scale_um) = table.chosen(column)?;
     let note = format!("CSV column {}", cut(&table.names[place], 64));
     let [times, values] = table.columns([(time, 1.0), (place, scale_um)])?;
-    Ok(Found { rate_hz: Some(rate_hz(&times)?), values, note })
+    Ok(Found { rate_hz: Some(rate_hz(&times, bytes)?), values, note })
 }
 
 /// The heights of a column, in µm.
@@ -58,8 +58,16 @@ fn broken(error: &Error) -> SamplesError {
     other(error.position().map_or(1, csv::Position::line), "not UTF-8 text".to_owned())
 }
 
+/// The line of a row of numbers, from 0: blank lines are no rows, and the reader counts them late.
+fn line_of(bytes: &[u8], row: usize) -> u64 {
+    let lines = (1..).zip(bytes.split(|&byte| byte == b'\n'));
+    let mut rows = lines.filter(|(_, line)| !line.trim_ascii().is_empty());
+    rows.nth(row + 1).map_or(1, |(line, _)| line)
+}
+
 /// A file and its names.
 struct Table<'b> {
+    bytes: &'b [u8],
     reader: csv::Reader<&'b [u8]>,
     names: Vec<String>,
 }
@@ -68,7 +76,7 @@ impl<'b> Table<'b> {
     fn new(bytes: &'b [u8]) -> Result<Self, SamplesError> {
         let mut reader = ReaderBuilder::new().flexible(true).trim(Trim::All).from_reader(bytes);
         let names = reader.headers().map_err(|error| broken(&error))?.iter().map(str::to_owned).collect();
-        Ok(Self { reader, names })
+        Ok(Self { bytes, reader, names })
     }
 
     fn shown(&self) -> String {
@@ -106,18 +114,19 @@ impl<'b> Table<'b> {
         let mut columns = places.map(|_| Vec::new());
         let mut row = StringRecord::new();
         while self.reader.read_record(&mut row).map_err(|error| broken(&error))? {
-            let line = row.position().map_or(1, csv::Position::line);
+            let line = || line_of(self.bytes, columns[0].len());
             if row.len() != self.names.len() {
                 let found = format!("{} cells, but {} names", row.len(), self.names.len());
-                return Err(other(line, found));
+                return Err(other(line(), found));
             }
-            for (values, (place, factor)) in columns.iter_mut().zip(places) {
+            let number = |(place, factor): (usize, f64)| {
                 let number = row[place].parse::<f64>();
-                values.push(
-                    factor
-                        * number.map_err(|_| other(line, format!("{} is no number", quote(&row[place]))))?,
-                );
-            }
+                let number =
+                    number.map_err(|_| other(line(), format!("{} is no number", quote(&row[place]))))?;
+                Ok(factor * number)
+            };
+            let numbers = places.into_iter().map(number).collect::<Result<Vec<_>, _>>()?;
+            columns.iter_mut().zip(numbers).for_each(|(values, number)| values.push(number));
         }
         Ok(columns)
     }
@@ -125,7 +134,7 @@ impl<'b> Table<'b> {
 
 /// The rate of evenly spaced times.
 #[expect(clippy::cast_precision_loss, reason = "the number of samples of a file")]
-fn rate_hz(times: &[f64]) -> Result<f64, SamplesError> {
+fn rate_hz(times: &[f64], bytes: &[u8]) -> Result<f64, SamplesError> {
     let [first, .., last] = times else {
         return Err(SamplesError::Count { samples: times.len() });
     };
@@ -135,7 +144,7 @@ fn rate_hz(times: &[f64]) -> Result<f64, SamplesError> {
     let is_even = |two: &[f64]| step_s > 0.0 && ((two[1] - two[0]) - step_s).abs() <= UNEVEN * step_s;
     if let Some(place) = times.windows(2).position(|two| !is_even(two)) {
         let (before, found) = (times[place], times[place + 1]);
-        return Err(SamplesError::Uneven { row: place + 2, before, found });
+        return Err(SamplesError::Uneven { line: line_of(bytes, place + 1), before, found });
     }
     let (count, span_s) = (steps.len() as f64, last - first);
     let whole = (count / span_s).round();

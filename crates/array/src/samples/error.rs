@@ -44,10 +44,10 @@ pub enum SamplesError {
     )]
     Csv { line: u64, found: String },
     #[error(
-        "row {row} of numbers is at {found} s, the one before at {before} s, which is not the same step as between the others: \
+        "line {line} is at {found} s, the row before at {before} s, which is not the same step as between the others: \
          samples must be evenly spaced"
     )]
-    Uneven { row: usize, before: f64, found: f64 },
+    Uneven { line: u64, before: f64, found: f64 },
     #[error("{samples} samples: must be 2 to {MAX_SAMPLES}")]
     Count { samples: usize },
     #[error("not {kind} file: {message}")]

@@ -28,8 +28,8 @@ pub enum Problem {
     Count { count: usize },
     #[error("is a path, and a search follows none: add [motion] with duration_s, speed_mm_s or turn_deg_s")]
     Path,
-    #[error("is there, but `[motion]` has its own: leave it out")]
-    DurationOfMotion,
+    #[error("is there, but `[{of}]` has its own: leave it out")]
+    DurationOfMotion { of: &'static str },
     /// A point off the pad; `frame` is the frame and their count, if several.
     #[error(
         "has a point at [{}, {}] mm{}: must be on the pad, an ellipse {PAD_WIDTH_MM} mm wide and {PAD_LENGTH_MM} mm \

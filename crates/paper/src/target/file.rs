@@ -168,15 +168,16 @@ impl RawTarget {
         if count > MAX_POINTS {
             return Err(KeyError::key(placed_by, Problem::Count { count }));
         }
+        let of = if self.motion.is_some() { "motion" } else { "touch.scan" };
         let of_scan = |scan: Scan| Table(RawMotion::of(scan));
         let (duration_s, motion) = match self.motion.or(scan.map(of_scan)) {
             None if has_path => return Err(KeyError::key("touch", Problem::Path)),
             None => (self.duration_s.unwrap_or(DURATION_S), None),
             Some(_) if self.duration_s.is_some() => {
-                return Err(KeyError::key("duration_s", Problem::DurationOfMotion));
+                return Err(KeyError::key("duration_s", Problem::DurationOfMotion { of }));
             }
             Some(Table(raw)) => {
-                let motion = raw.motion(&shape, array.pitch_mm()).map_err(|fault| fault.within("motion"))?;
+                let motion = raw.motion(&shape, array.pitch_mm()).map_err(|fault| fault.within(of))?;
                 (raw.duration_s, Some(motion))
             }
         };

@@ -2,13 +2,10 @@
 //!
 //! Invariant: the verdict compares numbers; a missing number never agrees.
 
-use super::measure::Curve;
 use crate::ModelName;
-use serde::Serialize;
 
 /// A published figure, with the tolerance for a model.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-#[serde(rename_all = "snake_case")]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Published {
     /// A value, and the factor by which a model may be above or below it.
     About(f64, f64),
@@ -21,8 +18,7 @@ pub enum Published {
 }
 
 /// How a model's number compares with the published figure.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "snake_case")]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ValidationVerdict {
     /// It is within the tolerance.
     Agrees,
@@ -37,7 +33,7 @@ pub enum ValidationVerdict {
 }
 
 /// A model's result.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Finding {
     /// The number, in the case's unit; none if the model has none.
     pub value: Option<f64>,
@@ -48,7 +44,7 @@ pub struct Finding {
 }
 
 /// A published case, and both models in it.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Case {
     /// What is compared.
     pub name: String,
@@ -62,25 +58,17 @@ pub struct Case {
     pub published_words: Option<&'static str>,
     /// The model whose parameters come from this figure. Its agreement shows only that it was implemented correctly.
     pub made_from: Option<ModelName>,
-    /// The smallest number that agrees, if there is one.
-    pub at_least: Option<f64>,
-    /// The largest number that agrees, if there is one.
-    pub at_most: Option<f64>,
     /// The first model.
     pub membrane: Finding,
     /// The second.
     pub afferents: Finding,
 }
 
-/// All cases, and the curves behind them.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+/// All cases.
+#[derive(Clone, Debug, PartialEq)]
 pub struct Validation {
     /// The cases.
     pub cases: Vec<Case>,
-    /// Curves of the first model.
-    pub membrane: Vec<Curve>,
-    /// Curves of the second.
-    pub afferents: Vec<Curve>,
 }
 
 impl Published {
@@ -124,7 +112,6 @@ pub(super) struct Judged {
 impl Judged {
     pub(super) fn with(self, [membrane, afferents]: [Option<f64>; 2], modelled: [bool; 2]) -> Case {
         let Self { name, source, unit, published, published_words, made_from, says } = self;
-        let [at_least, at_most] = published.bounds();
         let finding = |value: Option<f64>, modelled: bool| {
             let verdict = if modelled { published.verdict(value) } else { ValidationVerdict::NotModelled };
             let says = match verdict {
@@ -136,18 +123,7 @@ impl Judged {
             Finding { value, verdict, says }
         };
         let (membrane, afferents) = (finding(membrane, modelled[0]), finding(afferents, modelled[1]));
-        Case {
-            name,
-            source,
-            unit,
-            published,
-            published_words,
-            made_from,
-            at_least,
-            at_most,
-            membrane,
-            afferents,
-        }
+        Case { name, source, unit, published, published_words, made_from, membrane, afferents }
     }
 }
 

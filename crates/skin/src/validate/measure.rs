@@ -9,7 +9,6 @@ use super::probe::{COUNTED_S, Placed, can_give, press, sine, spikes_s};
 use crate::ModelName;
 use crate::afferents::Class;
 use rayon::prelude::*;
-use serde::Serialize;
 use serde_json::{Value, json};
 use std::f64::consts::{PI, TAU};
 
@@ -36,19 +35,6 @@ const PRESSED_UM: [f64; 2] = [50.0, 500.0];
 const FIELD_MM: (f64, f64) = (0.05, 8.0);
 /// An independent program's spikes; the tests use the same file.
 const REFERENCE: &str = include_str!("../../tests/data/afferents.json");
-
-/// Numbers behind some cases.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Curve {
-    /// What it shows.
-    pub name: String,
-    /// Quantity and unit of the first number of a point.
-    pub x: &'static str,
-    /// Those of the second.
-    pub y: &'static str,
-    /// The points in order.
-    pub points: Vec<[f64; 2]>,
-}
 
 /// The measurements of a model.
 #[derive(Clone, Debug, Default)]
@@ -150,26 +136,6 @@ impl Measured {
     /// The median area of a class's fields, mm².
     pub(super) fn area_mm2(&self, class: Class, um: f64) -> Option<f64> {
         self.areas.iter().find(|of| of.0 == class && of.1 == um).map(|of| of.2)
-    }
-
-    /// The thresholds against frequency, and the impulses per cycle against amplitude.
-    pub(super) fn curves(&self) -> Vec<Curve> {
-        let mut curves = Vec::new();
-        for class in [Class::Ra, Class::Pc] {
-            let of_class = self.thresholds.iter().filter(|of| of.0 == class);
-            let points: Vec<[f64; 2]> = of_class.filter_map(|of| Some([of.1, of.2?])).collect();
-            if !points.is_empty() {
-                let name = format!("threshold of the median {} afferent", class.name());
-                curves.push(Curve { name, x: "frequency, Hz", y: "amplitude, um peak to peak", points });
-            }
-        }
-        for (hz, rows) in &self.cycles {
-            let name = format!("median RA afferent at {hz} Hz");
-            let mut points: Vec<[f64; 2]> = rows.iter().map(|of| [of[0], of[1]]).collect();
-            points.sort_by(|a, b| a[0].total_cmp(&b[0]));
-            curves.push(Curve { name, x: "amplitude, um peak to peak", y: "impulses per cycle", points });
-        }
-        curves
     }
 
     fn of_frequency(&self, hz: f64) -> Option<&[[f64; 3]]> {

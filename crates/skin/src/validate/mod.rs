@@ -23,7 +23,6 @@ mod measure;
 mod probe;
 
 pub use case::{Case, Finding, Published, Validation, ValidationVerdict};
-pub use measure::Curve;
 
 use crate::ModelName;
 use crate::afferents::Class;
@@ -209,7 +208,7 @@ pub fn validate() -> Validation {
         ["spikes differ", ""],
     );
 
-    Validation { cases, membrane: membrane.curves(), afferents: afferents.curves() }
+    Validation { cases }
 }
 
 #[cfg(test)]

@@ -40,6 +40,8 @@ pub enum Problem {
         "holds {found}: must be letters a to z, six-dot Braille characters, U+2800 to U+283F, and spaces"
     )]
     Character { found: String },
+    #[error("is {found}: must be one character; write a word as text = \"...\"")]
+    OneCharacter { found: String },
     #[error("is there beside `text`: leave one out")]
     TwoTexts,
     #[error(

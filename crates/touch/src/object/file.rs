@@ -503,6 +503,9 @@ impl RawObject {
         let diameter_mm =
             length("diameter_mm", self.diameter_mm, of_text.or(Some(SHAPE_DOT_MM)), 0.1, 100.0)?;
         let cells = text.chars().count();
+        if key == "character" && cells != 1 {
+            return Err(KeyError::key(key, Problem::OneCharacter { found: quote(text) }));
+        }
         let count = 6 * cells;
         if count > MAX_POINTS {
             return Err(KeyError::key(
