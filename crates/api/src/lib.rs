@@ -3,7 +3,7 @@
 //! The daemon writes these types and clients read them, so both sides agree by construction; serde gives each type its JSON
 //! form. How the bytes travel is not defined here. Modules, in the order of a call:
 //!
-//! - [`route`]: every route with its method, body, answer and error codes. The daemon builds its router from this table. [`access`]: who may
+//! - [`route`]: every route with its method, body and answer. The daemon builds its router from this table. [`access`]: who may
 //!   use it.
 //! - [`request`]: the bodies a client sends; [`Order::parse`] and similar functions name the wrong key. How bodies are read, and the
 //!   checks that several share, is in `body`.

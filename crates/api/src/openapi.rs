@@ -248,7 +248,9 @@ fn described(route: Route, operation: &Operation, example: &dyn Fn(&str) -> Valu
     for (status, meaning) in operation.statuses {
         responses.insert(status.to_string(), json!({"description": meaning, "content": content}));
     }
-    responses.extend(errors(operation));
+    // Any route may answer with a problem; `Problem` lists the codes.
+    let problem = json!({"application/problem+json": {"schema": reference("Problem")}});
+    responses.insert("default".to_owned(), json!({"description": "A problem", "content": problem}));
     out["responses"] = responses.into();
     out
 }
@@ -256,24 +258,6 @@ fn described(route: Route, operation: &Operation, example: &dyn Fn(&str) -> Valu
 /// One event as it is sent.
 const EVENT: &str =
     "event: queued\ndata: {\"event\":\"queued\",\"id\":7,\"pattern\":\"edge-45\",\"seconds\":2.0}\n\n";
-
-/// The errors of a route, by HTTP status: several codes may share one.
-fn errors(operation: &Operation) -> Map<String, Value> {
-    let mut by_status: BTreeMap<u16, Vec<Code>> = BTreeMap::new();
-    for code in operation.errors() {
-        by_status.entry(code.parts().1).or_default().push(code);
-    }
-    let response = |codes: Vec<Code>| {
-        let names: Vec<_> = codes.iter().map(|code| code.parts().0).collect();
-        let mut schema = reference("Problem");
-        schema["properties"] = json!({"code": {"enum": names}});
-        json!({
-            "description": format!("`{}`", names.join("`, `")),
-            "content": {"application/problem+json": {"schema": schema}}
-        })
-    };
-    by_status.into_iter().map(|(status, codes)| (status.to_string(), response(codes))).collect()
-}
 
 #[cfg(test)]
 mod tests {

@@ -1,10 +1,9 @@
-//! Routes: every address of the API with its method, body, answer and error codes.
+//! Routes: every address of the API with its method, body and answer.
 //!
 //! The daemon builds its router from [`Route::ALL`], [`Route::method`] and [`Route::path`]; [`crate::openapi`] builds the
 //! document from [`Route::operation`]. So the router and the document cannot name different routes.
 
 use crate::order::MAX_WAIT_S;
-use crate::problem::Code;
 use crate::rendering::{MAX_PREVIEW_FROM_S, MAX_PREVIEW_S};
 
 /// Lists each route once.
@@ -121,56 +120,7 @@ pub struct Operation {
     pub statuses: &'static [(u16, &'static str)],
     /// What it answers with.
     pub answer: Answer,
-    errors: &'static [&'static [Code]],
 }
-
-impl Operation {
-    /// The codes of the errors it may answer with.
-    pub fn errors(&self) -> impl Iterator<Item = Code> {
-        self.errors.iter().copied().flatten().copied()
-    }
-}
-
-/// Every connection may be one too many, and every request over the network may be refused.
-const ANY: &[Code] = &[Code::Unauthorized, Code::Forbidden, Code::TooManyClients];
-/// Every body may be malformed, too large or too slow.
-const SENT: &[Code] = &[Code::BadRequest, Code::TooLarge, Code::Slow];
-/// It may also come from a client that may not act during an exclusive session, or whose session is over.
-const BODY: &[Code] =
-    &[Code::BadRequest, Code::TooLarge, Code::Slow, Code::SessionExclusive, Code::SessionRunning];
-/// A change without a body, which such a client cannot make.
-const CHANGE: &[Code] = &[Code::BadRequest, Code::SessionExclusive, Code::SessionRunning];
-/// Every command goes through the daemon's command queue to the device.
-const COMMAND: &[Code] = &[Code::NoDevice, Code::Timeout, Code::Busy, Code::ShuttingDown];
-/// Plays and sequences are patterns with an onset.
-const PLAY: &[Code] = &[
-    Code::NotFound,
-    Code::BadPattern,
-    Code::Empty,
-    Code::OtherArray,
-    Code::StaleBoot,
-    Code::ParticipantLimit,
-    Code::BehindEndless,
-    Code::TooSoon,
-    Code::Overlaps,
-    Code::NoTriggerInput,
-    Code::TooDense,
-    Code::TooSlow,
-];
-/// Plays and calibrations are queued by the same rules.
-const QUEUE: &[Code] = &[
-    Code::DriftLimit,
-    Code::PushLimit,
-    Code::PowerLimit,
-    Code::Disarmed,
-    Code::Faulted,
-    Code::Returning,
-    Code::Playing,
-    Code::QueueFull,
-    Code::TooManyPlays,
-    Code::LineTooSlow,
-    Code::Store,
-];
 
 const OK: &[(u16, &str)] = &[(200, "Done")];
 const ACCEPTED: &[(u16, &str)] = &[(202, "Queued")];
@@ -233,7 +183,6 @@ impl Route {
                 body: Body::Json("Order"),
                 statuses: ACCEPTED,
                 answer: Answer::Json("PlayAccepted"),
-                errors: &[BODY, PLAY, QUEUE, COMMAND, ANY],
                 ..Operation::post("/v1/play")
             },
             Self::PlayCheck => Operation {
@@ -246,19 +195,6 @@ impl Route {
                 body: Body::Json("Order"),
                 statuses: OK,
                 answer: Answer::Json("PlanCheck"),
-                errors: &[
-                    SENT,
-                    &[Code::NotFound, Code::BadPattern, Code::Empty, Code::OtherArray, Code::StaleBoot],
-                    &[
-                        Code::TooDense,
-                        Code::TooSlow,
-                        Code::PushLimit,
-                        Code::PowerLimit,
-                        Code::Store,
-                        Code::Busy,
-                    ],
-                    ANY,
-                ],
                 ..Operation::post("/v1/play/check")
             },
             Self::Live => Operation {
@@ -269,7 +205,6 @@ impl Route {
                 body: Body::Json("LiveRequest"),
                 statuses: ACCEPTED,
                 answer: Answer::Json("LiveAccepted"),
-                errors: &[BODY, PLAY, QUEUE, COMMAND, ANY],
                 ..Operation::post("/v1/live")
             },
             Self::LiveConnection => Operation {
@@ -282,14 +217,12 @@ impl Route {
                 parameter: Some("The key of the answer to `POST /v1/live`"),
                 statuses: &[(101, "The connection speaks the new protocol")],
                 answer: Answer::Json("LiveAnswer"),
-                errors: &[CHANGE, &[Code::NotFound], ANY],
                 ..Operation::get("/v1/live/{key}")
             },
             Self::Stop => Operation {
                 summary: "Stop the running play and clear the queue",
                 description: "The device returns the pins to rest. The motors stay armed. Everybody who may operate may order it, also \
                               during an exclusive session of another client; the event `intervened` then tells its owner.",
-                errors: &[SENT, &[Code::Faulted, Code::Returning, Code::DeviceRefused], COMMAND, ANY],
                 ..Operation::post("/v1/stop")
             },
             Self::EStop => Operation {
@@ -299,7 +232,6 @@ impl Route {
                               waits for no other client. It answers when the device has confirmed that all lines are off; \
                               `estop_off_ms` says how long after the order that was. `POST /v1/reset` clears the latch.",
                 body: Body::None,
-                errors: &[&[Code::NoDevice, Code::Timeout], ANY],
                 ..Operation::post("/v1/estop")
             },
             Self::Reset => Operation {
@@ -308,12 +240,6 @@ impl Route {
                               move; then the answer comes. The motors stay disarmed. If another terminal has ordered an emergency stop since the last reset, a person \
                               must confirm with `force`. A client is a process, or the commands of one terminal session.",
                 body: Body::OptionalJson("ResetRequest"),
-                errors: &[
-                    BODY,
-                    &[Code::Faulted, Code::RecentEStop, Code::Returning, Code::DeviceRefused],
-                    COMMAND,
-                    ANY,
-                ],
                 ..Operation::post("/v1/reset")
             },
             Self::Arm => Operation {
@@ -324,19 +250,6 @@ impl Route {
                               pins; but not if telemetry showed all pins until the motors were disarmed. The client states with `silence_s` or \
                               `unattended` whether the motors may stay armed without it; `armed` in the status shows what is left.",
                 body: Body::OptionalJson("ArmRequest"),
-                errors: &[
-                    BODY,
-                    &[
-                        Code::Faulted,
-                        Code::Returning,
-                        Code::Playing,
-                        Code::PositionUnknown,
-                        Code::LevelNotChecked,
-                        Code::DeviceRefused,
-                    ],
-                    COMMAND,
-                    ANY,
-                ],
                 ..Operation::post("/v1/arm")
             },
             Self::Disarm => Operation {
@@ -345,27 +258,12 @@ impl Route {
                               order it, as for `POST /v1/stop`. A client that ends takes back only what it has armed with `own`: \
                               motors that another client has armed, too, stay armed for that one.",
                 body: Body::OptionalJson("DisarmRequest"),
-                errors: &[BODY, SENT, &[Code::Faulted, Code::Returning, Code::DeviceRefused], COMMAND, ANY],
                 ..Operation::post("/v1/disarm")
             },
             Self::Home => Operation {
                 summary: "Move every pin to rest",
                 description: "The daemon answers when the pins are at rest, after up to 25 s. The motors must be armed, and no play \
                               queued. Without telemetry it moves each pin once, by the drift it expects.",
-                errors: &[
-                    BODY,
-                    &[
-                        Code::Disarmed,
-                        Code::Faulted,
-                        Code::Returning,
-                        Code::Playing,
-                        Code::NoPositionEstimate,
-                        Code::NotHome,
-                        Code::DeviceRefused,
-                    ],
-                    COMMAND,
-                    ANY,
-                ],
                 ..Operation::post("/v1/home")
             },
             Self::Edge => Operation {
@@ -373,7 +271,6 @@ impl Route {
                 description: "For tests and pilots: it does what a pulse at the trigger input of a board does. A board refuses it. The event \
                               `edge` tells of each edge. An edge to come is withdrawn when its client loses the right to order it.",
                 body: Body::OptionalJson("EdgeRequest"),
-                errors: &[BODY, &[Code::DeviceRefused, Code::QueueFull], COMMAND, ANY],
                 ..Operation::post("/v1/edge")
             },
             Self::Status => Operation {
@@ -396,7 +293,6 @@ impl Route {
                               meanwhile share the next one. The command on the daemon's machine also measures timers, checks its \
                               user's rights, and can have a board test itself.",
                 answer: Answer::Json("DoctorReport"),
-                errors: &[&[Code::Store, Code::Timeout], ANY],
                 ..Operation::get("/v1/doctor")
             },
             Self::Receipt => Operation {
@@ -411,7 +307,6 @@ impl Route {
                     about: "How long to wait for the play's end, s; without it the daemon answers at once",
                 }],
                 answer: Answer::Json("Receipt"),
-                errors: &[&[Code::BadRequest, Code::NotFound], ANY],
                 ..Operation::get("/v1/plays/{id}")
             },
             Self::Withdraw => Operation {
@@ -421,7 +316,6 @@ impl Route {
                               stays as it is.",
                 parameter: Some("The play's id"),
                 answer: Answer::Json("Receipt"),
-                errors: &[CHANGE, &[Code::NotFound, Code::Playing], COMMAND, ANY],
                 ..Operation::get("/v1/plays/{id}")
             },
             Self::PlayAnswer => Operation {
@@ -433,7 +327,6 @@ impl Route {
                 parameter: Some("The play's id"),
                 body: Body::Json("PlayAnswer"),
                 answer: Answer::Json("AnswerTaken"),
-                errors: &[BODY, &[Code::NotFound, Code::Exists, Code::TooManyPlays, Code::Store], ANY],
                 ..Operation::post("/v1/plays/{id}/answer")
             },
             Self::Events => Operation {
@@ -442,14 +335,12 @@ impl Route {
                               one is `state`. A listener that falls 1024 events behind gets `lagged` in their place; one that reads nothing \
                               for a minute is disconnected. At most 48 streams are open, so that commands find places.",
                 answer: Answer::Events,
-                errors: &[&[Code::ShuttingDown], ANY],
                 ..Operation::get("/v1/events")
             },
             Self::Patterns => Operation {
                 summary: "List the patterns",
                 description: "The built-in library and the pattern directory, which the daemon reads anew.",
                 answer: Answer::Json("PatternList"),
-                errors: &[&[Code::Store], ANY],
                 ..Operation::get("/v1/patterns")
             },
             Self::Pattern => Operation {
@@ -462,7 +353,6 @@ impl Route {
                             record; without it the stored one",
                 }],
                 answer: Answer::Json("PatternDetails"),
-                errors: &[&[Code::BadRequest, Code::NotFound, Code::BadPattern, Code::Store], ANY],
                 ..Operation::get("/v1/patterns/{name}")
             },
             Self::Preview => Operation {
@@ -485,18 +375,6 @@ impl Route {
                     },
                 ],
                 answer: Answer::Json("PatternPreview"),
-                errors: &[
-                    &[
-                        Code::BadRequest,
-                        Code::NotFound,
-                        Code::BadPattern,
-                        Code::TooLarge,
-                        Code::Store,
-                        Code::Busy,
-                        Code::Timeout,
-                    ],
-                    ANY,
-                ],
                 ..Operation::get("/v1/patterns/{name}/preview")
             },
             Self::Import => Operation {
@@ -514,7 +392,6 @@ impl Route {
                 body: Body::Toml,
                 statuses: &[(201, "Stored under a new name"), (200, "Stored in place of an older pattern")],
                 answer: Answer::Json("ImportedPattern"),
-                errors: &[BODY, &[Code::BadPattern, Code::Empty, Code::Exists, Code::Store, Code::Busy], ANY],
                 ..Operation::get("/v1/patterns/{name}")
             },
             Self::Remove => Operation {
@@ -524,7 +401,6 @@ impl Route {
                               that is queued or runs goes on.",
                 parameter: Some("The pattern's name"),
                 answer: Answer::Json("RemovedPattern"),
-                errors: &[CHANGE, &[Code::NotFound, Code::Exists, Code::Store, Code::Busy], ANY],
                 ..Operation::get("/v1/patterns/{name}")
             },
             Self::RenderingStart => Operation {
@@ -535,11 +411,6 @@ impl Route {
                 body: Body::Json("RenderingRequest"),
                 statuses: &[(202, "Started")],
                 answer: Answer::Json("Rendering"),
-                errors: &[
-                    BODY,
-                    &[Code::NotFound, Code::RenderingRunning, Code::ShuttingDown, Code::Store],
-                    ANY,
-                ],
                 ..Operation::post("/v1/renderings")
             },
             Self::RenderingShow => Operation {
@@ -547,7 +418,6 @@ impl Route {
                 description: "The daemon keeps the one that runs and the last 4 that have ended.",
                 parameter: Some("The rendering's id, or `last`"),
                 answer: Answer::Json("Rendering"),
-                errors: &[&[Code::BadRequest, Code::NotFound, Code::Store], ANY],
                 ..Operation::get("/v1/renderings/{id}")
             },
             Self::RenderingCancel => Operation {
@@ -556,7 +426,6 @@ impl Route {
                 description: "Its process ends at once, without a result. A rendering that is over stays as it is.",
                 parameter: Some("The rendering's id, or `last`"),
                 answer: Answer::Json("Rendering"),
-                errors: &[CHANGE, &[Code::NotFound, Code::Store], ANY],
                 ..Operation::get("/v1/renderings/{id}")
             },
             Self::Calibrate => Operation {
@@ -567,20 +436,12 @@ impl Route {
                 body: Body::OptionalJson("CalibrateRequest"),
                 statuses: ACCEPTED,
                 answer: Answer::Json("PlayAccepted"),
-                errors: &[
-                    BODY,
-                    &[Code::NoTelemetry, Code::LowerStop, Code::ParticipantLimit],
-                    QUEUE,
-                    COMMAND,
-                    ANY,
-                ],
                 ..Operation::post("/v1/calibrate")
             },
             Self::Calibration => Operation {
                 summary: "Show the stored calibration",
                 description: "The daemon uses a calibration only for the device it was measured on.",
                 answer: Answer::Json("CalibrationReport"),
-                errors: &[&[Code::NotFound], ANY],
                 ..Operation::get("/v1/calibration")
             },
             Self::StoreCalibration => Operation {
@@ -590,7 +451,6 @@ impl Route {
                               motors in it, keeps the others, and uses the gains at once. No play may be queued.",
                 body: Body::Calibration,
                 answer: Answer::Json("CalibrationReport"),
-                errors: &[BODY, &[Code::Playing, Code::NoDevice, Code::Store, Code::Busy], ANY],
                 ..Operation::get("/v1/calibration")
             },
             Self::SessionStart => Operation {
@@ -602,7 +462,6 @@ impl Route {
                 body: Body::Json("SessionRequest"),
                 statuses: &[(201, "Started")],
                 answer: Answer::Json("SessionStarted"),
-                errors: &[BODY, &[Code::Playing, Code::TooManyPlays, Code::ShuttingDown, Code::Store], ANY],
                 ..Operation::post("/v1/sessions")
             },
             Self::Sessions => Operation {
@@ -610,7 +469,6 @@ impl Route {
                 description: "The daemon reads the session record, the oldest first: at most the newest 10000. Lines that it cannot \
                               read are counted and named.",
                 answer: Answer::Json("SessionList"),
-                errors: &[&[Code::Store, Code::Busy], ANY],
                 ..Operation::get("/v1/sessions")
             },
             Self::SessionShow => Operation {
@@ -618,7 +476,6 @@ impl Route {
                 description: "The running one from memory, and ended ones from the session record.",
                 parameter: Some("The session's id, or `running`"),
                 answer: Answer::Json("Session"),
-                errors: &[&[Code::BadRequest, Code::NotFound, Code::Store, Code::Busy], ANY],
                 ..Operation::get("/v1/sessions/{id}")
             },
             Self::SessionPlays => Operation {
@@ -631,7 +488,6 @@ impl Route {
                     about: "How many plays to leave out; without it none",
                 }],
                 answer: Answer::Json("SessionPlays"),
-                errors: &[&[Code::BadRequest, Code::NotFound, Code::Store, Code::Busy], ANY],
                 ..Operation::get("/v1/sessions/{id}/plays")
             },
             Self::SessionEnd => Operation {
@@ -639,7 +495,6 @@ impl Route {
                 description: "The daemon refuses it while a play waits or runs.",
                 parameter: Some("The session's id, or `running`"),
                 answer: Answer::Json("Session"),
-                errors: &[BODY, &[Code::NotFound, Code::Playing], ANY],
                 ..Operation::post("/v1/sessions/{id}/end")
             },
             Self::TokenCreate => Operation {
@@ -650,7 +505,6 @@ impl Route {
                 body: Body::Json("TokenRequest"),
                 statuses: &[(201, "Created")],
                 answer: Answer::Json("TokenCreated"),
-                errors: &[BODY, &[Code::Exists, Code::Store], ANY],
                 ..Operation::post("/v1/tokens")
             },
             Self::Tokens => Operation {
@@ -666,7 +520,6 @@ impl Route {
                               of the Unix socket may do this, during an exclusive session only its owner.",
                 parameter: Some("The token's id"),
                 answer: Answer::Json("TokenInfo"),
-                errors: &[CHANGE, &[Code::NotFound, Code::Store], ANY],
                 ..Operation::get("/v1/tokens/{id}")
             },
             Self::Metrics => Operation {
@@ -705,7 +558,6 @@ impl Operation {
             body: Body::None,
             statuses: OK,
             answer: STATUS,
-            errors: &[ANY],
         }
     }
 }
