@@ -33,8 +33,6 @@ mod drift;
 mod edges;
 /// `session export`: a row for each play and each item of a sequence; a damaged record.
 mod export;
-/// Scripted faults, in real time.
-mod faults;
 /// The data of figures: `motor --simulated` and `optimise --json` against the models.
 mod figures;
 /// A real daemon in its own directory, and helpers for the other tests.

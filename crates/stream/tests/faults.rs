@@ -259,12 +259,10 @@ fn every_fault_ends_as_its_case_says() {
         for (number, pattern) in PATTERNS.into_iter().enumerate() {
             let part: Vec<Kind<'_>> = kinds.iter().skip(number).step_by(PATTERNS.len()).copied().collect();
             let seeded = |kind: &Kind<'_>, pattern: &str, _| play(kind, pattern, number as u64 + 1);
-            let shown = run(&part, &[pattern], jobs(), seeded, |_| ());
-            problems.extend(shown.into_iter().flat_map(|shown| shown.problems));
+            problems.extend(run(&part, &[pattern], jobs(), seeded, |_| ()));
         }
     } else {
-        let shown = run(&kinds, &PATTERNS, jobs(), play, |_| ());
-        problems.extend(shown.into_iter().flat_map(|shown| shown.problems));
+        problems.extend(run(&kinds, &PATTERNS, jobs(), play, |_| ()));
     }
     assert!(problems.is_empty(), "{}", problems.join("\n"));
     assert!(kinds.len() >= 60, "{} kinds", kinds.len());

@@ -8,7 +8,7 @@
 //! A [`scenario`] is a file: what the host does, what fails, and what must be the result. Both benches play it and must do
 //! the same in every tick, except after asynchronous events.
 //!
-//! [`faults`] plays the cases of `tests/faults`, which a rig in virtual time and a daemon on a terminal play, too.
+//! [`faults`] plays the cases of `tests/faults`, which a rig in virtual time plays, too.
 
 #![forbid(unsafe_code)]
 

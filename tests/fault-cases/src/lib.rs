@@ -1,7 +1,7 @@
 //! Faults by script: the cases of `tests/faults`, and how a play that meets one is judged.
 //!
-//! Three runners share it: in virtual time (`crates/stream/tests/faults.rs`), a daemon on a pseudo-terminal
-//! (`tests/fault-pty`), and the emulated chip (`firmware/hil`). A runner takes [`cases`], does what each [`Fault`] says when
+//! Two runners share it: in virtual time (`crates/stream/tests/faults.rs`) and the emulated chip (`firmware/hil`). A runner takes
+//! [`cases`], does what each [`Fault`] says when
 //! [`Kind::begins`] says, fills in [`Seen`] and [`Observed`], and asks [`Expect::judge`].
 //!
 //! - [`case`]: the format of a file.
@@ -24,7 +24,7 @@ pub use case::{
     Telemetry, To, What,
 };
 pub use judge::{Observed, Seen, high_until};
-pub use plays::{Failure, Shown, jobs, report, run};
+pub use plays::{jobs, run};
 
 use std::collections::BTreeMap;
 use std::fs;

@@ -51,7 +51,6 @@ pub use serial::SerialPort;
 pub use spec::{Spec, SpecError};
 use std::io;
 use std::sync::Arc;
-pub use terminal::{Received, Terminal};
 pub use usb::{UsbPort, watch};
 pub use wall_mock::WallMock;
 

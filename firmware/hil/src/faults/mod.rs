@@ -1,6 +1,6 @@
 //! Plays the cases of `tests/faults` on a bench, each on a device of its own.
 //!
-//! [`play`] is used by the example `faults` (`tests/faults/run chip`), and by the tests for some of them. A play, and how it is
+//! [`play`] is used by the example `faults` (`cargo run -p meissner-hil --example faults`), and by the tests for some of them. A play, and how it is
 //! judged, is in `player` and `verdict`; what cannot be played on a board is named by [`not_possible`]. The bounds on time are those of
 //! virtual time: nothing is added for the chip.
 
