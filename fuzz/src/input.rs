@@ -6,8 +6,7 @@
 use arbitrary::Unstructured;
 use firmware_protocol::array::MotorSet;
 use firmware_protocol::limits::PowerLimits;
-use firmware_protocol::message::{Cause, LowerStop, Mark, MarkKind, Op, Trigger, Withdraw};
-use firmware_protocol::stroke::Direction;
+use firmware_protocol::message::{Cause, LowerStop, Op};
 use meissner_array::spec::{Array, ArraySpec};
 use serde::ser::{Serialize, SerializeTuple, Serializer};
 use std::sync::LazyLock;
@@ -106,34 +105,6 @@ pub fn motor(input: &mut Unstructured<'_>, array: Array) -> u8 {
 /// Any motors, also of no array.
 pub fn motors(input: &mut Unstructured<'_>) -> MotorSet {
     MotorSet::from_bits(input.arbitrary().unwrap_or_default())
-}
-
-/// A direction of a shift.
-pub fn direction(input: &mut Unstructured<'_>) -> Direction {
-    one_of(input, [Direction::Up, Direction::Down])
-}
-
-/// A mark, or none.
-pub fn mark(input: &mut Unstructured<'_>) -> Option<Mark> {
-    let kind = one_of(input, [None, None, Some(MarkKind::Play), Some(MarkKind::Item)])?;
-    let trigger = flag(input).then(|| Trigger { width: word(input) % 300, code: byte(input) });
-    let hold = one_of(input, [0, 1, 20_000, u32::MAX]);
-    Some(Mark { kind, trigger, hold })
-}
-
-/// What a frame withdraws, if it does.
-pub fn withdraw(input: &mut Unstructured<'_>, array: Array) -> Option<Withdraw> {
-    let motors = match byte(input) % 8 {
-        0 => motors(input),
-        1 => MotorSet::from_bits(u64::MAX),
-        2 | 3 => {
-            let mut one = MotorSet::EMPTY;
-            one.insert(motor(input, array));
-            one
-        }
-        _ => return None,
-    };
-    Some(Withdraw { motors, generation: (byte(input) % 6).into() })
 }
 
 /// The reasons for a disarm that a host may name, and others.

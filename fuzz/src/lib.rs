@@ -4,7 +4,6 @@
 //!
 //! | module | what it tries |
 //! |---|---|
-//! | [`controller`] | the controller, under the [`shell`] |
 //! | [`session`] | the host's session, with a device that lies |
 //! | [`array`] | descriptions of arrays |
 //! | [`documents`] | files that people write, records, bodies of requests |
@@ -17,11 +16,9 @@
 //! Invariant: a target is a function of its bytes, except [`http`], whose daemon keeps its state between two inputs.
 
 pub mod array;
-pub mod controller;
 #[cfg(feature = "program")]
 pub mod documents;
 #[cfg(feature = "program")]
 pub mod http;
 pub mod input;
 pub mod session;
-pub mod shell;

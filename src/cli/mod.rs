@@ -4,8 +4,6 @@
 //! bars go to stderr. A command that fails prints one line, `meissner: what, where, what to do`, and exits with 1; a command line
 //! that cannot be understood exits with 2. Commands use the API like any client.
 //!
-//! The package `research` prints its answers with the functions that are public here.
-//!
 //! Invariant: names and flags are stable; there are no placeholders for future commands.
 
 mod answer;
@@ -41,10 +39,6 @@ mod token;
 mod tradeoff;
 mod validate;
 mod watch;
-
-pub use motions::{FollowingError, steps_of};
-pub use output::give;
-pub use text::{columns, number};
 
 use crate::config::Source;
 use crate::daemon::{self, Daemon, DaemonError, Signals};

@@ -13,7 +13,7 @@ use firmware_protocol::moves::Move;
 use meissner_array::motion::{Deviation, Reached, TRIED_S, Waveform, beginning, choose};
 use meissner_array::pattern::Pattern;
 use meissner_array::spec::Array;
-use meissner_array::strokes::{Step, StrokeOptions, Strokes};
+use meissner_array::strokes::{StrokeOptions, Strokes};
 use meissner_stream::{Bandwidth, Settings};
 use rayon::prelude::*;
 use serde::Serialize;
@@ -76,7 +76,7 @@ pub(super) struct FollowedMotor {
 
 /// How far a displacement is from another one.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct FollowingError {
+pub(super) struct FollowingError {
     /// Root mean square, µm.
     pub rms_um: f64,
     /// It as a share of the RMS of the reference about its mean; 0 if that does not move.
@@ -187,19 +187,6 @@ impl Motions {
     pub(super) fn problems(&self, array: Array) -> Vec<String> {
         self.motors.iter().filter_map(|of| of.problem(array)).collect()
     }
-}
-
-/// The moves of all motors as steps, in order of time and motor.
-#[must_use]
-pub fn steps_of(moves: &[Vec<Move>]) -> Vec<Step> {
-    let of_motor = |moves: &Vec<Move>| {
-        let mut from = 0;
-        let step = |of: &Move| Step::Move { of: *of, from: std::mem::replace(&mut from, of.level) };
-        moves.iter().map(step).collect::<Vec<_>>()
-    };
-    let mut steps: Vec<Step> = moves.iter().flat_map(of_motor).collect();
-    steps.sort_by_key(|step| (step.begin(), step.motor()));
-    steps
 }
 
 /// How much of each motion is measured at most, ns: the motors share [`TRIED_S`].

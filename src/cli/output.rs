@@ -37,7 +37,7 @@ pub(super) fn tell(text: &str) {
 ///
 /// # Errors
 /// Stdout cannot be written.
-pub fn give(json: bool, document: &impl Serialize, text: impl FnOnce() -> String) -> Result<ExitCode> {
+pub(super) fn give(json: bool, document: &impl Serialize, text: impl FnOnce() -> String) -> Result<ExitCode> {
     match if json { say_json(document) } else { say(&text()) } {
         Err(error) if !is_broken_pipe(&error) => Err(error),
         _ => Ok(ExitCode::SUCCESS),

@@ -28,7 +28,7 @@ pub(super) fn pairs(pairs: &[(&str, String)]) -> String {
 
 /// A table without rules; the head may be empty.
 #[must_use]
-pub fn columns(head: &[&str], rows: impl IntoIterator<Item = Vec<String>>) -> String {
+pub(super) fn columns(head: &[&str], rows: impl IntoIterator<Item = Vec<String>>) -> String {
     let mut table = Table::new();
     table.load_style(NOTHING).add_rows(rows);
     if !head.is_empty() {
@@ -42,7 +42,7 @@ pub fn columns(head: &[&str], rows: impl IntoIterator<Item = Vec<String>>) -> St
 
 /// A number with `digits` digits after the point; `-` if there is none.
 #[must_use]
-pub fn number(number: Option<f64>, digits: usize) -> String {
+pub(super) fn number(number: Option<f64>, digits: usize) -> String {
     number.map_or_else(|| "-".to_owned(), |number| format!("{number:.digits$}"))
 }
 

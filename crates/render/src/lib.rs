@@ -64,40 +64,12 @@ pub enum Method {
     Auto,
 }
 
-/// How much work [`render_with`] does.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Effort {
-    /// The distance of the places on the skin whose motion is compared, mm.
-    pub spacing_mm: f64,
-    /// The steps of each descent; 0 takes the start.
-    pub steps: usize,
-}
-
-impl Effort {
-    /// What the figures of the book say is enough: 20 steps for an object that stays in place, which begins near its end, and 60 for one that
-    /// moves.
-    #[must_use]
-    pub fn of(touch: &Touch) -> Self {
-        Self { spacing_mm: skin::SPACING_MM, steps: if touch.stays_in_place() { 20 } else { 60 } }
-    }
-}
-
 /// Finds heights of an array's pins for an object's touch.
 #[must_use]
 pub fn render(array: Array, contact: &Contact, touch: &Touch, method: Method) -> Levels {
-    render_with(array, contact, touch, method, Effort::of(touch))
-}
-
-/// The same with less work, or more.
-#[must_use]
-pub fn render_with(
-    array: Array,
-    contact: &Contact,
-    touch: &Touch,
-    method: Method,
-    Effort { spacing_mm, steps }: Effort,
-) -> Levels {
-    let skin = skin::Skin::new(array, spacing_mm);
+    // An object that stays in place begins near its end.
+    let steps = if touch.stays_in_place() { 20 } else { 60 };
+    let skin = skin::Skin::new(array, skin::SPACING_MM);
     let limits = levels::Limits::of(array);
     let wanted = wanted::Wanted::new(&skin, contact, touch, limits);
     let goal = |weights| Goal::new(&skin, &wanted, weights);
