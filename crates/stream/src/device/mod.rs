@@ -51,6 +51,7 @@ pub use serial::SerialPort;
 pub use spec::{Spec, SpecError};
 use std::io;
 use std::sync::Arc;
+pub use terminal::{Received, Terminal};
 pub use usb::{UsbPort, watch};
 pub use wall_mock::WallMock;
 

@@ -12,14 +12,14 @@ use std::path::{Path, PathBuf};
 
 /// The far end of a pseudo-terminal. Dropping it hangs up.
 #[derive(Debug)]
-pub(super) struct Terminal {
+pub struct Terminal {
     master: OwnedFd,
     path: PathBuf,
 }
 
 /// What the far end reads.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Received {
+pub enum Received {
     /// So many bytes.
     Bytes(usize),
     /// A program has the terminal open, and no byte waits.
@@ -33,7 +33,7 @@ impl Terminal {
     ///
     /// # Errors
     /// If the system gives none.
-    pub(super) fn open() -> io::Result<Self> {
+    pub fn open() -> io::Result<Self> {
         let master = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC)?;
         grantpt(&master)?;
         unlockpt(&master)?;
@@ -52,12 +52,14 @@ impl Terminal {
     }
 
     /// What a program opens as a serial port.
-    pub(super) fn path(&self) -> &Path {
+    #[must_use]
+    pub fn path(&self) -> &Path {
         &self.path
     }
 
     /// Reads what the program has written.
-    pub(super) fn read(&self, bytes: &mut [u8]) -> Received {
+    #[must_use]
+    pub fn read(&self, bytes: &mut [u8]) -> Received {
         match rustix::io::read(&self.master, bytes) {
             Ok(len) if len > 0 => Received::Bytes(len),
             Err(Errno::AGAIN) => Received::Nothing,
@@ -66,7 +68,8 @@ impl Terminal {
     }
 
     /// Writes for the program to read; returns how many bytes had room.
-    pub(super) fn write(&self, bytes: &[u8]) -> usize {
+    #[must_use]
+    pub fn write(&self, bytes: &[u8]) -> usize {
         rustix::io::write(&self.master, bytes).unwrap_or(0)
     }
 }
