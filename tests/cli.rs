@@ -282,7 +282,7 @@ fn an_invalid_command_line_exits_with_2_and_says_why_on_one_line() {
         said
     };
     INVALID.lines().skip(1).for_each(|line| drop(said(line)));
-    assert!(said("play").contains("were not provided: <NAME>; see `meissner play --help`"));
+    assert!(said("play").contains("were not provided: <WHAT>; see `meissner play --help`"));
     assert!(said("session export a --josn").contains("found; tip: a similar argument exists: '--json'; see"));
 }
 
