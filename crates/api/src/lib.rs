@@ -5,11 +5,11 @@
 //!
 //! - [`route`]: every route with its method, body and answer. The daemon builds its router from this table. [`access`]: who may
 //!   use it.
-//! - [`request`]: the bodies a client sends; [`Order::parse`] and similar functions name the wrong key. How bodies are read, and the
+//! - [`order`]: what to play, when and how, of one item or many; [`item_record`]: what became of each; [`trigger`]: the trigger output;
+//!   [`plan_check`]: how far a play would let pins drift.
+//! - [`request`]: the other bodies a client sends; [`Order::parse`] and similar functions name the wrong key. How bodies are read, and the
 //!   checks that several share, is in `body`.
 //! - [`session`]: sessions, whose plays are recorded together and during which one client may own the display.
-//! - [`sequence`], [`trigger`]: sequences of patterns, and the trigger output, in requests and in receipts; [`plan_check`]: how far one
-//!   would let pins drift.
 //! - [`status`], [`receipt`], [`pattern`], [`calibration`]: what the daemon answers; [`board`]: the device's
 //!   counters in status and receipt.
 //! - [`end_cause`]: why a play ended before its end.

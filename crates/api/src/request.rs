@@ -1,6 +1,6 @@
 //! Request bodies: JSON objects, read with serde.
 //!
-//! [`Order::parse`], [`ArmRequest::parse`], [`DisarmRequest::parse`], [`ResetRequest::parse`], [`CalibrateRequest::parse`] and [`parse_empty`] read a body. A key that is null
+//! [`ArmRequest::parse`], [`DisarmRequest::parse`], [`ResetRequest::parse`], [`CalibrateRequest::parse`] and [`parse_empty`] read a body. A key that is null
 //! counts as absent, but a number may not be null ([`given`]). An error is one line that names the key; for an unknown key it offers the nearest known one.
 
 use crate::body::{MAX_NAME, bad, check_onset, null_as_default, problem, read_or_default};

@@ -241,7 +241,7 @@ impl Sequence {
         Ok((end_ns, ticks(self.array.rate(), end_ns)))
     }
 
-    /// When each item begins and ends, ticks from the onset; the only item may have no end, [`NEVER`].
+    /// When each item begins and ends, ticks from the onset; an only item without end has the highest tick.
     pub fn spans(&self) -> impl ExactSizeIterator<Item = (u64, u64)> {
         self.items.iter().map(|item| (item.start, item.end))
     }
