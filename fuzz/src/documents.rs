@@ -26,7 +26,7 @@ use std::sync::LazyLock;
 pub type Read = fn(&[u8]);
 
 /// The kinds of documents; the number is the first byte of an input.
-pub const KINDS: [(&str, Read); 17] = [
+pub const KINDS: [(&str, Read); 16] = [
     ("pattern", pattern),
     ("target", target),
     ("scene", scene),
