@@ -1,19 +1,15 @@
 //! Sessions: one at a time, exclusive sessions, their owner's silence, their record, and failing disks.
 
-use crate::harness::{
-    Daemon, PATIENT, PROGRAM, TIMEOUT, complaint, document, ended, next, printed, problem, refusal,
-};
-use meissner_api::{Event, PlayState, Session, SessionList, SessionStarted, Status};
+use crate::harness::{Daemon, PROGRAM, TIMEOUT, complaint, document, ended, printed};
+use meissner_api::{Session, SessionList, SessionStarted};
 use meissner_client::Client;
-use rustix::process::{Pid, Signal, kill_process};
+use rustix::process::Signal;
 use serde_json::{Value, json};
 use std::fs;
 use std::io::{Read, Write};
 use std::os::unix::fs::PermissionsExt;
 use std::os::unix::net::UnixStream;
 use std::process::{Command, Stdio};
-use std::thread;
-use std::time::Duration;
 
 fn start(client: &mut Client, participant: &str, exclusive: bool) -> SessionStarted {
     let request = json!({
@@ -36,75 +32,6 @@ pub(crate) fn exported(daemon: &Daemon, id: &str) -> (Value, String) {
         daemon.meissner().args(["session", "export", id, "--json", "--incomplete"]).assert().success();
     let output = export.get_output();
     (serde_json::from_slice(&output.stdout).unwrap(), String::from_utf8(output.stderr.clone()).unwrap())
-}
-
-#[test]
-fn a_play_carries_its_session_trial_and_labels() {
-    let daemon = Daemon::start();
-    let (mut client, started) = owner(&daemon, "P07", false);
-    let mut events = client.events().unwrap();
-    let play = json!({"pattern": "pin-60", "seconds": 0.2, "trial": 3, "labels": {"condition": "a"}});
-    let _: Value = client.post("/v1/play", &play).unwrap();
-    let receipt = ended(&mut events);
-    assert_eq!((receipt.session.as_deref(), receipt.trial), (Some(&*started.id), Some(3)));
-    assert_eq!(receipt.labels["condition"], "a");
-    // Plays of all clients belong to it; a play for another session is refused.
-    let _: Value = daemon.client().post("/v1/play", &json!({"pattern": "pin-60", "seconds": 0.1})).unwrap();
-    assert_eq!(ended(&mut events).session, Some(started.id.clone()));
-    let other = json!({"pattern": "pin-60", "seconds": 0.1, "session": "20260101T000000Z-000000"});
-    assert_eq!(refusal(client.post("/v1/play", &other)), ("session-running".into(), 409));
-    let long = json!({"pattern": "pin-60", "seconds": 9, "session": started.id});
-    let _: Value = client.post("/v1/play", &long).unwrap();
-    assert_eq!(refusal(client.post("/v1/sessions/running/end", &json!({}))), ("playing".into(), 409));
-    let _: Status = client.post("/v1/stop", &json!({})).unwrap();
-    ended(&mut events);
-    let session: Session = client.post(&format!("/v1/sessions/{}/end", started.id), &json!({})).unwrap();
-    assert_eq!((session.plays, session.reason.as_deref()), (3, Some("request")));
-    // The recorded session has the same values.
-    let recorded: Session = client.get(&format!("/v1/sessions/{}", started.id)).unwrap();
-    assert_eq!(recorded, session);
-    assert_eq!(problem(client.get("/v1/sessions/running")).code, "not-found");
-}
-
-#[test]
-fn two_clients_fight_for_a_session() {
-    let daemon = Daemon::start();
-    let (mut mine, started) = owner(&daemon, "P07", true);
-    let mut other = daemon.client();
-    for (path, body) in [
-        ("/v1/sessions", json!({"participant": "P08"})),
-        ("/v1/play", json!({"pattern": "pin-60", "seconds": 0.1})),
-        ("/v1/reset", json!({"force": true})),
-    ] {
-        let refused = problem(other.post(path, &body));
-        assert_eq!((refused.code.as_str(), refused.status), ("session-exclusive", 409), "{path}");
-        let says = format!("session {} with participant `P07` is exclusive since 20", started.id);
-        assert!(
-            refused.detail.starts_with(&says) && refused.detail.contains(" s more"),
-            "{}",
-            refused.detail
-        );
-    }
-    // A wrong token gives no access.
-    other.set_token(Some("0".repeat(32)));
-    assert_eq!(problem(other.post("/v1/home", &json!({}))).code, "session-exclusive");
-    // Others may read; the owner may act, on any connection.
-    let status: Status = other.get("/v1/status").unwrap();
-    let session = status.session.unwrap();
-    assert!(session.is_closed_to_others() && session.release_in_s.is_some_and(|left| left > 60.0));
-    let mut again = daemon.client();
-    again.set_token(Some(started.token.clone()));
-    let _: Value = again.post("/v1/play", &json!({"pattern": "pin-60", "seconds": 30})).unwrap();
-    // Every client may order an emergency stop.
-    let stopped: Status = other.post("/v1/estop", &json!({})).unwrap();
-    assert_eq!(stopped.cause, "estop");
-    other.set_token(None);
-    let _: Status = mine.post("/v1/reset", &json!({"force": true})).unwrap();
-    let second = mine.post("/v1/sessions", &json!({"participant": "P09"}));
-    assert_eq!(refusal(second), ("session-running".into(), 409));
-    let _: Session = mine.post("/v1/sessions/running/end", &json!({})).unwrap();
-    let _: Status = other.post("/v1/disarm", &json!({})).unwrap();
-    start(&mut other, "P08", true);
 }
 
 /// A request that came before the session began is refused if its body comes after.
@@ -136,48 +63,6 @@ fn a_session_that_begins_during_a_body_counts() {
     }
     let answer = answer.unwrap();
     assert!(answer.starts_with("HTTP/1.1 409 ") && answer.contains("session-exclusive"), "{answer}");
-}
-
-/// The play goes on as ordered; others may act after the stated silence, and the owner may come back.
-#[test]
-fn an_owner_that_dies_in_mid_play_locks_nobody_out() {
-    let daemon = Daemon::with("mock", &format!("{PATIENT}session_silence_s = 2\n"));
-    let (mut mine, started) = owner(&daemon, "P07", true);
-    let mut events = daemon.client().events().unwrap();
-    let mut program = Command::new(PROGRAM)
-        .args(["play", "pin-60", "--seconds", "5", "--wait"])
-        .env("MEISSNER_SOCKET", daemon.socket())
-        .env("MEISSNER_SESSION_TOKEN", &started.token)
-        .stdout(Stdio::null())
-        .stderr(Stdio::null())
-        .spawn()
-        .unwrap();
-    let id = crate::harness::began(&mut events);
-    kill_process(Pid::from_child(&program), Signal::KILL).unwrap();
-    program.wait().unwrap();
-    let mut other = daemon.client();
-    assert_eq!(problem(other.post("/v1/home", &json!({}))).code, "session-exclusive");
-    next(&mut events, |event| match event {
-        Event::SessionReleased { session } => {
-            assert_eq!(session, started.id);
-            Some(())
-        }
-        Event::Ended { .. } => panic!("the owner was silent for 2 s before the play's end"),
-        _ => None,
-    });
-    let status: Status = other.get("/v1/status").unwrap();
-    assert!(status.play.is_some_and(|play| play.id == id) && status.session.unwrap().released);
-    let receipt = ended(&mut events);
-    assert_eq!((receipt.id, receipt.state), (id, PlayState::Done));
-    let _: Value = other.post("/v1/play", &json!({"pattern": "pin-60", "seconds": 0.1})).unwrap();
-    assert_eq!(ended(&mut events).session, Some(started.id.clone()));
-    // The owner's next request closes it again.
-    let back: Status = mine.get("/v1/status").unwrap();
-    assert!(back.session.unwrap().is_closed_to_others());
-    assert_eq!(problem(other.post("/v1/home", &json!({}))).code, "session-exclusive");
-    next(&mut events, |event| matches!(event, Event::SessionReleased { .. }).then_some(()));
-    let ended: Session = other.post("/v1/sessions/running/end", &json!({})).unwrap();
-    assert_eq!((ended.id, ended.reason.as_deref()), (started.id, Some("request")));
 }
 
 #[test]
@@ -252,36 +137,4 @@ fn a_daemon_that_keeps_no_record_has_sessions_too() {
     let list: SessionList = client.get("/v1/sessions").unwrap();
     assert_eq!(list, SessionList::default());
     assert!(!daemon.path("state").exists());
-}
-
-#[test]
-fn a_session_has_a_limit_of_its_own_and_participants_have_their_days() {
-    let limits = "[participant]\nmax_session_s = 0.5\nmax_day_s = 0.8\n";
-    let daemon = Daemon::with("mock", &format!("{PATIENT}{limits}"));
-    let (mut client, _) = owner(&daemon, "P07", false);
-    let mut events = client.events().unwrap();
-    // Of plays that follow each other within half a second, the time between them counts, too.
-    let mut play = |client: &mut Client, seconds: f64| {
-        thread::sleep(Duration::from_millis(600));
-        let answer = client.post::<Value>("/v1/play", &json!({"pattern": "pin-60", "seconds": seconds}));
-        if answer.is_ok() {
-            ended(&mut events);
-        }
-        answer
-    };
-    let next = |client: &mut Client, participant| {
-        let _: Session = client.post("/v1/sessions/running/end", &json!({})).unwrap();
-        let started = start(client, participant, false);
-        client.set_token(Some(started.token));
-    };
-    play(&mut client, 0.4).unwrap();
-    let refused = problem(play(&mut client, 0.2)).detail;
-    let says = "limit for participants: `participant.max_session_s` allows 0.5 s of vibration in a session: 0.1 s are left";
-    assert!(refused.starts_with(says) && refused.contains("in a new one"), "{refused}");
-    next(&mut client, "P07");
-    play(&mut client, 0.3).unwrap();
-    let refused = problem(play(&mut client, 0.15)).detail;
-    assert!(refused.starts_with("limit for participants: `participant.max_day_s` allows 0.8 s"), "{refused}");
-    next(&mut client, "P08");
-    play(&mut client, 0.4).unwrap();
 }

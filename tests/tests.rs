@@ -41,22 +41,16 @@ mod harness;
 mod judge;
 /// Live plays: updates over both sockets, vanishing clients, mistakes.
 mod live;
-/// Arrays with a lower stop: arming moves the pins down to it, and plays stay within the limit on pushing.
-mod lower_stop;
 /// The man pages and completions are made from the program.
 mod manual;
 /// The daemon's memory: files that would fill it, a full queue of the longest pattern, the stated bound.
 mod memory;
-/// Motions: inline patterns, what is told before and after, refusals, overlapping and blank items.
-mod motions;
 /// Patterns with motions, without a daemon: packed with their sample files, checked, simulated, refused where only drives are changed.
 mod motions_offline;
 /// The netlist of the board against the firmware.
 mod netlist;
 /// The API over TCP: hosts, origins, tokens and roles, floods; without `listen` the daemon does not listen.
 mod network;
-/// What the status says of the present: what the pins do, and who asks.
-mod now;
 /// The API reference: routes, answers and the book's copies agree with the OpenAPI document.
 mod openapi;
 /// `optimise`: files and documents, budgets, interruptions, mistakes.
@@ -84,6 +78,5 @@ mod sessions;
 /// `simulate` and `tradeoff`: documents, mistakes, the comparison of methods; the shipped scenes.
 mod simulate;
 /// Stimuli as ordered: empty, weak, whole strokes, replaced, removed; receipts of cut plays.
-mod stimuli;
 /// `validate`: a verdict for every case, and the book's table.
 mod validate;

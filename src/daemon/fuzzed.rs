@@ -3,26 +3,52 @@
 //! A request enters where hyper would hand it over, so the acceptor's and hyper's checks of its bytes are skipped.
 
 use crate::daemon::engine::Engine;
+#[cfg(fuzzing)]
 use crate::daemon::http::app::App;
+#[cfg(fuzzing)]
 use crate::daemon::http::router;
+#[cfg(fuzzing)]
 use crate::daemon::run::{Daemon, Hosted};
+#[cfg(fuzzing)]
 use crate::daemon::sockets::acceptor::{Bounds, Counts};
 use crate::daemon::sockets::connection::Connection;
 use crate::daemon::sockets::orders::Orders;
 use crate::daemon::sockets::stream::Stream;
+#[cfg(fuzzing)]
 use crate::daemon::system::error::DaemonError;
-use crate::session_record::{NetworkPeer, Peer};
+#[cfg(fuzzing)]
+use crate::session_record::NetworkPeer;
+use crate::session_record::Peer;
 use axum::Router;
 use axum::body::Body;
 use axum::extract::Request;
 use axum::response::Response;
 use std::io;
+#[cfg(fuzzing)]
 use std::net::IpAddr;
 use std::os::unix::net::UnixStream;
 use std::sync::Arc;
 use tower::ServiceExt;
 
+/// Answers a request of this client.
+pub(in crate::daemon) async fn answer(
+    engine: &Engine,
+    router: &Router,
+    mut request: Request<Body>,
+    peer: Peer,
+) -> io::Result<Response> {
+    let (_client, stream) = UnixStream::pair()?;
+    stream.set_nonblocking(true)?;
+    let orders = Orders::new(Arc::clone(&engine.estops), Arc::clone(&engine.gate), peer, None);
+    let (_connection, _ahead, activity) = Connection::new(Stream::unix(stream.into()), b"", orders, true)?;
+    request.extensions_mut().insert(peer);
+    request.extensions_mut().insert(activity);
+    let Ok(response) = router.clone().oneshot(request).await;
+    Ok(response)
+}
+
 /// See the module.
+#[cfg(fuzzing)]
 #[derive(Debug)]
 pub struct Fuzzed {
     engine: Arc<Engine>,
@@ -30,6 +56,7 @@ pub struct Fuzzed {
     daemon: Hosted,
 }
 
+#[cfg(fuzzing)]
 impl Fuzzed {
     /// Runs the daemon on a separate thread.
     ///
@@ -46,20 +73,11 @@ impl Fuzzed {
     ///
     /// # Errors
     /// If the system has no socket for the connection.
-    pub async fn answer(&self, mut request: Request<Body>, from: Option<IpAddr>) -> io::Result<Response> {
-        let (_client, stream) = UnixStream::pair()?;
-        stream.set_nonblocking(true)?;
+    pub async fn answer(&self, request: Request<Body>, from: Option<IpAddr>) -> io::Result<Response> {
         let pid = i32::try_from(std::process::id()).unwrap_or(-1);
-        let local = Peer::local(pid, 0);
-        let peer = from.map_or(local, |address| Peer::network(NetworkPeer { address, token: None }));
-        let (estops, gate) = (Arc::clone(&self.engine.estops), Arc::clone(&self.engine.gate));
-        let orders = Orders::new(estops, gate, peer, None);
-        let (_connection, _ahead, activity) =
-            Connection::new(Stream::unix(stream.into()), b"", orders, true)?;
-        request.extensions_mut().insert(peer);
-        request.extensions_mut().insert(activity);
-        let Ok(response) = self.router.clone().oneshot(request).await;
-        Ok(response)
+        let peer =
+            from.map_or(Peer::local(pid, 0), |address| Peer::network(NetworkPeer { address, token: None }));
+        answer(&self.engine, &self.router, request, peer).await
     }
 
     /// Shuts the daemon down.

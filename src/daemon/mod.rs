@@ -21,7 +21,7 @@
 
 mod beside;
 mod engine;
-#[cfg(fuzzing)]
+#[cfg(any(fuzzing, test))]
 mod fuzzed;
 mod http;
 mod network;
@@ -31,6 +31,8 @@ mod run;
 mod sockets;
 mod state;
 mod system;
+#[cfg(test)]
+mod tests;
 
 #[cfg(fuzzing)]
 pub use fuzzed::Fuzzed;

@@ -23,11 +23,11 @@ use crate::daemon::system::signals::Signals;
 use crate::daemon::system::socket::Bound;
 use crate::daemon::system::sums;
 use crate::exposure::Account;
-use crate::session_record::{Note, SessionRecord};
+use crate::session_record::{Note, SessionRecord, Users};
 use crate::store::Store;
 use meissner_api::Realtime;
 use meissner_stream::device::mock::TruePositions;
-use meissner_stream::queues::EventQueue;
+use meissner_stream::queues::{CommandQueue, EventQueue};
 use std::io;
 use std::net::TcpListener;
 use std::os::unix::net::UnixListener;
@@ -77,21 +77,11 @@ impl Daemon {
                 "without real-time rights strokes may come late: see `meissner doctor`"
             );
         }
-        let wanted = config.device.to_string();
-        let engine = Engine::new(commands, config.settings, wanted.clone(), config.calibration.clone());
-        let record = SessionRecord::start(config.logbook.clone(), Arc::clone(&engine.names.users))
+        let users = Arc::default();
+        let record = SessionRecord::start(config.logbook.clone(), Arc::clone(&users))
             .map_err(system("session record's thread"))?;
-        let (version, pid) = (env!("CARGO_PKG_VERSION"), std::process::id());
-        record.add(Note::DaemonStarted { version, pid, wanted });
-        let mut account = Account::new(config.participant);
-        if let Some(location) = &config.logbook {
-            sums::restore(&mut account, &sums::read(&location.dir));
-        }
-        engine.lock().exposure = Exposure::new(account);
-        engine.lock().sessions.set_silence(Duration::from_secs_f64(config.session_silence_s));
-        engine.lock().armed.set_default(Duration::from_secs_f64(config.armed_silence_s));
-        let engine = Arc::new(engine.with(record, realtime, bound.socket().to_owned()).with_gate(gate));
-        engine.load_calibration(None);
+        let engine = Engine::of(config, commands, record, users);
+        let engine = Arc::new(engine.with(realtime, bound.socket().to_owned()).with_gate(gate));
         let connector =
             connector::spawn(config.device.clone(), config.settings.array, config.mock, Arc::clone(&engine))
                 .map_err(system("connector's thread"))?;
@@ -197,6 +187,34 @@ impl Daemon {
             let _ = closed.await;
         }
         result
+    }
+}
+
+impl Engine {
+    /// The engine of a configuration, with its session record.
+    pub(in crate::daemon) fn of(
+        config: &Config,
+        commands: CommandQueue,
+        record: SessionRecord,
+        users: Arc<Users>,
+    ) -> Self {
+        let wanted = config.device.to_string();
+        let (version, pid) = (env!("CARGO_PKG_VERSION"), std::process::id());
+        record.add(Note::DaemonStarted { version, pid, wanted: wanted.clone() });
+        let mut account = Account::new(config.participant);
+        if let Some(location) = &config.logbook {
+            sums::restore(&mut account, &sums::read(&location.dir));
+        }
+        let engine = Self::new(commands, config.settings, wanted, config.calibration.clone());
+        let engine = engine.recording(record, users);
+        {
+            let mut state = engine.lock();
+            state.exposure = Exposure::new(account);
+            state.sessions.set_silence(Duration::from_secs_f64(config.session_silence_s));
+            state.armed.set_default(Duration::from_secs_f64(config.armed_silence_s));
+        }
+        engine.load_calibration(None);
+        engine
     }
 }
 

@@ -22,9 +22,10 @@ pub use rule::{Exceeded, Onset};
 pub use vibration::Vibration;
 
 use jiff::civil::Date;
+use jiff::tz::TimeZone;
 use jiff::{SignedDuration, Timestamp, Zoned};
 use meissner_api::ParticipantStatus;
-use meissner_stream::time::HostInstant;
+use meissner_stream::time::{HostInstant, is_virtual};
 use rule::{EARLY_S, Order, Pending, SoFar, judge};
 use rustix::time::{ClockId, clock_gettime};
 use std::collections::BTreeMap;
@@ -62,7 +63,11 @@ impl Now {
     #[must_use]
     pub fn read() -> Self {
         static BEGAN: OnceLock<(SignedDuration, Zoned)> = OnceLock::new();
-        let (at, now) = (HostInstant::now(), Zoned::now());
+        let (at, wall_ns) = HostInstant::now_with_wall();
+        let now = Timestamp::from_nanosecond(wall_ns.into()).unwrap_or_default().to_zoned(TimeZone::system());
+        if is_virtual() {
+            return Self { at, wall: now.timestamp(), date: now.date(), passed: now.date() };
+        }
         // This clock goes on while the machine sleeps.
         let up = clock_gettime(ClockId::Boottime);
         let up = SignedDuration::new(up.tv_sec, i32::try_from(up.tv_nsec).unwrap_or(0));

@@ -33,7 +33,7 @@ use std::mem;
 use std::os::unix::fs::{DirBuilderExt, MetadataExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 use tokio::sync::{Notify, oneshot};
 use tracing::{info, warn};
 
@@ -66,7 +66,8 @@ pub(super) struct Stamp {
 
 impl Stamp {
     pub(super) fn now() -> Self {
-        Self { wall: Timestamp::now(), monotonic: HostInstant::now() }
+        let (monotonic, wall_ns) = HostInstant::now_with_wall();
+        Self { wall: Timestamp::from_nanosecond(wall_ns.into()).unwrap_or_default(), monotonic }
     }
 }
 
@@ -177,9 +178,9 @@ pub(super) struct Writer {
     changed: Arc<Notify>,
     retry_after: Duration,
     /// When to try a failing disk again.
-    failing: Option<Instant>,
+    failing: Option<HostInstant>,
     /// When lines must be made durable.
-    due: Option<Instant>,
+    due: Option<HostInstant>,
 }
 
 impl Writer {
@@ -247,12 +248,12 @@ impl Writer {
     }
 
     /// When [`Self::wake`] has work: lines to make durable, or a disk to try again.
-    pub(super) fn due(&self) -> Option<Instant> {
+    pub(super) fn due(&self) -> Option<HostInstant> {
         self.due.into_iter().chain(self.failing.filter(|_| self.account.has_missing())).min()
     }
 
     /// Does the work that is due.
-    pub(super) fn wake(&mut self, now: Instant) {
+    pub(super) fn wake(&mut self, now: HostInstant) {
         if self.due.is_some_and(|at| at <= now) {
             self.sync();
         }
@@ -333,7 +334,7 @@ impl Writer {
     }
 
     fn waits_for_retry(&self) -> bool {
-        self.failing.is_some_and(|until| Instant::now() < until)
+        self.failing.is_some_and(|until| HostInstant::now() < until)
     }
 
     /// Tries to write a line that reports the missing entries.
@@ -424,7 +425,7 @@ impl Writer {
     fn fail(&mut self, failure: &Failure) {
         self.set_problem(Some(format!("the session record cannot be written: {failure}")));
         self.save_count();
-        if self.failing.replace(Instant::now() + self.retry_after).is_none() {
+        if self.failing.replace(HostInstant::now() + self.retry_after).is_none() {
             warn!(
                 "the session record cannot be written: {failure}; free space there, let the daemon write, or set \
                  `logbook_dir` to a folder of its own; playing goes on"
@@ -485,7 +486,7 @@ impl Writer {
         match bytes.and_then(|bytes| whole(append, &mut open.file, &bytes)) {
             Ok(written) => {
                 open.length += written;
-                self.due.get_or_insert_with(|| Instant::now() + SYNC_AFTER);
+                self.due.get_or_insert_with(|| HostInstant::now() + SYNC_AFTER);
                 Ok(())
             }
             Err(source) => {

@@ -79,4 +79,4 @@ pub use settings::{LowerStopSettings, Settings};
 pub use simulation::{SimulatedPlay, Simulation, SimulationError, simulate_play};
 pub use source::Source;
 pub use streamer::{Streamer, end_cause, longest_homing_s};
-pub use thread::{request_realtime, spawn};
+pub use thread::{Turns, request_realtime, spawn};

@@ -17,6 +17,7 @@ use crate::time::HostInstant;
 use firmware_protocol::frame::MAX_FRAME;
 use meissner_api::{EndCause, Realtime};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
+use rustix::fd::BorrowedFd;
 use rustix::mm::{MlockAllFlags, mlockall};
 use std::hash::{BuildHasher, RandomState};
 use std::io;
@@ -40,7 +41,7 @@ pub fn spawn(settings: Settings) -> io::Result<(CommandQueue, EventQueue, Realti
     let (granted_in, granted) = crossbeam_channel::bounded(1);
     let thread = std::thread::Builder::new().name("streamer".into()).spawn(move || {
         let _ = granted_in.send(request_realtime());
-        Loop::new(settings, thread_queues).run();
+        Turns::new(settings, thread_queues).run();
     })?;
     let realtime = granted.recv().unwrap_or_default();
     Ok((commands, events, realtime, thread))
@@ -54,7 +55,9 @@ pub fn request_realtime() -> Realtime {
     Realtime { fifo: priority::fifo(priority::FIFO_PRIORITY), mlock }
 }
 
-struct Loop {
+/// The thread's loop, turn by turn.
+#[derive(Debug)]
+pub struct Turns {
     queues: ThreadQueues,
     streamer: Streamer,
     device: Option<Box<Device>>,
@@ -67,8 +70,10 @@ struct Loop {
     random: RandomState,
 }
 
-impl Loop {
-    fn new(settings: Settings, queues: ThreadQueues) -> Self {
+impl Turns {
+    /// The loop of a new streamer, without a device.
+    #[must_use]
+    pub fn new(settings: Settings, queues: ThreadQueues) -> Self {
         let streamer = Streamer::new(settings);
         Self {
             queues,
@@ -82,21 +87,41 @@ impl Loop {
     }
 
     fn run(mut self) {
-        loop {
-            self.execute_requests(HostInstant::now());
-            self.exchange();
-            if self.streamer.is_closed() {
-                break;
-            }
+        while self.turn() {
+            self.sleep();
+        }
+    }
+
+    /// Does what is due. Returns whether it goes on: after a shutdown it hands back its device.
+    pub fn turn(&mut self) -> bool {
+        self.execute_requests(HostInstant::now());
+        self.exchange();
+        if !self.streamer.is_closed() {
             self.queues.wake_listener();
             self.queues.count_loop();
-            self.sleep();
+            return true;
         }
         if let Some(device) = self.device.take() {
             self.queues.event(StreamEvent::Disconnected { reason: EndCause::Shutdown, device: Some(device) });
         }
         self.queues.event(StreamEvent::ThreadEnded);
         self.queues.wake_listener();
+        false
+    }
+
+    /// How long until the next turn is due, if no request comes before.
+    #[must_use]
+    pub fn wait(&self) -> Duration {
+        let now = HostInstant::now();
+        // While a frame is unwritten nothing else can be sent: wait for the port, not for what is due.
+        let least = if self.unsent.is_empty() { Duration::from_micros(1) } else { Duration::from_millis(1) };
+        self.streamer.wake_at(now).since(now).max(least)
+    }
+
+    /// Readable when there are requests.
+    #[must_use]
+    pub fn wake_fd(&self) -> BorrowedFd<'_> {
+        self.queues.wake_fd()
     }
 
     fn execute_requests(&mut self, now: HostInstant) {
@@ -192,10 +217,7 @@ impl Loop {
     }
 
     fn sleep(&self) {
-        let now = HostInstant::now();
-        // While a frame is unwritten nothing else can be sent: wait for the port, not for what is due.
-        let least = if self.unsent.is_empty() { Duration::from_micros(1) } else { Duration::from_millis(1) };
-        let wait = self.streamer.wake_at(now).since(now).max(least);
+        let wait = self.wait();
         let timeout = Timespec { tv_sec: wait.as_secs() as i64, tv_nsec: wait.subsec_nanos().into() };
         let commands = PollFd::from_borrowed_fd(self.queues.wake_fd(), PollFlags::IN);
         // An early return, by a signal, only causes an idle round.

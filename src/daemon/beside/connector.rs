@@ -215,7 +215,7 @@ impl Connector {
 
 impl Engine {
     /// Hands a device to the streamer, with its calibration; returns it if too many commands wait.
-    fn connect(&self, device: Box<Device>) -> Result<(), Box<Device>> {
+    pub(in crate::daemon) fn connect(&self, device: Box<Device>) -> Result<(), Box<Device>> {
         self.load_calibration(Some(&device.identity()));
         hand_over(self.lock(), device)
     }

@@ -137,11 +137,11 @@ async fn changed(record: Option<Arc<Notify>>) {
     }
 }
 
-/// The queue's descriptor, which tokio watches.
+/// A queue's descriptor, which tokio watches.
 #[expect(
     deprecated,
     reason = "the other constructor is unsafe; an owned descriptor stays open while it is watched"
 )]
-fn readable(events: &EventQueue) -> io::Result<AsyncFd<OwnedFd>> {
-    AsyncFd::with_interest(events.as_fd().try_clone_to_owned()?, Interest::READABLE)
+pub(in crate::daemon) fn readable(queue: impl AsFd) -> io::Result<AsyncFd<OwnedFd>> {
+    AsyncFd::with_interest(queue.as_fd().try_clone_to_owned()?, Interest::READABLE)
 }

@@ -6,7 +6,7 @@
 
 pub(in crate::daemon) mod calibration;
 pub(in crate::daemon) mod connector;
-mod event_loop;
+pub(in crate::daemon) mod event_loop;
 pub(in crate::daemon) mod preview;
 mod render_process;
 mod rendering;

@@ -20,7 +20,7 @@ use crate::daemon::state::{
 };
 use crate::daemon::system::names::Names;
 use crate::receipts::refusal;
-use crate::session_record::{Peer, SessionRecord};
+use crate::session_record::{Peer, SessionRecord, Users};
 use axum::body::Bytes;
 use meissner_api::{Code, Problem, Realtime};
 use meissner_stream::device::mock::TruePositions;
@@ -111,9 +111,14 @@ impl Engine {
         }
     }
 
-    /// Sets its session record, the granted real-time rights, and its socket.
-    pub(in crate::daemon) fn with(self, record: SessionRecord, realtime: Realtime, socket: PathBuf) -> Self {
+    /// Sets its session record, and who knows the names of users.
+    pub(in crate::daemon) fn recording(self, record: SessionRecord, users: Arc<Users>) -> Self {
         self.lock().publisher = Publisher::new(record);
+        Self { names: Names { users, ..self.names }, ..self }
+    }
+
+    /// Sets the granted real-time rights, and its socket.
+    pub(in crate::daemon) fn with(self, realtime: Realtime, socket: PathBuf) -> Self {
         Self { realtime, socket, ..self }
     }
 

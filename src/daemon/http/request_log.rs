@@ -87,11 +87,11 @@ impl Drop for LoggedRequest {
 mod tests {
     use super::*;
     use crate::session_record::{Location, SessionRecord};
-    use meissner_api::Realtime;
+
     use meissner_stream::queues::queues;
     use serde_json::Value;
     use std::fs;
-    use std::path::PathBuf;
+
     use std::time::Duration;
 
     #[test]
@@ -102,7 +102,7 @@ mod tests {
         let location = Location { dir: folder.clone(), days: 1, make_parents: false };
         let record = SessionRecord::start(Some(location), Arc::default()).unwrap();
         let engine = Engine::of_paper(commands);
-        let engine = Arc::new(engine.with(record.clone(), Realtime::default(), PathBuf::new()));
+        let engine = Arc::new(engine.recording(record.clone(), Arc::default()));
         drop(LoggedRequest::new(&engine, "home", Peer::local(7, 0)));
         record.close(Duration::from_secs(300));
         let mut files = fs::read_dir(folder).unwrap().map(|file| file.unwrap().path());

@@ -237,9 +237,8 @@ mod tests {
     use crate::daemon::system::runtime::{CHECKS, OTHERS, PLAYS, STORED};
     use crate::session_record::{Location, Peer, SessionRecord};
     use crate::store::{Store, Stored};
-    use meissner_api::{Item, Order, Realtime, Route, SessionRequest};
+    use meissner_api::{Item, Order, Route, SessionRequest};
     use meissner_stream::queues::{Emit, StreamEvent, queues};
-    use std::path::PathBuf;
 
     /// A play without end.
     fn pin(session: Option<String>) -> Order {
@@ -294,7 +293,7 @@ mod tests {
         let record = record.unwrap();
         let (mut port, commands, _events) = queues().unwrap();
         let engine = Engine::of_paper(commands);
-        let engine = engine.with(record.clone(), Realtime::default(), PathBuf::new());
+        let engine = engine.recording(record.clone(), Arc::default());
         let mut play = || {
             let order = pin(None);
             let played = engine.play(&order, Peer::local(1, 0), &STORED, find);

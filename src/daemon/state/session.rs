@@ -148,9 +148,10 @@ impl State {
         let no_numbers = || Problem::new(Code::Store, "the system gives no random numbers for the token");
         let (token, unique) =
             (random_hex::<16>().ok_or_else(no_numbers)?, random_hex::<3>().ok_or_else(no_numbers)?);
+        let now = Timestamp::from_nanosecond(HostInstant::now_with_wall().1.into()).unwrap_or_default();
         let SessionRequest { participant, experiment, labels, seed, exclusive } = request;
         let session = Session {
-            id: format!("{}-{unique}", Timestamp::now().strftime("%Y%m%dT%H%M%SZ")),
+            id: format!("{}-{unique}", now.strftime("%Y%m%dT%H%M%SZ")),
             participant,
             experiment,
             labels,

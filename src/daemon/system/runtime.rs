@@ -9,8 +9,10 @@
 
 use crate::daemon::system::error::{DaemonError, system};
 use meissner_api::{Code, Problem};
+use meissner_stream::time;
 use std::fmt::Display;
 use std::thread;
+use std::time::Duration;
 use tokio::runtime::{Builder, Runtime};
 use tokio::sync::{Semaphore, SemaphorePermit, oneshot};
 
@@ -126,6 +128,13 @@ async fn run<T: Send + 'static>(
     gives_way: bool,
     work: impl FnOnce() -> T + Send + 'static,
 ) -> Result<T, Problem> {
+    if time::is_virtual() {
+        if gives_way {
+            // A reader finds what the session record has written meanwhile.
+            tokio::time::sleep(Duration::from_millis(5)).await;
+        }
+        return Ok(work());
+    }
     let place = places.acquire().await;
     let failed = |error: &dyn Display| Problem::new(Code::Store, format!("internal error: {error}"));
     // The work keeps its place even when its client hangs up, because it goes on and holds its memory.

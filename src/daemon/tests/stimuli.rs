@@ -1,9 +1,8 @@
 //! A real daemon plays stimuli as ordered: nothing is silently empty, durations are in whole strokes, patterns can be replaced and
 //! removed, and receipts of cut plays say so.
 
-use crate::harness::{Daemon, began, ended, printed, problem, refusal, wait_until};
+use super::bench::{Bench, Client, began, ended, problem, refusal};
 use meissner_api::PlayState;
-use meissner_client::Client;
 use serde_json::{Value, json};
 
 const BLIP: &str = "format = 1\nname = \"blip\"\nduration_s = 0.3\n[[drive]]\nmotor = 9\nfrequency_hz = 60.0\namplitude_um = 80.0\n";
@@ -14,7 +13,7 @@ fn import(client: &mut Client, text: &str) -> Value {
 
 #[test]
 fn what_would_be_silent_is_refused_and_what_is_weak_is_said() {
-    let daemon = Daemon::start();
+    let daemon = Bench::start();
     let mut client = daemon.armed();
     import(&mut client, BLIP);
     for seconds in [0.0, 0.015] {
@@ -32,7 +31,7 @@ fn what_would_be_silent_is_refused_and_what_is_weak_is_said() {
         "{warning}"
     );
     let shown: Value = client.get("/v1/patterns/blip").unwrap();
-    let mut events = client.events().unwrap();
+    let mut events = client.events();
     let _: Value = client.post("/v1/play", &json!({"pattern": "blip"})).unwrap();
     let receipt = ended(&mut events);
     assert_eq!((json!(receipt.warnings), json!(receipt.drives)), (json!([warning]), shown["drives"].clone()));
@@ -41,10 +40,10 @@ fn what_would_be_silent_is_refused_and_what_is_weak_is_said() {
 
 #[test]
 fn a_duration_becomes_whole_strokes_within_it_or_beyond() {
-    let daemon = Daemon::start();
+    let daemon = Bench::start();
     let mut client = daemon.armed();
     import(&mut client, BLIP);
-    let mut events = client.events().unwrap();
+    let mut events = client.events();
     // A stroke that goes up at exactly 300 ms belongs to a play of 301 ms, but not to one of 300 ms.
     let mut play = |seconds: f64, fit: &str| {
         let request = json!({"pattern": "blip", "seconds": seconds, "fit": fit});
@@ -55,7 +54,7 @@ fn a_duration_becomes_whole_strokes_within_it_or_beyond() {
         let (ordered, bursts) = (receipt.ordered.unwrap(), receipt.bursts.unwrap());
         assert_eq!((ordered.bursts, ordered.pulses), (bursts.planned, Some(receipt.pulses.unwrap().planned)));
         let played = receipt.duration_ms.played;
-        // Feedback changes the last burst a little; a busy machine may lose strokes.
+        // Feedback changes the last burst a little.
         let near = |played: f64| (played - receipt.duration_ms.compiled.unwrap()).abs() < 2.5;
         assert!(bursts.played < bursts.planned || played.is_some_and(near), "{receipt:?}");
         (accepted["compiled_ms"].as_f64().unwrap(), ordered.bursts)
@@ -64,17 +63,15 @@ fn a_duration_becomes_whole_strokes_within_it_or_beyond() {
     assert!(bursts == 34 && (280.0..290.0).contains(&whole), "{whole} ms");
     let (cover, bursts) = play(0.29, "cover");
     assert!(bursts == 36 && (290.0..300.0).contains(&cover), "{cover} ms");
-    let text = printed(daemon.meissner().args(["play", "blip", "--seconds", "0.29", "--fit", "cover"]));
-    assert!(text.contains(&format!("290.0 ms ordered, {cover:.1} ms in whole strokes")), "{text}");
 }
 
 #[test]
 fn a_removed_pattern_plays_on() {
-    let daemon = Daemon::start();
+    let daemon = Bench::start();
     let mut client = daemon.armed();
     let stored = import(&mut client, BLIP);
     // One play runs, and one waits.
-    let mut events = client.events().unwrap();
+    let mut events = client.events();
     for _ in 0..2 {
         let _: Value = client.post("/v1/play", &json!({"pattern": "blip"})).unwrap();
     }
@@ -91,14 +88,14 @@ fn a_removed_pattern_plays_on() {
     assert_eq!(refusal(client.post("/v1/play", &json!({"pattern": "blip"}))), ("not-found".into(), 404));
 }
 
-/// A cut play does not look complete in JSON or in text.
+/// A cut play does not look complete.
 #[test]
 fn a_stopped_play_says_how_much_of_it_was_ordered() {
-    let daemon = Daemon::start();
-    let mut client = daemon.armed();
-    let mut events = client.events().unwrap();
+    let daemon = Bench::start();
+    let client = daemon.armed();
+    let mut events = client.events();
     let _: Value = client.post("/v1/play", &json!({"pattern": "pin-60", "seconds": 10.0})).unwrap();
-    wait_until(|| {
+    daemon.until(|| {
         let status: Value = client.get("/v1/status").unwrap();
         status["play"]["played_s"].as_f64().is_some_and(|played_s| played_s > 0.2)
     });
@@ -108,8 +105,4 @@ fn a_stopped_play_says_how_much_of_it_was_ordered() {
     assert!(ordered.bursts == 1200 && bursts.planned < ordered.bursts, "{receipt:?}");
     let (cut, played) = (receipt.cut_after_ms.unwrap(), receipt.duration_ms.played.unwrap());
     assert!(cut > 200.0 && played >= cut - 20.0 && played < cut + 20.0, "{receipt:?}");
-    let text = printed(daemon.meissner().arg("receipt"));
-    assert!(text.contains(&format!("stopped (stop), cut {cut:.1} ms after the onset")), "{text}");
-    let counts = format!("1200 ordered, {} planned: {} played", bursts.planned, bursts.played);
-    assert!(text.contains(&counts), "{text}");
 }

@@ -1,20 +1,10 @@
-//! Plays with motions on a real daemon: inline patterns, what is told before and after, refusals in one line, overlapping and blank items.
+//! Plays with motions: inline patterns, what is told before and after, refusals in one line, overlapping and blank items.
 
-use crate::harness::{Daemon, PATIENT, TIMEOUT, problem, wait_until};
-use meissner_api::{ItemState, PlayAccepted, PlayState, Receipt};
-use meissner_client::Client;
+use super::bench::{Bench, problem};
+use meissner_api::{ItemState, PlayState};
 use serde_json::{Value, json};
 use std::fs;
-
-fn receipt(client: &mut Client, id: u64) -> Receipt {
-    client.get_within(TIMEOUT, &format!("/v1/plays/{id}?wait=20")).unwrap()
-}
-
-fn played(client: &mut Client, path: &str, request: &Value) -> (PlayAccepted, Receipt) {
-    let accepted: PlayAccepted = client.post(path, request).unwrap();
-    let receipt = receipt(client, accepted.id);
-    (accepted, receipt)
-}
+use std::time::Duration;
 
 /// A press of 0.3 s on pin 9.
 fn press() -> Value {
@@ -23,8 +13,8 @@ fn press() -> Value {
 
 #[test]
 fn holds_are_bounded_and_refused_before_the_device_would_end_them() {
-    let daemon = Daemon::with("mock", PATIENT);
-    let mut client = daemon.armed();
+    let bench = Bench::start();
+    let client = bench.armed();
     // Its ends meet, so that it is one hold of ten minutes.
     let held = json!({"duration_s": 30.0, "wave": [{"motor": 9, "rate_hz": 1.0, "um": vec![50.0; 31]}]});
     for (order, code, says) in [
@@ -39,18 +29,18 @@ fn holds_are_bounded_and_refused_before_the_device_would_end_them() {
         let refused = problem(client.post("/v1/play", &order));
         assert!(refused.code == code && refused.detail.contains(says), "{refused:?}");
     }
-    let (_, receipt) = played(&mut client, "/v1/play", &json!({"pattern": press(), "hold_ms": 300}));
+    let (_, receipt) = client.played(&json!({"pattern": press(), "hold_ms": 300}));
     assert!(receipt.all_played(), "{receipt:?}");
-    let (_, receipt) = played(&mut client, "/v1/play", &json!({"pattern": held, "seconds": 1.0}));
+    let (_, receipt) = client.played(&json!({"pattern": held, "seconds": 1.0}));
     assert_eq!(receipt.state, PlayState::Done);
 }
 
 #[test]
 fn an_inline_pattern_is_played_told_and_kept_like_a_stored_one() {
-    let daemon = Daemon::with("mock", PATIENT);
-    let mut client = daemon.armed();
+    let bench = Bench::start();
+    let client = bench.armed();
     let request = json!({"pattern": press(), "labels": {"what": "press"}});
-    let (accepted, receipt) = played(&mut client, "/v1/play", &request);
+    let (accepted, receipt) = client.played(&request);
     assert_eq!((receipt.pattern.as_str(), receipt.state), ("inline", PlayState::Done), "{receipt:?}");
     assert!(receipt.all_played() && receipt.ordered.unwrap().bursts == receipt.bursts.unwrap().planned);
     // Told before: an ideal motor follows a slow press to some um.
@@ -63,20 +53,20 @@ fn an_inline_pattern_is_played_told_and_kept_like_a_stored_one() {
     assert!((onset..onset + 85 * 20).contains(&pin.first_pulse_tick), "{pin:?} after {onset}");
     assert!((25_000..27_000).contains(&(pin.offset_tick - onset)), "{pin:?} after {onset}");
     // The hash is that of the text that the session record keeps, and it is the same for the same content.
-    let path = daemon.path(&format!("state/meissner/logbook/patterns/{}.toml", receipt.pattern_sha256));
-    wait_until(|| path.exists());
+    let path = bench.path(&format!("logbook/patterns/{}.toml", receipt.pattern_sha256));
+    bench.advance(Duration::from_secs(1));
     let text = fs::read_to_string(path).unwrap();
     assert!(text.contains("[[ramp]]") && text.contains("name = \"inline\""), "{text}");
     let again = json!({"pattern": "inline", "pattern_sha256": receipt.pattern_sha256});
-    assert_eq!(played(&mut client, "/v1/play", &again).1.pattern_sha256, receipt.pattern_sha256);
-    let (_, same) = played(&mut client, "/v1/play", &json!({"pattern": press()}));
+    assert_eq!(client.played(&again).1.pattern_sha256, receipt.pattern_sha256);
+    let (_, same) = client.played(&json!({"pattern": press()}));
     assert_eq!(same.pattern_sha256, receipt.pattern_sha256);
 }
 
 #[test]
 fn what_no_pin_can_do_is_refused_in_one_line_and_nothing_moves() {
-    let daemon = Daemon::with("mock", PATIENT);
-    let mut client = daemon.armed();
+    let bench = Bench::start();
+    let client = bench.armed();
     let wave = |um: Value| json!({"wave": [{"motor": 9, "rate_hz": 100.0, "start_s": 1.0, "um": um}]});
     for (pattern, code, says) in [
         (
@@ -98,26 +88,26 @@ fn what_no_pin_can_do_is_refused_in_one_line_and_nothing_moves() {
     }
     // A million ramps, and more than packed samples may have.
     let ramps = json!({"pattern": {"ramp": vec![json!({"motor": 9}); 1_000_000]}});
-    let refused = problem(client.post_within::<Value>(TIMEOUT, "/v1/play", &ramps));
+    let refused = problem(client.post::<Value>("/v1/play", &ramps));
     assert!(refused.code == "too-large" && refused.detail.contains("beside packed samples"), "{refused:?}");
     let long = json!({"pattern": {"wave": [{"motor": 9, "rate_hz": 8000, "samples": "A".repeat(81 << 20)}]}});
-    assert_eq!(problem(client.post_within::<Value>(TIMEOUT, "/v1/play", &long)).code, "too-large");
+    assert_eq!(problem(client.post::<Value>("/v1/play", &long)).code, "too-large");
     assert_eq!(problem(client.get("/v1/plays/last")).code, "not-found", "nothing was played");
 }
 
 #[test]
 fn plays_and_sequences_tell_their_motions_and_strict_ones_refuse_slow_ones() {
-    let daemon = Daemon::with("mock", PATIENT);
-    let mut client = daemon.armed();
+    let bench = Bench::start();
+    let client = bench.armed();
     // A jump of 200 um.
     let jump = json!({"ramp": [{"motor": 9, "to_um": 200.0, "rise_s": 0.0, "hold_s": 0.1, "start_s": 0.05}]});
     let refused = problem(client.post("/v1/play", &json!({"pattern": jump, "strict": true})));
     let says = "`inline`: motor 9 is too slow for its motion, first after 0.05 s: it moves 11.5 mm/s at most";
     assert!(refused.code == "too-slow" && refused.detail.starts_with(says), "{refused:?}");
-    let (accepted, receipt) = played(&mut client, "/v1/play", &json!({"pattern": jump}));
+    let (accepted, receipt) = client.played(&json!({"pattern": jump}));
     assert_eq!(accepted.motions[0].too_slow_from_s, Some(0.05));
     assert!(receipt.warnings[0].starts_with("motor 9 is too slow") && receipt.all_played(), "{receipt:?}");
-    let (_, slow) = played(&mut client, "/v1/play", &json!({"pattern": press(), "strict": true}));
+    let (_, slow) = client.played(&json!({"pattern": press(), "strict": true}));
     assert!(slow.all_played() && slow.warnings.is_empty(), "{slow:?}");
 
     let items = json!([{"pattern": press()}, {"pattern": jump, "gap_ms": 100}]);
@@ -126,7 +116,7 @@ fn plays_and_sequences_tell_their_motions_and_strict_ones_refuse_slow_ones() {
     assert!(refused.code == "too-slow" && refused.detail.starts_with(says), "{refused:?}");
     let short = problem(client.post("/v1/play", &json!({"items": items, "hold_ms": 50})));
     assert!(short.code == "bad-request" && short.detail.contains("above rest for"), "{short:?}");
-    let (accepted, receipt) = played(&mut client, "/v1/play", &json!({"items": items, "hold_ms": 400}));
+    let (accepted, receipt) = client.played(&json!({"items": items, "hold_ms": 400}));
     // The press of 0.3 s, 0.1 s, and 0.05 s of the second item.
     let [motion] = receipt.motions[..] else { panic!("{:?}", receipt.motions) };
     assert_eq!((accepted.motions, motion.motor, motion.highest_um), (vec![motion], 9, 200.0));
@@ -138,8 +128,8 @@ fn plays_and_sequences_tell_their_motions_and_strict_ones_refuse_slow_ones() {
 
 #[test]
 fn items_of_other_motors_overlap_and_blank_items_play_nothing() {
-    let daemon = Daemon::with("mock", PATIENT);
-    let mut client = daemon.armed();
+    let bench = Bench::start();
+    let client = bench.armed();
     let tap = |motor: u8| json!({"drive": [{"motor": motor, "frequency_hz": 60.0, "amplitude_um": 40.0}]});
     let items = json!([
         {"pattern": tap(3), "seconds": 0.1, "trigger": {"code": 1, "width_ms": 0.3}},
@@ -147,7 +137,7 @@ fn items_of_other_motors_overlap_and_blank_items_play_nothing() {
         {"pattern": null, "seconds": 0.2, "gap_ms": 50, "trigger": {"code": 3, "width_ms": 0.3}},
         {"pattern": press(), "trigger": {"code": 4, "width_ms": 0.3}}
     ]);
-    let (_, receipt) = played(&mut client, "/v1/play", &json!({"items": items, "at_ms": 100}));
+    let (_, receipt) = client.played(&json!({"items": items, "at_ms": 100}));
     assert!(receipt.all_played(), "{receipt:?}");
     let onset = receipt.onset.unwrap().actual_tick;
     let records = receipt.items.unwrap();
@@ -170,6 +160,6 @@ fn items_of_other_motors_overlap_and_blank_items_play_nothing() {
     let refused = problem(client.post("/v1/play", &json!({"items": [{"pattern": null}]})));
     assert!(refused.detail.contains("a blank item needs `seconds`"), "{refused:?}");
     // A catch trial alone.
-    let (_, catch) = played(&mut client, "/v1/play", &json!({"items": [{"pattern": null, "seconds": 0.1}]}));
+    let (_, catch) = client.played(&json!({"items": [{"pattern": null, "seconds": 0.1}]}));
     assert_eq!((catch.state, catch.items.unwrap()[0].state), (PlayState::Done, ItemState::Played));
 }

@@ -1,0 +1,227 @@
+//! The local API of a real daemon: commands, receipts, events, errors, and the end.
+
+use super::bench::{Bench, Client, Events, assert_accounts, began, ended, next, problem, refusal};
+use meissner_api::{EndCause, Event, MAX_BODY, PlayState, Receipt, Status};
+use serde_json::{Value, json};
+
+fn wait_for(events: &mut Events, wanted: impl Fn(&Event) -> bool) {
+    next(events, |event| wanted(&event).then_some(()));
+}
+
+fn play(client: &mut Client, request: &Value) -> u64 {
+    client.post::<Value>("/v1/play", request).unwrap()["id"].as_u64().unwrap()
+}
+
+#[test]
+fn plays_are_refused_until_motors_are_armed() {
+    let daemon = Bench::start();
+    let client = daemon.client();
+    let status: Value = client.get("/v1/status").unwrap();
+    assert_eq!((&status["state"], &status["position"]), (&"disarmed".into(), &"unknown".into()));
+    assert_eq!(refusal(client.post("/v1/play", &json!({"pattern": "edge-45"}))), ("disarmed".into(), 409));
+    let refused = problem(client.post("/v1/arm", &json!({})));
+    assert_eq!((refused.code.as_str(), refused.status), ("position-unknown", 409));
+    assert!(refused.detail.contains("--assume-rest"));
+    let status: Value = client.post("/v1/arm", &json!({"assume_rest": true})).unwrap();
+    assert_eq!((&status["state"], &status["position"]), (&"armed".into(), &"known".into()));
+    assert_eq!(problem(client.get("/v1/plays/last")).code, "not-found");
+}
+
+#[test]
+fn a_play_has_events_and_a_receipt() {
+    let daemon = Bench::start();
+    let mut client = daemon.armed();
+    let mut events = client.events();
+    assert!(next(&mut events, |event| Some(matches!(event, Event::State { .. }))), "the state comes first");
+    let id = play(&mut client, &json!({"pattern": "edge-45", "seconds": 0.5}));
+    wait_for(&mut events, |event| matches!(event, Event::Queued { id: of, .. } if *of == id));
+    assert_eq!(began(&mut events), id);
+    wait_for(&mut events, |event| matches!(event, Event::State { play: Some(play), .. } if play.id == id));
+    let receipt = ended(&mut events);
+    assert_eq!((receipt.id, receipt.state), (id, PlayState::Done));
+    let receipt: Value = client.get(&format!("/v1/plays/{id}")).unwrap();
+    assert_eq!(receipt, client.get::<Value>("/v1/plays/last").unwrap());
+    assert_accounts(&receipt);
+    assert!(receipt["onset"]["actual_tick"].as_u64() >= receipt["onset"]["requested_tick"].as_u64());
+    let (_, text) = client.answer("GET", "/v1/metrics", Vec::new());
+    let text = String::from_utf8(text.to_vec()).unwrap();
+    assert!(text.contains("meissner_plays_total{end=\"done\"} 1\n"), "{text}");
+    assert!(text.contains("meissner_state{state=\"armed\"} 1\n"), "{text}");
+}
+
+#[test]
+fn plays_queue_and_the_queue_is_bounded() {
+    let daemon = Bench::start();
+    let mut client = daemon.armed();
+    let long = json!({"pattern": "edge-45", "seconds": 30.0});
+    let running = play(&mut client, &long);
+    let waiting: Vec<u64> = (0..16).map(|_| play(&mut client, &long)).collect();
+    assert_eq!(refusal(client.post("/v1/play", &long)), ("queue-full".into(), 429));
+    let receipt: Value = client.get(&format!("/v1/plays/{}", waiting[15])).unwrap();
+    assert!(receipt["state"] == "queued" && receipt["bursts"].is_null());
+    let mut events = client.events();
+    let instead = play(&mut client, &json!({"pattern": "pin-60", "endless": true, "replace": true}));
+    wait_for(&mut events, |event| matches!(event, Event::Began { id, .. } if *id == instead));
+    for id in waiting.into_iter().chain([running]) {
+        let receipt: Value = client.get(&format!("/v1/plays/{id}")).unwrap();
+        assert_eq!(receipt["state"], "stopped", "{receipt}");
+    }
+    assert_eq!(refusal(client.post("/v1/play", &long)), ("behind-endless".into(), 409));
+    let status: Value = client.post("/v1/stop", &json!({})).unwrap();
+    assert_ne!(status["state"], "disarmed");
+    wait_for(&mut events, |event| matches!(event, Event::Ended { receipt } if receipt.id == instead));
+    assert_accounts(&client.get(&format!("/v1/plays/{running}")).unwrap());
+}
+
+#[test]
+fn a_play_that_waits_can_be_withdrawn_and_the_others_stay() {
+    let daemon = Bench::start();
+    let mut client = daemon.armed();
+    let mut events = client.events();
+    let [running, first, second] =
+        [60.0, 0.1, 0.1].map(|seconds| play(&mut client, &json!({"pattern": "edge-45", "seconds": seconds})));
+    wait_for(&mut events, |event| matches!(event, Event::Began { id, .. } if *id == running));
+    let withdrawn: Receipt = client.delete(&format!("/v1/plays/{first}")).unwrap();
+    assert_eq!(
+        (withdrawn.id, withdrawn.state, withdrawn.cause),
+        (first, PlayState::Stopped, Some(EndCause::Withdrawn))
+    );
+    let refused = problem(client.delete::<Value>(&format!("/v1/plays/{running}")));
+    assert_eq!(refused.code, "playing", "{refused}");
+    assert_eq!(refusal(client.delete::<Value>("/v1/plays/999")), ("not-found".into(), 404));
+    // Once more changes nothing.
+    assert_eq!(
+        client.delete::<Receipt>(&format!("/v1/plays/{first}")).unwrap().cause,
+        Some(EndCause::Withdrawn)
+    );
+    let status: Status = client.get("/v1/status").unwrap();
+    assert_eq!(status.play.map(|play| play.id), Some(running));
+    assert_eq!(status.queued.iter().map(|play| play.id).collect::<Vec<_>>(), [second]);
+}
+
+#[test]
+fn an_emergency_stop_is_latched() {
+    let daemon = Bench::start();
+    let mut client = daemon.armed();
+    let mut events = client.events();
+    let id = play(&mut client, &json!({"pattern": "all-in-phase"}));
+    began(&mut events);
+    let status: Value = client.post("/v1/estop", &json!({})).unwrap();
+    assert_eq!((&status["state"], &status["cause"]), (&"faulted".into(), &"estop".into()));
+    assert_eq!(ended(&mut events).id, id);
+    assert_eq!(client.get::<Value>("/v1/plays/last").unwrap()["state"], "stopped");
+    assert_eq!(problem(client.post("/v1/play", &json!({"pattern": "edge-45"}))).code, "faulted");
+    let status: Value = client.post("/v1/reset", &json!({})).unwrap();
+    assert_eq!(status["state"], "disarmed");
+}
+
+#[test]
+fn an_onset_can_be_asked_for_by_tick_and_by_delay() {
+    let daemon = Bench::start();
+    let mut client = daemon.armed();
+    let mut events = client.events();
+    let tick = client.get::<Value>("/v1/status").unwrap()["tick"].as_u64().unwrap() + 255_000;
+    let id = play(&mut client, &json!({"pattern": "edge-45", "seconds": 0.2, "at_tick": tick}));
+    assert_eq!(ended(&mut events).id, id);
+    let receipt: Value = client.get(&format!("/v1/plays/{id}")).unwrap();
+    assert_eq!(receipt["onset"]["requested_tick"], tick);
+    let id = play(&mut client, &json!({"pattern": "edge-45", "seconds": 0.2, "at_ms": 200.0}));
+    assert_eq!(ended(&mut events).id, id);
+    assert_eq!(
+        refusal(client.post("/v1/play", &json!({"pattern": "edge-45", "at_tick": 5}))),
+        ("too-soon".into(), 409)
+    );
+    assert_eq!(
+        refusal(client.post("/v1/play", &json!({"pattern": "edge-45", "at_tick": tick, "boot": 0}))),
+        ("stale-boot".into(), 409)
+    );
+}
+
+#[test]
+fn one_sample_of_the_status_pairs_the_clocks() {
+    let daemon = Bench::start();
+    let mut client = daemon.armed();
+    let status: Status = client.get("/v1/status").unwrap();
+    let clock = status.clock.unwrap();
+    assert_eq!((clock.tick_hz, Some(clock.tick)), (85_000, status.tick));
+    let mut events = client.events();
+    let at_monotonic_ns = clock.monotonic_ns + 2_000_000_000;
+    play(&mut client, &json!({"pattern": "edge-45", "seconds": 0.2, "at_monotonic_ns": at_monotonic_ns}));
+    let onset = ended(&mut events).onset.unwrap();
+    assert_eq!(onset.requested_tick, onset.actual_tick);
+    let error_ns = onset.monotonic_ns.abs_diff(at_monotonic_ns);
+    assert!(
+        (error_ns as f64) < 1e3 * clock.uncertainty_us + (onset.uncertainty_ns + 6_000) as f64,
+        "{onset:?}"
+    );
+    assert_eq!(
+        refusal(client.post("/v1/play", &json!({"pattern": "edge-45", "at_monotonic_ns": at_monotonic_ns}))),
+        ("too-soon".into(), 409)
+    );
+}
+
+#[test]
+fn a_pattern_is_shown_as_it_was_played() {
+    let daemon = Bench::start();
+    let mut client = daemon.armed();
+    let mut events = daemon.client().events();
+    let text = |amplitude_um: u32| {
+        format!(
+            "format = 1\nname = \"mine\"\n[[drive]]\nmotor = 3\nfrequency_hz = 60.0\namplitude_um = {amplitude_um}\n"
+        )
+    };
+    let stored = |client: &mut Client, amplitude_um| {
+        let stored: Value = client.put("/v1/patterns/mine?replace=true", text(amplitude_um)).unwrap();
+        stored["sha256"].as_str().unwrap().to_owned()
+    };
+    let played = stored(&mut client, 40);
+    play(&mut client, &json!({"pattern": "mine", "seconds": 0.05}));
+    ended(&mut events);
+    let unplayed = stored(&mut client, 50);
+    let now = stored(&mut client, 60);
+    let shown =
+        |name: &str, sha256: &str| client.get::<Value>(&format!("/v1/patterns/{name}?sha256={sha256}"));
+    for (sha256, amplitude_um) in [(&played, 40.0), (&now, 60.0)] {
+        let pattern = shown("mine", sha256).unwrap();
+        assert_eq!(
+            (&pattern["sha256"], &pattern["pattern"]["drive"][0]["amplitude_um"]),
+            (&json!(sha256), &json!(amplitude_um))
+        );
+    }
+    // A text that was never played, and one of another name.
+    assert_eq!(refusal(shown("mine", &unplayed)), ("not-found".into(), 404));
+    assert_eq!(refusal(shown("edge-45", &played)), ("not-found".into(), 404));
+    for bad in ["", "9F", "../../meissner", &"g".repeat(64), &format!("{played}&x=1")] {
+        assert_eq!(refusal(shown("mine", bad)), ("bad-request".into(), 400), "{bad}");
+    }
+}
+
+#[test]
+fn every_error_is_a_problem() {
+    let daemon = Bench::start();
+    let client = daemon.armed();
+    for (path, code) in [
+        ("/v1/nothing", "not-found"),
+        ("/nothing", "not-found"),
+        ("/v1/patterns/%FF", "bad-request"),
+        ("/v1/plays/soon", "bad-request"),
+        ("/v1/plays/99", "not-found"),
+    ] {
+        assert_eq!(problem(client.get(path)).code, code, "{path}");
+    }
+    assert_eq!(problem(client.put("/v1/status", String::new())).code, "method-not-allowed");
+    assert_eq!(problem(client.put("/v1/patterns/x", "#".repeat(MAX_BODY + 1))).code, "too-large");
+    for (path, body, code, says) in [
+        ("/v1/arm", json!({"note": "x".repeat(20_000)}), "too-large", "bytes"),
+        ("/v1/play", json!({"pattern": "edge-45", "seconds": 0.000_001}), "empty", "no stroke"),
+        ("/v1/play", json!({"patern": "edge-45"}), "bad-request", "did you mean `pattern`?"),
+        ("/v1/play", json!({"pattern": "egde-45"}), "not-found", "did you mean `edge-45`"),
+        ("/v1/play", json!({"pattern": "edge-45", "seconds": -1}), "bad-request", "`seconds`"),
+        ("/v1/stop", json!({"now": true}), "bad-request", "`now`"),
+    ] {
+        let refused = problem(client.post(path, &body));
+        assert!(refused.code == code && refused.detail.contains(says), "{path}: {refused:?}");
+    }
+    let (status, answer) = client.answer("POST", "/v1/play", b"{\"pattern".to_vec());
+    assert!(status == 400 && answer.windows(11).any(|part| part == b"bad-request"), "{answer:?}");
+}

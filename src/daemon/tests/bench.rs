@@ -1,0 +1,302 @@
+//! A bench: the daemon on one thread, in virtual time.
+//!
+//! Engine, router, event loop, session record and the streamer's loop with the simulated array run as tasks of one runtime, whose clock
+//! stands still while any of them works. [`HostInstant::now`](meissner_stream::time::HostInstant::now) reads that clock, so that hours take
+//! seconds, and nothing depends on the machine. There are no sockets, no connector and no processes: tests of those start the program.
+
+use crate::config::Config;
+use crate::daemon::beside::event_loop::readable;
+use crate::daemon::beside::service::{Manager, StatusReporter};
+use crate::daemon::engine::Engine;
+use crate::daemon::fuzzed;
+use crate::daemon::http::app::App;
+use crate::daemon::http::router;
+use crate::daemon::sockets::acceptor::{Bounds, Counts};
+use crate::daemon::system::check;
+use crate::session_record::{Peer, Recorder, SessionRecord};
+use axum::Router;
+use axum::body::{Body, Bytes};
+use axum::http::Request;
+use http_body_util::BodyExt;
+use meissner_api::{CLIENT_HEADER, Event, PlayAccepted, Problem, Receipt, SESSION_HEADER, Status};
+use meissner_stream::Turns;
+use meissner_stream::device::{Device, WallMock};
+use meissner_stream::queues::queues;
+use meissner_stream::time::{HostInstant, set_clock};
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+use serde_json::{Value, json};
+use std::cell::Cell;
+use std::path::PathBuf;
+use std::rc::Rc;
+use std::sync::Arc;
+use std::time::Duration;
+use tempfile::TempDir;
+use tokio::runtime::Runtime;
+use tokio::sync::broadcast;
+use tokio::time::Instant;
+
+/// What the clock reads at the start of a bench.
+const BEGIN: Duration = Duration::from_secs(1000);
+/// How often the session record writes what waits.
+const WRITES: Duration = Duration::from_millis(1);
+
+thread_local! {
+    static BEGAN: Cell<Option<Instant>> = const { Cell::new(None) };
+}
+
+fn clock() -> u64 {
+    let now = BEGAN.get().map_or(Duration::ZERO, |began| Instant::now() - began);
+    (BEGIN + now).as_nanos() as u64
+}
+
+/// A daemon with a simulated array. See the module.
+#[derive(Clone)]
+pub(super) struct Bench(Rc<Parts>);
+
+struct Parts {
+    runtime: Runtime,
+    engine: Arc<Engine>,
+    router: Router,
+    dir: Arc<TempDir>,
+    clients: Cell<u32>,
+}
+
+impl Bench {
+    /// One with the defaults of a configuration.
+    pub(super) fn start() -> Self {
+        Self::with("")
+    }
+
+    /// One with this configuration, on a fresh directory.
+    pub(super) fn with(config: &str) -> Self {
+        Self::in_dir(Arc::new(tempfile::tempdir().unwrap()), config)
+    }
+
+    /// One in a directory that another one may have used.
+    pub(super) fn in_dir(dir: Arc<TempDir>, config: &str) -> Self {
+        let mut runtime = tokio::runtime::Builder::new_current_thread();
+        let runtime = runtime.enable_all().start_paused(true).build().unwrap();
+        let at = |name: &str| dir.path().join(name);
+        std::fs::create_dir_all(at("patterns")).unwrap();
+        let text =
+            format!("patterns_dir = {:?}\nlogbook_dir = {:?}\n{config}", at("patterns"), at("logbook"));
+        let config = Config::parse(&text, &at("meissner.toml")).unwrap();
+        let store = Arc::new(check::store(&config).unwrap());
+        let (engine, router) = runtime.block_on(async {
+            BEGAN.set(Some(Instant::now()));
+            set_clock(Some(clock));
+            let (thread, commands, events) = queues().unwrap();
+            let users = Arc::default();
+            let (record, recorder) =
+                SessionRecord::turned(config.logbook.clone().unwrap(), Arc::clone(&users));
+            let engine = Arc::new(Engine::of(&config, commands, record, users));
+            tokio::spawn(stream(Turns::new(config.settings, thread)));
+            tokio::spawn(write(recorder));
+            let reporter = StatusReporter::new(Manager::find().unwrap());
+            tokio::spawn(Arc::clone(&engine).event_loop(events, reporter));
+            let mock = WallMock::new(config.settings.array, &config.mock, HostInstant::now()).unwrap();
+            assert!(engine.connect(Box::new(Device::Mock(Box::new(mock)))).is_ok(), "the queue has room");
+            engine.first_device().await;
+            let app =
+                App::new(Arc::clone(&engine), store, &Bounds::of_process(), Arc::new(Counts::default()));
+            (engine, router(app))
+        });
+        Self(Rc::new(Parts { runtime, engine, router, dir, clients: Cell::new(0) }))
+    }
+
+    /// A file in its directory.
+    pub(super) fn path(&self, name: &str) -> PathBuf {
+        self.0.dir.path().join(name)
+    }
+
+    /// Lets so much time pass.
+    pub(super) fn advance(&self, time: Duration) {
+        self.0.runtime.block_on(async { tokio::time::sleep(time).await });
+    }
+
+    /// Lets time pass until something has happened: an hour at most.
+    #[track_caller]
+    pub(super) fn until(&self, mut happened: impl FnMut() -> bool) {
+        const STEP: Duration = Duration::from_millis(5);
+        let mut passed = Duration::ZERO;
+        while !happened() {
+            assert!(passed < Duration::from_secs(3600), "it has not happened in an hour");
+            self.advance(STEP);
+            passed += STEP;
+        }
+    }
+
+    /// A new client.
+    pub(super) fn client(&self) -> Client {
+        self.0.clients.set(self.0.clients.get() + 1);
+        Client { bench: self.clone(), name: format!("client-{}", self.0.clients.get()), token: None }
+    }
+
+    /// A client that has armed the motors.
+    pub(super) fn armed(&self) -> Client {
+        let client = self.client();
+        let _: Status = client.post("/v1/arm", &json!({"assume_rest": true})).unwrap();
+        client
+    }
+}
+
+impl Drop for Parts {
+    fn drop(&mut self) {
+        set_clock(None);
+        BEGAN.set(None);
+    }
+}
+
+/// The streamer's loop.
+async fn stream(mut turns: Turns) {
+    let wake = readable(turns.wake_fd()).unwrap();
+    while turns.turn() {
+        tokio::select! {
+            ready = wake.readable() => ready.unwrap().clear_ready(),
+            () = tokio::time::sleep(turns.wait()) => {}
+        }
+    }
+}
+
+/// The session record's thread.
+async fn write(mut recorder: Recorder) {
+    loop {
+        recorder.turn();
+        tokio::time::sleep(WRITES).await;
+    }
+}
+
+/// A client of the API.
+#[derive(Clone)]
+pub(super) struct Client {
+    bench: Bench,
+    name: String,
+    token: Option<String>,
+}
+
+impl Client {
+    /// From here on it shows this session's token.
+    pub(super) fn set_token(&mut self, token: Option<String>) {
+        self.token = token;
+    }
+
+    pub(super) fn get<T: DeserializeOwned>(&self, path: &str) -> Result<T, Problem> {
+        self.call("GET", path, Vec::new())
+    }
+
+    pub(super) fn delete<T: DeserializeOwned>(&self, path: &str) -> Result<T, Problem> {
+        self.call("DELETE", path, Vec::new())
+    }
+
+    pub(super) fn put<T: DeserializeOwned>(&self, path: &str, text: String) -> Result<T, Problem> {
+        self.call("PUT", path, text.into_bytes())
+    }
+
+    pub(super) fn post<T: DeserializeOwned>(&self, path: &str, body: &impl Serialize) -> Result<T, Problem> {
+        self.call("POST", path, serde_json::to_vec(body).unwrap())
+    }
+
+    fn call<T: DeserializeOwned>(&self, method: &str, path: &str, body: Vec<u8>) -> Result<T, Problem> {
+        let (status, answer) = self.answer(method, path, body);
+        if status >= 400 {
+            let problem: Problem = serde_json::from_slice(&answer).unwrap();
+            assert!(!problem.detail.contains('\n') && !problem.detail.is_empty());
+            return Err(problem);
+        }
+        Ok(serde_json::from_slice(&answer).unwrap())
+    }
+
+    /// The status and the body of an answer.
+    pub(super) fn answer(&self, method: &str, path: &str, body: Vec<u8>) -> (u16, Bytes) {
+        let Parts { runtime, engine, router, .. } = &*self.bench.0;
+        let mut request = Request::builder().method(method).uri(path).header("host", "localhost");
+        request = request.header(CLIENT_HEADER, &self.name);
+        if let Some(token) = &self.token {
+            request = request.header(SESSION_HEADER, token);
+        }
+        let request = request.body(Body::from(body)).unwrap();
+        runtime.block_on(async {
+            let answer = fuzzed::answer(engine, router, request, Peer::local(1, 0)).await.unwrap();
+            let status = answer.status().as_u16();
+            (status, answer.into_body().collect().await.unwrap().to_bytes())
+        })
+    }
+
+    /// Orders a play, and returns the answer and the receipt of its end.
+    pub(super) fn played(&self, order: &Value) -> (PlayAccepted, Receipt) {
+        let accepted: PlayAccepted = self.post("/v1/play", order).unwrap();
+        let receipt = self.get(&format!("/v1/plays/{}?wait=60", accepted.id)).unwrap();
+        (accepted, receipt)
+    }
+
+    /// The events from now on; the state comes first.
+    pub(super) fn events(&self) -> Events {
+        let (first, frames) = self.bench.0.engine.subscribe().unwrap();
+        Events { bench: self.bench.clone(), first: Some(first), frames }
+    }
+}
+
+/// The daemon's events.
+pub(super) struct Events {
+    bench: Bench,
+    first: Option<Bytes>,
+    frames: broadcast::Receiver<Bytes>,
+}
+
+/// Lets time pass until an event comes for which `wanted` returns a value, and returns that value.
+#[track_caller]
+pub(super) fn next<T>(events: &mut Events, wanted: impl Fn(Event) -> Option<T>) -> T {
+    loop {
+        let Events { bench, first, frames } = events;
+        let frame = first.take().unwrap_or_else(|| bench.0.runtime.block_on(frames.recv()).unwrap());
+        let text = std::str::from_utf8(&frame).unwrap();
+        let data = text.lines().find_map(|line| line.strip_prefix("data:")).unwrap();
+        if let Some(found) = wanted(serde_json::from_str(data).unwrap()) {
+            return found;
+        }
+    }
+}
+
+/// The receipt of the next play that ends.
+#[track_caller]
+pub(super) fn ended(events: &mut Events) -> Receipt {
+    next(events, |event| match event {
+        Event::Ended { receipt } => Some(*receipt),
+        _ => None,
+    })
+}
+
+/// The play that begins next.
+#[track_caller]
+pub(super) fn began(events: &mut Events) -> u64 {
+    next(events, |event| match event {
+        Event::Began { id, .. } => Some(id),
+        _ => None,
+    })
+}
+
+/// The problem that a call returned.
+#[track_caller]
+pub(super) fn problem(answer: Result<Value, Problem>) -> Problem {
+    answer.expect_err("the call is refused")
+}
+
+/// The code and HTTP status of the problem that a call returned.
+#[track_caller]
+pub(super) fn refusal(answer: Result<Value, Problem>) -> (String, u16) {
+    let problem = problem(answer);
+    (problem.code, problem.status)
+}
+
+/// The bursts of a receipt add up, and something was planned.
+#[track_caller]
+pub(super) fn assert_accounts(receipt: &Value) {
+    let of = |fate: &str| receipt["bursts"][fate].as_u64().unwrap();
+    assert_eq!(
+        of("planned"),
+        of("played") + of("late") + of("dropped") + of("refused") + of("replaced"),
+        "{receipt}"
+    );
+    assert!(of("planned") > 0, "{receipt}");
+}

@@ -1,0 +1,154 @@
+//! Sessions: one at a time, exclusive sessions, their owner's silence, their record, and failing disks.
+
+use super::bench::{Bench, Client, began, ended, next, problem, refusal};
+use meissner_api::{Event, PlayState, Session, SessionStarted, Status};
+use serde_json::{Value, json};
+use std::time::Duration;
+
+fn start(client: &mut Client, participant: &str, exclusive: bool) -> SessionStarted {
+    let request = json!({
+        "participant": participant, "experiment": "edges", "labels": {"block": "2"}, "seed": 7, "exclusive": exclusive
+    });
+    client.post("/v1/sessions", &request).unwrap()
+}
+
+pub(crate) fn owner(daemon: &Bench, participant: &str, exclusive: bool) -> (Client, SessionStarted) {
+    let mut client = daemon.armed();
+    let started = start(&mut client, participant, exclusive);
+    client.set_token(Some(started.token.clone()));
+    (client, started)
+}
+
+#[test]
+fn a_play_carries_its_session_trial_and_labels() {
+    let daemon = Bench::start();
+    let (client, started) = owner(&daemon, "P07", false);
+    let mut events = client.events();
+    let play = json!({"pattern": "pin-60", "seconds": 0.2, "trial": 3, "labels": {"condition": "a"}});
+    let _: Value = client.post("/v1/play", &play).unwrap();
+    let receipt = ended(&mut events);
+    assert_eq!((receipt.session.as_deref(), receipt.trial), (Some(&*started.id), Some(3)));
+    assert_eq!(receipt.labels["condition"], "a");
+    // Plays of all clients belong to it; a play for another session is refused.
+    let _: Value = daemon.client().post("/v1/play", &json!({"pattern": "pin-60", "seconds": 0.1})).unwrap();
+    assert_eq!(ended(&mut events).session, Some(started.id.clone()));
+    let other = json!({"pattern": "pin-60", "seconds": 0.1, "session": "20260101T000000Z-000000"});
+    assert_eq!(refusal(client.post("/v1/play", &other)), ("session-running".into(), 409));
+    let long = json!({"pattern": "pin-60", "seconds": 9, "session": started.id});
+    let _: Value = client.post("/v1/play", &long).unwrap();
+    assert_eq!(refusal(client.post("/v1/sessions/running/end", &json!({}))), ("playing".into(), 409));
+    let _: Status = client.post("/v1/stop", &json!({})).unwrap();
+    ended(&mut events);
+    let session: Session = client.post(&format!("/v1/sessions/{}/end", started.id), &json!({})).unwrap();
+    assert_eq!((session.plays, session.reason.as_deref()), (3, Some("request")));
+    // The recorded session has the same values.
+    let recorded: Session = client.get(&format!("/v1/sessions/{}", started.id)).unwrap();
+    assert_eq!(recorded, session);
+    assert_eq!(problem(client.get("/v1/sessions/running")).code, "not-found");
+}
+
+#[test]
+fn two_clients_fight_for_a_session() {
+    let daemon = Bench::start();
+    let (mine, started) = owner(&daemon, "P07", true);
+    let mut other = daemon.client();
+    for (path, body) in [
+        ("/v1/sessions", json!({"participant": "P08"})),
+        ("/v1/play", json!({"pattern": "pin-60", "seconds": 0.1})),
+        ("/v1/reset", json!({"force": true})),
+    ] {
+        let refused = problem(other.post(path, &body));
+        assert_eq!((refused.code.as_str(), refused.status), ("session-exclusive", 409), "{path}");
+        let says = format!("session {} with participant `P07` is exclusive since 20", started.id);
+        assert!(
+            refused.detail.starts_with(&says) && refused.detail.contains(" s more"),
+            "{}",
+            refused.detail
+        );
+    }
+    // A wrong token gives no access.
+    other.set_token(Some("0".repeat(32)));
+    assert_eq!(problem(other.post("/v1/home", &json!({}))).code, "session-exclusive");
+    // Others may read; the owner may act, on any connection.
+    let status: Status = other.get("/v1/status").unwrap();
+    let session = status.session.unwrap();
+    assert!(session.is_closed_to_others() && session.release_in_s.is_some_and(|left| left > 60.0));
+    let mut again = daemon.client();
+    again.set_token(Some(started.token.clone()));
+    let _: Value = again.post("/v1/play", &json!({"pattern": "pin-60", "seconds": 30})).unwrap();
+    // Every client may order an emergency stop.
+    let stopped: Status = other.post("/v1/estop", &json!({})).unwrap();
+    assert_eq!(stopped.cause, "estop");
+    other.set_token(None);
+    let _: Status = mine.post("/v1/reset", &json!({"force": true})).unwrap();
+    let second = mine.post("/v1/sessions", &json!({"participant": "P09"}));
+    assert_eq!(refusal(second), ("session-running".into(), 409));
+    let _: Session = mine.post("/v1/sessions/running/end", &json!({})).unwrap();
+    let _: Status = other.post("/v1/disarm", &json!({})).unwrap();
+    start(&mut other, "P08", true);
+}
+
+#[test]
+fn an_owner_that_dies_in_mid_play_locks_nobody_out() {
+    let daemon = Bench::with("session_silence_s = 2\n");
+    let (mine, started) = owner(&daemon, "P07", true);
+    let mut events = daemon.client().events();
+    // From here on it is silent.
+    let _: Value = mine.post("/v1/play", &json!({"pattern": "pin-60", "seconds": 5})).unwrap();
+    let id = began(&mut events);
+    let other = daemon.client();
+    assert_eq!(problem(other.post("/v1/home", &json!({}))).code, "session-exclusive");
+    next(&mut events, |event| match event {
+        Event::SessionReleased { session } => {
+            assert_eq!(session, started.id);
+            Some(())
+        }
+        Event::Ended { .. } => panic!("the owner was silent for 2 s before the play's end"),
+        _ => None,
+    });
+    let status: Status = other.get("/v1/status").unwrap();
+    assert!(status.play.is_some_and(|play| play.id == id) && status.session.unwrap().released);
+    let receipt = ended(&mut events);
+    assert_eq!((receipt.id, receipt.state), (id, PlayState::Done));
+    let _: Value = other.post("/v1/play", &json!({"pattern": "pin-60", "seconds": 0.1})).unwrap();
+    assert_eq!(ended(&mut events).session, Some(started.id.clone()));
+    // The owner's next request closes it again.
+    let back: Status = mine.get("/v1/status").unwrap();
+    assert!(back.session.unwrap().is_closed_to_others());
+    assert_eq!(problem(other.post("/v1/home", &json!({}))).code, "session-exclusive");
+    next(&mut events, |event| matches!(event, Event::SessionReleased { .. }).then_some(()));
+    let ended: Session = other.post("/v1/sessions/running/end", &json!({})).unwrap();
+    assert_eq!((ended.id, ended.reason.as_deref()), (started.id, Some("request")));
+}
+
+#[test]
+fn a_session_has_a_limit_of_its_own_and_participants_have_their_days() {
+    let limits = "[participant]\nmax_session_s = 0.5\nmax_day_s = 0.8\n";
+    let daemon = Bench::with(limits);
+    let (mut client, _) = owner(&daemon, "P07", false);
+    let mut events = client.events();
+    // Of plays that follow each other within half a second, the time between them counts, too.
+    let mut play = |client: &mut Client, seconds: f64| {
+        daemon.advance(Duration::from_millis(600));
+        let answer = client.post::<Value>("/v1/play", &json!({"pattern": "pin-60", "seconds": seconds}));
+        if answer.is_ok() {
+            ended(&mut events);
+        }
+        answer
+    };
+    let next = |client: &mut Client, participant| {
+        let _: Session = client.post("/v1/sessions/running/end", &json!({})).unwrap();
+        let started = start(client, participant, false);
+        client.set_token(Some(started.token));
+    };
+    play(&mut client, 0.4).unwrap();
+    let refused = problem(play(&mut client, 0.2)).detail;
+    let says = "limit for participants: `participant.max_session_s` allows 0.5 s of vibration in a session: 0.1 s are left";
+    assert!(refused.starts_with(says) && refused.contains("in a new one"), "{refused}");
+    next(&mut client, "P07");
+    play(&mut client, 0.3).unwrap();
+    let refused = problem(play(&mut client, 0.15)).detail;
+    assert!(refused.starts_with("limit for participants: `participant.max_day_s` allows 0.8 s"), "{refused}");
+    next(&mut client, "P08");
+    play(&mut client, 0.4).unwrap();
+}
