@@ -4,7 +4,8 @@
 
 use super::bench::{Bench, Client};
 use meissner_api::{
-    PinMovement, PlayAccepted, PlayState, Problem, Receipt, SessionPlays, SessionStarted, Status,
+    EndCause, PinMovement, PlayAccepted, PlayState, Problem, Receipt, Session, SessionPlays, SessionStarted,
+    Status,
 };
 use meissner_test_support::at_length;
 use meissner_test_support::random::Random;
@@ -16,7 +17,7 @@ use std::time::Duration;
 
 /// Limits that some orders meet.
 const CONFIG: &str =
-    "[participant]\nmax_continuous_s = 20\npause_s = 2\nmax_day_s = 600\nmax_amplitude_um = 100\n";
+    "[participant]\nmax_continuous_s = 4\npause_s = 1\nmax_day_s = 60\nmax_amplitude_um = 100\n";
 const STEPS: usize = 60;
 const PATTERNS: [&str; 5] = ["pin-60", "edge-45", "disc", "wave", "no-such"];
 
@@ -25,6 +26,8 @@ const PATTERNS: [&str; 5] = ["pin-60", "edge-45", "disc", "wave", "no-such"];
 struct Model {
     /// The plays that the daemon has accepted.
     accepted: BTreeSet<u64>,
+    /// Those among them that may have no end.
+    endless: BTreeSet<u64>,
     /// Plays of the running session, and its id.
     session: Option<(SessionStarted, BTreeSet<u64>)>,
     /// Plays of each session that has ended.
@@ -63,11 +66,14 @@ fn step(daemon: &Bench, clients: &mut [Client], random: &mut Random, model: &mut
     let client = &mut clients[at];
     let before: Status = client.get("/v1/status").unwrap();
     let post = |client: &Client, path: &str| client.post::<Value>(path, &json!({}));
-    match random.below(16) {
+    match random.below(18) {
         0..6 => {
-            let answer = client.post::<PlayAccepted>("/v1/play", &order(random));
-            match answer {
+            let order = order(random);
+            match client.post::<PlayAccepted>("/v1/play", &order) {
                 Ok(PlayAccepted { id, .. }) => {
+                    if order["endless"] == true {
+                        model.endless.insert(id);
+                    }
                     assert!(
                         ["armed", "returning"].contains(&&*before.state),
                         "play {id} while {}",
@@ -117,8 +123,8 @@ fn step(daemon: &Bench, clients: &mut [Client], random: &mut Random, model: &mut
             }
             _ => {}
         },
-        11 => {
-            if let Some(&id) = model.accepted.iter().nth(random.below(model.accepted.len().max(1))) {
+        11 | 16 | 17 => {
+            if let Some(&id) = model.accepted.iter().nth_back(random.below(3)) {
                 let answer = json!({"response": "left", "correct": true});
                 if client.post::<Value>(&format!("/v1/plays/{id}/answer"), &answer).is_ok() {
                     assert!(model.answered.insert(id), "one answer to a play");
@@ -135,7 +141,8 @@ fn step(daemon: &Bench, clients: &mut [Client], random: &mut Random, model: &mut
     }
     let after: Status = clients[0].get("/v1/status").unwrap();
     let limits = &after.participant;
-    assert!(limits.continuous_used_s <= 20.001 && limits.day_used_s <= 600.001, "{limits:?}");
+    // A stop or disarm is never refused: its return counts, and up to half a second before it.
+    assert!(limits.continuous_used_s <= 4.0 + 0.6 && limits.day_used_s <= 60.0 + 6.0, "{limits:?}");
     if after.state == "disarmed" || after.state == "faulted" {
         assert!(after.play.is_none() && after.queued.is_empty(), "nothing plays: {after:?}");
     }
@@ -179,11 +186,15 @@ fn judge(daemon: &Bench, model: &mut Model) {
         assert_eq!(bursts.planned, sum, "{receipt:?}");
         assert!(receipt.state.is_over() && bursts.late == 0 && bursts.refused == 0, "{receipt:?}");
         assert_eq!(receipt.cause.is_none(), receipt.state == PlayState::Done, "{receipt:?}");
+        let passes = receipt.cause == Some(EndCause::ParticipantLimit) && !model.endless.contains(&id);
+        assert!(!passes, "a play that was accepted and has an end passes no limit: {receipt:?}");
     }
     for (id, plays) in &model.ended {
         let recorded: SessionPlays = client.get(&format!("/v1/sessions/{id}/plays")).unwrap();
         let told: BTreeSet<u64> = recorded.plays.iter().map(|play| play.play).collect();
         assert_eq!(&told, plays, "session {id}");
+        let session: Session = client.get(&format!("/v1/sessions/{id}")).unwrap();
+        assert_eq!((session.reason.as_deref(), session.plays), (Some("request"), plays.len() as u64));
     }
 }
 
