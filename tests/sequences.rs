@@ -30,6 +30,17 @@ fn the_command_plays_a_file_and_prints_the_receipt() {
         let refused = complaint(run(&["block.toml"]).args(arguments));
         assert!(refused.contains(says), "{refused}");
     }
+    // A file of a pattern is played as it is; an object is none.
+    fs::write(
+        &file,
+        "format = 1\nname = \"tap\"\n[[drive]]\nmotor = 9\nfrequency_hz = 60.0\namplitude_um = 40.0\n",
+    )
+    .unwrap();
+    let tap = document(&mut run(&["block.toml", "--seconds", "0.1", "--wait", "--json"]));
+    assert_eq!((&tap["pattern"], &tap["seconds"]), (&"tap".into(), &0.1.into()));
+    fs::write(&file, "shape = \"dots\"\n").unwrap();
+    let refused = complaint(&mut run(&["block.toml"]));
+    assert!(refused.contains("this is an object, not a pattern: make a pattern of it"), "{refused}");
     let play = "play pin-60 --seconds 0.1 --scale 0.5 --code 9 --wait";
     let text = printed(daemon.meissner().args(play.split(' ')));
     assert!(text.contains("code 9 of 4.00 ms at tick"), "{text}");

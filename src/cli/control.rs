@@ -7,9 +7,10 @@
 
 use super::arguments::{ClientOptions, EdgeOptions, FITS, Onset, PlayOptions, choice, positive};
 use super::ending::Ending;
+use super::files::{self, Kind};
 use super::output::{give, say, shown, tell};
 use super::progress::Progress;
-use super::{files, session_token, text};
+use super::{pattern_file, session_token, text};
 use anyhow::{Result, anyhow, bail};
 use clap::Args;
 use meissner_api::{
@@ -30,7 +31,7 @@ const SIGN_OF_LIFE: Duration = Duration::from_millis(250);
 
 #[derive(Debug, Args)]
 pub(super) struct Play {
-    /// Play the pattern of this name, or the order in this file (FILE.toml, FILE.json, or `-` for stdin)
+    /// Play the pattern of this name, or the pattern or order in this file (FILE.toml, FILE.json, or `-` for an order from stdin)
     what: String,
     /// Play for S seconds: truncate or loop the pattern
     #[arg(long, value_name = "S", allow_negative_numbers = true, value_parser = positive)]
@@ -234,18 +235,22 @@ impl Play {
         let Self { what, seconds, endless, fit, strict, play, edge, .. } = self;
         let item =
             Item { seconds: *seconds, scale: play.scale, trigger: play.trigger.request(), ..Item::default() };
-        let is_file = what == files::STDIN || what.ends_with(".toml") || what.ends_with(".json");
-        let Order { name, items, terms } = match is_file {
-            true => read_order(Path::new(what))?,
-            false => {
-                Order::new(Item { pattern: Some(what.as_str().into()), ..item.clone() }, Terms::default())
+        let file = Path::new(what);
+        let is_file = what == files::STDIN || files::is_file(what) || what.ends_with(".json");
+        let pattern = match is_file {
+            false => Some(what.as_str().into()),
+            true if what != files::STDIN && pattern_file::is_one(file)? => {
+                Some(pattern_file::inline(&pattern_file::of_file(file)?.pattern)?)
             }
+            true => None,
         };
-        if is_file && item != Item::default() {
-            bail!(
+        let Order { name, items, terms } = match pattern {
+            Some(pattern) => Order::new(Item { pattern: Some(pattern), ..item }, Terms::default()),
+            None if item != Item::default() => bail!(
                 "{what}: its items say for how long, how strong and with which trigger: leave out --seconds, --scale and the trigger's options"
-            );
-        }
+            ),
+            None => read_order(file)?,
+        };
         let (at_tick, at_ms, at_monotonic_ns) = match (self.at, edge.on_edge) {
             (None, None) => (terms.at_tick, terms.at_ms, terms.at_monotonic_ns),
             _ => Onset::keys(self.at),
@@ -275,6 +280,7 @@ impl Play {
 /// Reads an order from a file, or from stdin.
 pub(super) fn read_order(file: &Path) -> Result<Order> {
     let (text, name) = files::text_or_stdin(file, MAX_BODY as u64, "an order")?;
+    Kind::Pattern.check(&text, &name)?;
     Order::parse_file(&text).map_err(|problem| anyhow!("{name}: {problem}"))
 }
 

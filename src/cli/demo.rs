@@ -11,6 +11,7 @@
 
 use super::ending::on_signals;
 use super::output::{give, say};
+use super::pattern_file;
 use super::progress::Progress;
 use super::{control, text};
 use crate::config::{Config, Listen, MAX_LEASE_MS, PatternsDir};
@@ -244,9 +245,7 @@ impl Shown {
         if self.is_shipped {
             return Ok(self.pattern.name().into());
         }
-        let keys: toml::Table = self.pattern.to_toml().parse()?;
-        let keys = serde_json::to_value(keys)?;
-        Ok(PatternChoice::Inline(Box::new(keys.as_object().cloned().unwrap_or_default())))
+        pattern_file::inline(&self.pattern)
     }
 }
 

@@ -8,6 +8,7 @@ use super::files::{self, Kind};
 use crate::file::{dir_of, open_regular};
 use crate::store::{Store, StoreError};
 use anyhow::{Result, anyhow};
+use meissner_api::PatternChoice;
 use meissner_array::pattern::{MAX_PACKED_BYTES, MAX_SAMPLE_FILE_BYTES, Pattern};
 use std::io::Read;
 use std::path::Path;
@@ -44,6 +45,19 @@ pub(super) fn of_argument(argument: &str) -> Result<Found> {
     })?;
     let text = String::from_utf8(stored.text.to_vec())?;
     Ok(Found { pattern: Arc::unwrap_or_clone(stored.pattern), text, was_packed: false })
+}
+
+/// Whether a file is that of a pattern.
+pub(super) fn is_one(file: &Path) -> Result<bool> {
+    let text = files::text(file, MAX_PACKED_BYTES as u64, "a pattern")?;
+    Ok(Kind::of(&text) == Some(Kind::Pattern))
+}
+
+/// The pattern itself, as a play takes it in place of a name.
+pub(super) fn inline(pattern: &Pattern) -> Result<PatternChoice> {
+    let keys: toml::Table = pattern.to_toml().parse()?;
+    let keys = serde_json::to_value(keys)?;
+    Ok(PatternChoice::Inline(Box::new(keys.as_object().cloned().unwrap_or_default())))
 }
 
 /// Reads a pattern file.
