@@ -1,4 +1,4 @@
-//! The local API of a real daemon: commands, receipts, events, errors, and the end.
+//! The local API over sockets: clients that wait, a body that comes late, and the daemon's end.
 
 use crate::harness::{Daemon, TIMEOUT, began, ended, refusal};
 use meissner_api::{PlayState, Status};

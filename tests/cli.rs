@@ -1,6 +1,5 @@
-use crate::harness::{
-    Daemon, PROGRAM, assert_accounts, complaint, document, meissner, printed, write_pattern,
-};
+use crate::harness::{Daemon, PROGRAM, complaint, document, meissner, printed, write_pattern};
+use meissner_test_support::assert_accounts;
 use rustix::fs::{OFlags, fcntl_getfl, fcntl_setfl};
 use rustix::process::Signal;
 use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};

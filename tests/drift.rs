@@ -1,4 +1,4 @@
-//! Drift: `status`, plays that end or are refused at the limit without telemetry, and the level check of `assume_rest`.
+//! `session check`: what a pilot on a simulated array is told of a board.
 
 use crate::harness::{Daemon, PATIENT, ended};
 use meissner_api::{EndCause, PlanCheck, Status};

@@ -328,17 +328,6 @@ pub(crate) fn refusal(answer: Result<Value, ClientError>) -> (String, u16) {
     (problem.code, problem.status)
 }
 
-/// `planned = played + late + dropped + refused`, and something was planned.
-pub(crate) fn assert_accounts(receipt: &Value) {
-    let of = |fate: &str| receipt["bursts"][fate].as_u64().unwrap();
-    assert_eq!(
-        of("planned"),
-        of("played") + of("late") + of("dropped") + of("refused") + of("replaced"),
-        "{receipt}"
-    );
-    assert!(of("planned") > 0, "{receipt}");
-}
-
 /// Writes a pattern file.
 pub(crate) fn write_pattern(path: &Path, name: &str, drives: &str) {
     fs::write(path, format!("format = 1\nname = \"{name}\"\n{drives}")).unwrap();

@@ -1,7 +1,8 @@
 //! Live plays on a real daemon: updates over the Unix socket and TCP, and clients that vanish.
 
-use crate::harness::{Daemon, PATIENT, TIMEOUT, assert_accounts, ended, problem};
+use crate::harness::{Daemon, PATIENT, TIMEOUT, ended, problem};
 use meissner_api::{EndCause, LiveAccepted, LiveAnswer, LiveApplied, Status};
+use meissner_test_support::assert_accounts;
 use serde_json::{Value, json};
 use std::io::{Read, Write};
 use std::net::TcpStream;

@@ -1,6 +1,6 @@
 //! A daemon on a mock behind a real pseudo-terminal plays, ends, hangs, dies, and loses its board.
 
-use crate::harness::{Daemon, assert_accounts, complaint, document, printed, wait_until};
+use crate::harness::{Daemon, complaint, document, printed, wait_until};
 use firmware_protocol::message::{Cause, State};
 use meissner_api::{EndCause, PlayState, Receipt, Status};
 use meissner_array::simulated::SimulatedMotorsConfig;
@@ -8,6 +8,7 @@ use meissner_array::spec::Array;
 use meissner_client::estop_socket;
 use meissner_stream::device::{PtyMock, WallMock};
 use meissner_stream::time::HostInstant;
+use meissner_test_support::assert_accounts;
 use meissner_test_support::rig::{OFF, bursts_on_the_lines};
 use rustix::process::Signal;
 use serde_json::json;

@@ -1,4 +1,4 @@
-//! Sessions: one at a time, exclusive sessions, their owner's silence, their record, and failing disks.
+//! Sessions on a real daemon: the command line's, bodies that come late, the daemon's end, no record.
 
 use crate::harness::{Daemon, PROGRAM, TIMEOUT, complaint, document, ended, printed};
 use meissner_api::{Session, SessionList, SessionStarted};

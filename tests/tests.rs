@@ -1,7 +1,7 @@
 //! The integration tests, one binary, a module per theme.
 #![expect(clippy::unwrap_used, reason = "a test that panics has failed")]
 
-/// The local API of a real daemon: commands, receipts, events, errors, and the end.
+/// The local API over sockets: clients that wait, a body that comes late, and the daemon's end.
 mod api;
 /// The architecture page against the tree; no circles of imports.
 mod architecture;
@@ -27,7 +27,7 @@ mod client_limits;
 mod displacement;
 /// `GET /v1/doctor`: the same findings as the command's, each verdict, many clients at once.
 mod doctor;
-/// Drift: plays at the limit, and the level check of `assume_rest`.
+/// `session check`: what a pilot on a simulated array is told of a board.
 mod drift;
 /// Edges of the trigger input: marks, starts, stops, the record, refusals, restarts.
 mod edges;
@@ -73,7 +73,7 @@ mod rights;
 mod sequences;
 /// The daemon as a service: notifications, watchdog, socket activation, reload, and a newer program.
 mod service;
-/// Sessions: one at a time, exclusive sessions, their owner's silence, their record, and failing disks.
+/// Sessions on a real daemon: the command line's, bodies that come late, the daemon's end, no record.
 mod sessions;
 /// `simulate` and `tradeoff`: documents, mistakes, the comparison of methods; the shipped scenes.
 mod simulate;

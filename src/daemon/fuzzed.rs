@@ -1,4 +1,4 @@
-//! A daemon whose routes can be called without a socket. It exists only in builds for the fuzzer (`fuzz/`).
+//! Routes called without a socket: by the bench, and in builds for the fuzzer (`fuzz/`).
 //!
 //! A request enters where hyper would hand it over, so the acceptor's and hyper's checks of its bytes are skipped.
 

@@ -8,13 +8,13 @@
 //! - `network`: which requests may pass, by host, origin, token and role.
 //! - `http`: the server, the routes and their handlers, one file for each resource.
 //! - `page`: the page in the browser.
-//! - `plays`: what every play goes through, from a request to the streamer's answer: plays, sequences, live plays, calibrations.
+//! - `plays`: what every play goes through, from a request to the streamer's answer: orders, live plays, calibrations.
 //! - `engine`: commands to the streamer and their answers; emergency stops; the status; the log's lines; rights that outlive a request.
 //! - `state`: the daemon's state behind one lock.
 //! - `beside`: what runs beside the requests: the streamer's events, devices, fits, renderings, the service manager.
 //! - `system`: the system around all of them.
 //!
-//! `run` starts and ends the daemon. In a build for the fuzzer there is also `fuzzed`: requests without a socket.
+//! `run` starts and ends the daemon. For the fuzzer and the bench (`tests/bench.rs`) there is also `fuzzed`: requests without a socket.
 //!
 //! Each folder uses only those below it in this order, from the top: `run`, `http`, `plays`, `beside`, `sockets`, `engine`, `state`,
 //! `network`, `page`, `system`.

@@ -207,7 +207,7 @@ impl Order {
             return Self::parse(text.as_bytes());
         }
         document::from_toml(text, |_| "it")
-            .map_err(|fault: document::KeyError<Infallible>| problem(fault))
+            .map_err(|fault: document::KeyError<Infallible>| bad(fault.in_file(None).to_string()))
             .and_then(|document::Table(keys)| Self::of_keys(keys))
     }
 
@@ -472,6 +472,8 @@ mod tests {
         assert_eq!(read(&serde_json::to_string(&blank).unwrap()).unwrap(), blank);
         let wrong = Order::parse_file("[[items]]\npatern = \"a\"\n").unwrap_err();
         assert!(wrong.detail.contains("did you mean `pattern`?"), "{wrong}");
+        let broken = Order::parse_file("[[items]\n").unwrap_err().detail;
+        assert!(broken.starts_with("not TOML: "), "{broken}");
         let many = |count| format!("{{\"items\":[{}]}}", vec![r#"{"pattern":"a"}"#; count].join(","));
         assert!(read(&many(MAX_ITEMS)).is_ok());
         assert!(read(&many(MAX_ITEMS + 1)).unwrap_err().detail.contains("more than 4096 items"));

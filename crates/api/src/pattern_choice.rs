@@ -30,12 +30,6 @@ pub enum PatternChoice {
     Inline(Box<Map<String, Value>>),
 }
 
-impl Default for PatternChoice {
-    fn default() -> Self {
-        Self::Name(String::new())
-    }
-}
-
 impl<T: Into<String>> From<T> for PatternChoice {
     fn from(name: T) -> Self {
         Self::Name(name.into())

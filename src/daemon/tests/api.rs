@@ -1,7 +1,8 @@
 //! The local API of a real daemon: commands, receipts, events, errors, and the end.
 
-use super::bench::{Bench, Client, Events, assert_accounts, began, ended, next, problem, refusal};
+use super::bench::{Bench, Client, Events, began, ended, next, problem, refusal};
 use meissner_api::{EndCause, Event, MAX_BODY, PlayState, Receipt, Status};
+use meissner_test_support::assert_accounts;
 use serde_json::{Value, json};
 
 fn wait_for(events: &mut Events, wanted: impl Fn(&Event) -> bool) {

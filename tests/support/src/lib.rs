@@ -24,3 +24,15 @@ pub mod statistics;
 pub fn at_length<T>(short: T, long: T) -> T {
     if std::env::var_os("MEISSNER_LONG").is_some() { long } else { short }
 }
+
+/// `planned = played + late + dropped + refused`, and something was planned.
+#[track_caller]
+pub fn assert_accounts(receipt: &serde_json::Value) {
+    let of = |fate: &str| receipt["bursts"][fate].as_u64().unwrap();
+    assert_eq!(
+        of("planned"),
+        of("played") + of("late") + of("dropped") + of("refused") + of("replaced"),
+        "{receipt}"
+    );
+    assert!(of("planned") > 0, "{receipt}");
+}
