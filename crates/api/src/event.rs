@@ -21,7 +21,7 @@ pub enum Event {
     /// The state: first of all, at every change, and ten times a second during a play.
     #[schema(examples(json!({
         "event": "state", "state": "armed", "cause": "request", "position": "known", "tick": 6442450944_u64,
-        "play": {"id": 7, "pattern": "edge-45", "played_s": 0.52}
+        "play": {"id": 7, "name": "edge-45", "played_s": 0.52}
     })))]
     State {
         /// As in the status.
@@ -54,22 +54,21 @@ pub enum Event {
         reason: EndCause,
     },
     /// A play was queued.
-    #[schema(examples(json!({"event": "queued", "id": 7, "pattern": "edge-45", "seconds": 2.0})))]
+    #[schema(examples(json!({"event": "queued", "id": 7, "name": "edge-45", "ordered_ms": 2000.0})))]
     Queued {
         /// The play's id.
         id: u64,
-        /// The pattern's name.
-        pattern: String,
-        /// Requested duration, s; null: as long as the pattern lasts.
-        #[schema(minimum = 0.0, maximum = 1e8)]
-        seconds: Option<f64>,
+        /// What the play is called.
+        name: String,
+        /// Duration as ordered, ms; null: without end.
+        ordered_ms: Option<f64>,
     },
     /// A play has begun.
     #[schema(examples(json!({
         "event": "began", "id": 7,
         "onset": {
             "requested_tick": 6442460000_u64, "actual_tick": 6442460000_u64, "monotonic_ns": 75793647058823_u64,
-            "uncertainty_ns": 9600
+            "uncertainty_ns": 9600, "latency_ms": 106.3
         }
     })))]
     Began {
@@ -114,10 +113,10 @@ pub enum Event {
         /// What it does.
         effect: EdgeEffect,
     },
-    /// What became of the items of a sequence: up to 32 of them in one event, those that have begun, right before its event `ended`.
+    /// What became of the items of a play of several: up to 32 of them in one event, those that have begun, right before its event `ended`.
     #[schema(examples(json!({
-        "event": "items", "id": 7, "session": null, "first": 0, "items": [{
-            "pattern": "edge-45", "pattern_sha256": "9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08",
+        "event": "items", "id": 7, "session": null, "items": [{
+            "item": 0, "pattern": "edge-45", "pattern_sha256": "9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08",
             "scale": 1.0, "ordered_um": 80.0, "reached_um": 69.2, "planned_onset_ticks": 0, "ordered_ms": 500.0,
             "state": "played",
             "onset": {"tick": 6442460000_u64, "monotonic_ns": 75793647058823_u64, "uncertainty_ns": 9600},
@@ -131,8 +130,6 @@ pub enum Event {
         id: u64,
         /// The session that it belongs to; null without one.
         session: Option<String>,
-        /// The number of the first one here, from 0.
-        first: usize,
         /// The items.
         #[schema(max_items = 32)]
         items: Vec<ItemRecord>,
@@ -284,7 +281,7 @@ pub enum EdgeEffect {
     Stop,
 }
 
-/// Items of a sequence in one event, at most.
+/// Items of a play in one event, at most.
 pub const MAX_ITEMS_LISTED: usize = 32;
 
 impl Event {

@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 use utoipa::ToSchema;
 
-/// What became of an item: `played` (every stroke), `incomplete` (strokes came late or were refused), `cut` (the sequence ended
+/// What became of an item: `played` (every stroke), `incomplete` (strokes came late or were refused), `cut` (the play ended
 /// within it) or `not-begun`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "kebab-case")]
@@ -14,9 +14,9 @@ pub enum ItemState {
     Played,
     /// Strokes came late or were refused.
     Incomplete,
-    /// The sequence ended within the item.
+    /// The play ended within the item.
     Cut,
-    /// The sequence ended before the item's onset.
+    /// The play ended before the item's onset.
     NotBegun,
 }
 
@@ -44,9 +44,12 @@ pub struct InstantRecord {
     pub uncertainty_ns: u64,
 }
 
-/// What became of an item of a sequence.
+/// What became of an item.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct ItemRecord {
+    /// Its number in the order, from 0.
+    #[schema(maximum = 4095)]
+    pub item: u64,
     /// The pattern's name; `blank` for an item in which nothing was played.
     #[schema(value_type = String)]
     pub pattern: Arc<str>,
@@ -60,10 +63,10 @@ pub struct ItemRecord {
     pub ordered_um: f64,
     /// The largest amplitude that they reach in whole pulses, µm.
     pub reached_um: f64,
-    /// When it was to begin, ticks from the sequence's onset.
+    /// When it was to begin, ticks from the play's onset.
     pub planned_onset_ticks: u64,
-    /// How long it was to last, ms: a whole number of ticks.
-    pub ordered_ms: f64,
+    /// How long it was to last, ms: a whole number of ticks; null: without end.
+    pub ordered_ms: Option<f64>,
     /// What became of it.
     pub state: ItemState,
     /// The item's onset, as the device reported it; null if it has not begun, or if the device learned of it too late.

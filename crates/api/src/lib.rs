@@ -90,8 +90,8 @@ pub use problem::{Code, MAX_DETAIL, Problem, REFERENCE};
 pub use receipt::{
     BurstCounts, DurationRecord, EdgeRecord, ErrorSource, LateCause, LateCounts, LateStroke, LatenessRecord,
     LinkTraffic, LoweredPin, LoweredReason, LoweredRecord, MAX_DRIVES_LISTED, MAX_LISTED,
-    MAX_WARNINGS_LISTED, MotorRestError, MovedPin, OffsetRecord, OnsetRecord, OrderedCounts, PlayState,
-    PulseCounts, Receipt, RefusedStroke,
+    MAX_WARNINGS_LISTED, MotorRestError, MovedPin, OnsetRecord, OrderedCounts, PlayCounts, PlayDevice,
+    PlayEdges, PlayOrder, PlayPins, PlayReach, PlayState, PulseCounts, Receipt, RefusedStroke,
 };
 pub use rendering::{
     FOUND_PREFIX, JudgedPattern, KEPT_RENDERINGS, MAX_PREVIEW_FROM_S, MAX_PREVIEW_S, MAX_RENDERING_BODY,
@@ -101,11 +101,12 @@ pub use rendering::{
 pub use request::{ArmRequest, CalibrateRequest, DisarmRequest, EdgeRequest, ResetRequest, parse_empty};
 pub use route::{Method, Route};
 pub use session::{
-    MAX_ROWS, RecordedPlay, Session, SessionList, SessionPlays, SessionRequest, SessionStarted,
+    RecordedPlay, Session, SessionList, SessionLosses, SessionPlays, SessionRequest, SessionStarted,
 };
 pub use status::{
-    ArmedStatus, ClockSample, DeviceInfo, MotorStatus, NO_DEVICE, ParticipantStatus, PinMovement,
-    PlayAccepted, QueuedPlay, Realtime, RunningPlay, SensorFault, StandingPins, Status,
+    ArmedStatus, ClockSample, DaemonStatus, DeviceInfo, EStopStatus, LinkStatus, MotorStatus, NO_DEVICE,
+    Newest, ParticipantStatus, PinMovement, PlayAccepted, QueuedPlay, Realtime, RunningPlay, SensorFault,
+    StandingPins, Status,
 };
 pub use token::{
     CLIENT_HEADER, MAX_TOKENS, NetworkStatus, PREFIX as TOKEN_PREFIX, Role, SESSION_HEADER, TokenCreated,

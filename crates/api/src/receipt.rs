@@ -7,13 +7,11 @@
 
 use crate::board::BoardRecord;
 use crate::end_cause::EndCause;
-use crate::item_record::ItemRecord;
+use crate::item_record::{InstantRecord, ItemRecord};
 use crate::live_record::LiveRecord;
-use crate::order::{Fit, LatePolicy};
+use crate::order::Terms;
 use crate::pattern::{FollowedMotion, ReachedDrive};
-use crate::trigger::TriggerRecord;
 use serde::{Deserialize, Serialize};
-use std::collections::BTreeMap;
 use std::sync::Arc;
 use utoipa::ToSchema;
 
@@ -26,7 +24,8 @@ pub const MAX_DRIVES_LISTED: usize = 24;
 pub const MAX_WARNINGS_LISTED: usize = 8;
 
 /// Where a play stands: `queued`, `running`, or ended as `done` (it came to its end), `stopped` (by a stop, replace, disarm,
-/// e-stop, lost link or participant's limit) or `aborted` (by late strokes, or because its onset could not be kept).
+/// e-stop, lost link or participant's limit) or `aborted` (by late strokes, or because its onset could not be kept). In the session record
+/// also `unknown`: its end is missing.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum PlayState {
@@ -41,6 +40,8 @@ pub enum PlayState {
     Stopped,
     /// Late strokes ended the play, or its onset could not be kept.
     Aborted,
+    /// The session record lacks its end.
+    Unknown,
 }
 
 impl PlayState {
@@ -53,6 +54,7 @@ impl PlayState {
             Self::Done => "done",
             Self::Stopped => "stopped",
             Self::Aborted => "aborted",
+            Self::Unknown => "unknown",
         }
     }
 
@@ -64,7 +66,7 @@ impl PlayState {
 }
 
 /// When a play began, on the device's clock and on the host's.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct OnsetRecord {
     /// The tick that was first asked for, ticks.
     pub requested_tick: u64,
@@ -74,6 +76,8 @@ pub struct OnsetRecord {
     pub monotonic_ns: u64,
     /// Uncertainty of `monotonic_ns`, ns.
     pub uncertainty_ns: u64,
+    /// Time from the request to the onset, ms.
+    pub latency_ms: f64,
 }
 
 /// A rising edge of the trigger input, on the device's clock and on the host's.
@@ -82,18 +86,6 @@ pub struct EdgeRecord {
     /// Its number since the device started, from 1. Numbers that are missing are of edges that the daemon did not hear of.
     pub number: u32,
     /// The tick in which it came, ticks.
-    pub tick: u64,
-    /// The same instant on the host's `CLOCK_MONOTONIC`, ns.
-    pub monotonic_ns: u64,
-    /// Uncertainty of `monotonic_ns`, ns.
-    pub uncertainty_ns: u64,
-}
-
-/// When the last pulse of a play was over, on the device's clock and on the host's. After a cut: with the return of the pins.
-/// Corrections count as sent: if the line lost the last one, the tick is off by its pulses.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
-pub struct OffsetRecord {
-    /// The first tick after the last pulse, ticks.
     pub tick: u64,
     /// The same instant on the host's `CLOCK_MONOTONIC`, ns.
     pub monotonic_ns: u64,
@@ -119,6 +111,9 @@ pub struct DurationRecord {
     pub compiled: Option<f64>,
     /// As played, from the onset to the offset, ms; null until the play is over, or without an offset.
     pub played: Option<f64>,
+    /// From the onset to the cut that ended the play, ms; null if it came to its end or never began. If the link was lost: until
+    /// the daemon noticed.
+    pub cut_after: Option<f64>,
 }
 
 /// Where the estimate of a rest error comes from: `telemetry` measured it, `dead-reckoning` computed it from the bursts that were
@@ -336,115 +331,31 @@ impl LinkTraffic {
     }
 }
 
-/// The result of a play.
+/// What a play was asked to do: its terms, and how many items it has. [`ItemRecord`]s say what was asked of each.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
-#[schema(examples(json!({
-    "id": 7, "pattern": "edge-45",
-    "pattern_sha256": "9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08", "array": "tula35-6x4", "tick_hz": 85000,
-    "seconds": 2.0, "scale": 1.0, "fit": "whole", "session": "20261122T083000Z-9f3c", "trial": 12,
-    "labels": {"condition": "a"}, "late_policy": "drop", "open_loop": false, "state": "done", "cause": null,
-    "onset": {
-        "requested_tick": 6442460000_u64, "actual_tick": 6442460000_u64, "monotonic_ns": 75793647058823_u64,
-        "uncertainty_ns": 9600
-    },
-    "onset_latency_ms": 106.3, "on_edge_ms": null, "start_edge": null, "stop_edge": null,
-    "offset": {"tick": 6442629900_u64, "monotonic_ns": 75795645882352_u64, "uncertainty_ns": 9600},
-    "cut_after_ms": null,
-    "live": null,
-    "duration_ms": {"ordered": 2000.0, "compiled": 1998.8, "played": 1998.8},
-    "ordered": {"bursts": 1240, "pulses": 86800},
-    "drives": [
-        {"drive": 1, "motor": 9, "ordered_um": 80.0, "reached_um": 69.2, "surplus_um": 0.0, "strokes": 119}
-    ],
-    "motions": [],
-    "warnings": [],
-    "bursts": {"planned": 1240, "played": 1238, "late": 2, "dropped": 0, "refused": 0, "replaced": 0, "amended": 1221, "shortened": 0},
-    "pulses": {"planned": 86800, "played": 86660},
-    "estimated": false,
-    "lateness": {
-        "host": 1, "link": 0, "device": 0, "worst_ms": 1.8,
-        "strokes": [{"motor": 3, "tick": 6442470000_u64, "late_ms": 1.8, "cause": "host"}]
-    },
-    "refusals": [],
-    "lowered": {"count": 0, "pins": []},
-    "trigger": {"tick": 6442460000_u64, "width_ms": 10.0, "code": null},
-    "boot": 305419896, "items_planned": null, "items": null,
-    "wire": {"bytes_to_device": 14260, "bytes_per_burst": 11.5},
-    "board": {"slack_ticks": 29, "stalls": 0, "usb_recoveries": 0, "output_faults": 0},
-    "rest_error_um": [0.4, -0.2],
-    "rest_errors": [{
-        "motor": 9, "onset_um": 0.1, "onset_source": "telemetry", "offset_um": 0.4, "offset_source": "telemetry"
-    }],
-    "pins": [{"motor": 9, "first_pulse_tick": 6442460000_u64, "offset_tick": 6442629900_u64}]
-})))]
-pub struct Receipt {
-    /// The play's id: its number since the daemon's start.
-    #[schema(minimum = 1)]
-    pub id: u64,
-    /// The pattern's name.
-    pub pattern: String,
-    /// SHA-256 of the pattern's file, in hexadecimal.
-    pub pattern_sha256: String,
-    /// The array that was driven.
-    pub array: String,
-    /// Rate of its device's ticks, Hz: the receipt's ticks count in them.
-    #[schema(minimum = 20000, maximum = 200_000)]
-    pub tick_hz: u32,
-    /// Requested duration, s; null: as long as the pattern lasts.
-    #[schema(minimum = 0.0, maximum = 1e8)]
-    pub seconds: Option<f64>,
-    /// Which strokes were to be played at the end.
-    pub fit: Fit,
-    /// The session that the play belongs to; null without one.
-    pub session: Option<String>,
-    /// The trial's number; null if none was given.
-    pub trial: Option<u64>,
-    /// The trial's labels.
-    pub labels: BTreeMap<String, String>,
-    /// The factor of the amplitudes; null for a sequence, whose items have one each.
-    #[schema(minimum = 0.0, maximum = 1.0)]
-    pub scale: Option<f64>,
-    /// What was to happen to late strokes.
-    pub late_policy: LatePolicy,
-    /// Whether it was to play without corrections from telemetry.
-    pub open_loop: bool,
-    /// Where the play stands.
-    pub state: PlayState,
-    /// Why the play ended; null if it is not over or came to its end.
-    #[schema(value_type = Option<String>)]
-    pub cause: Option<EndCause>,
-    /// When the play began; null before.
-    pub onset: Option<OnsetRecord>,
-    /// Time from the request to the onset, ms; null before the onset.
-    pub onset_latency_ms: Option<f64>,
-    /// The ordered delay from an edge of the trigger input to the onset, ms; null: the play waits for none.
-    #[schema(minimum = 0.0, maximum = 3_600_000.0)]
-    pub on_edge_ms: Option<f64>,
-    /// The edge of the trigger input after which the play begins, of a play with `on_edge_ms`; null until it has come, or without one.
-    pub start_edge: Option<EdgeRecord>,
+pub struct PlayOrder {
+    /// How many items it has.
+    #[schema(minimum = 1, maximum = 4096)]
+    pub items: u64,
+    /// When, and how: the terms of the order, without those that were left out.
+    #[serde(flatten)]
+    pub terms: Terms,
+}
+
+/// The edges of the trigger input that concern a play.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+pub struct PlayEdges {
+    /// The edge after which the play begins, of a play with `on_edge_ms`; null until it has come, or without one.
+    pub start: Option<EdgeRecord>,
     /// The edge that stopped the play, of a play with `stop_on_edge`; null if none did.
-    pub stop_edge: Option<EdgeRecord>,
-    /// When the last pulse was over, with the return of a play that was cut; null until the play is over, if nothing was played,
-    /// or if the link was lost before the device reported it.
-    pub offset: Option<OffsetRecord>,
-    /// Time from the onset to the cut that ended the play, ms; null if the play came to its end or never began. If the link was
-    /// lost: until the daemon noticed.
-    pub cut_after_ms: Option<f64>,
-    /// How long the play was to last, and lasted.
-    pub duration_ms: DurationRecord,
+    pub stop: Option<EdgeRecord>,
+}
+
+/// What was ordered, and what became of it, counted.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct PlayCounts {
     /// What pattern and order say; null for an endless play that is not over.
     pub ordered: Option<OrderedCounts>,
-    /// What the drives reach: the first 24.
-    #[schema(max_items = 24)]
-    pub drives: Vec<ReachedDrive>,
-    /// How the motors follow their motions, by motor; empty without motions. Of a sequence those of the item in which the motor is off the
-    /// most, with the first instant, from the sequence's onset, at which it is too slow.
-    #[schema(max_items = 64)]
-    pub motions: Vec<FollowedMotion>,
-    /// One line for each thing that may not be meant, for example a drive that does not reach its amplitude: the first 8, and how
-    /// many more.
-    #[schema(max_items = 9)]
-    pub warnings: Vec<String>,
     /// What happened to the bursts; null until the play is over.
     pub bursts: Option<BurstCounts>,
     /// The pulses; null until the play is over.
@@ -452,8 +363,6 @@ pub struct Receipt {
     /// Whether what was played is an estimate: the link was lost before the device said what it has counted. It counts what was to be
     /// played until the daemon noticed, or until its e-stop.
     pub estimated: bool,
-    /// What became of the updates of a live play, once it is over; null for another play.
-    pub live: Option<LiveRecord>,
     /// The late strokes so far.
     pub lateness: LatenessRecord,
     /// The refused strokes so far: the first 100.
@@ -461,49 +370,169 @@ pub struct Receipt {
     pub refusals: Vec<RefusedStroke>,
     /// The pins that the device has brought down by itself.
     pub lowered: LoweredRecord,
-    /// What the trigger output gave at the onset; null: nothing, or not yet.
-    pub trigger: Option<TriggerRecord>,
+}
+
+/// What the motors can do of what was ordered, computed before the play.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct PlayReach {
+    /// What the drives of a play of one item reach: the first 24.
+    #[schema(max_items = 24)]
+    pub drives: Vec<ReachedDrive>,
+    /// How the motors follow their motions, by motor; empty without motions. Of several items those of the item in which the motor is
+    /// off the most, with the first instant, from the play's onset, at which it is too slow.
+    #[schema(max_items = 64)]
+    pub motions: Vec<FollowedMotion>,
+    /// One line for each thing that may not be meant, for example a drive that does not reach its amplitude: the first 8, and how
+    /// many more.
+    #[schema(max_items = 9)]
+    pub warnings: Vec<String>,
+}
+
+/// Where the pins of a play were, and when they moved.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct PlayPins {
+    /// Estimated offset of each pin from rest at the end, µm, by motor, as in the status.
+    #[schema(max_items = 24)]
+    pub rest_error_um: Vec<f32>,
+    /// The rest errors of the driven motors at onset and offset.
+    #[schema(max_items = 24)]
+    pub rest_errors: Vec<MotorRestError>,
+    /// When each pin that moved did so, by motor.
+    #[schema(max_items = 64)]
+    pub moved: Vec<MovedPin>,
+}
+
+/// The device that a play was for, and what went on there meanwhile.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct PlayDevice {
+    /// The array that was driven.
+    pub array: String,
+    /// Rate of its device's ticks, Hz: the receipt's ticks count in them.
+    #[schema(minimum = 20000, maximum = 200_000)]
+    pub tick_hz: u32,
     /// The boot of the device that took the play: ticks of two plays of one boot are on one clock. Null: the daemon does not know it.
     pub boot: Option<u32>,
-    /// How many items the sequence was to play; null for other plays.
-    #[schema(minimum = 1, maximum = 4096)]
-    pub items_planned: Option<u64>,
-    /// The items of a sequence; null until it is over, for other plays, and in the event `ended`: events `items` come before it.
-    #[schema(value_type = Option<Vec<ItemRecord>>, max_items = 4096)]
-    pub items: Option<Arc<[ItemRecord]>>,
     /// What was sent to the device; null until the play is over.
     pub wire: Option<LinkTraffic>,
     /// What occurred on the device meanwhile; null until the play is over, or if its reports do not cover the whole play.
     pub board: Option<BoardRecord>,
-    /// Estimated offset of each pin from rest at the end, µm, by motor, as in the status; null until the play is over.
-    #[schema(max_items = 24)]
-    pub rest_error_um: Option<Vec<f32>>,
-    /// The rest errors of the driven motors at onset and offset; null until the play is over.
-    #[schema(max_items = 24)]
-    pub rest_errors: Option<Vec<MotorRestError>>,
-    /// When each pin that moved did so, by motor; null until the play is over.
-    #[schema(max_items = 64)]
-    pub pins: Option<Vec<MovedPin>>,
+}
+
+/// The result of a play.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
+#[schema(examples(json!({
+    "id": 7, "name": "edge-45", "sha256": "9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08",
+    "order": {
+        "items": 1, "late": "drop", "replace": false, "open_loop": false, "session": "20261122T083000Z-9f3c", "trial": 12,
+        "labels": {"condition": "a"}
+    },
+    "state": "done", "cause": null, "edges": {"start": null, "stop": null},
+    "onset": {
+        "requested_tick": 6442460000_u64, "actual_tick": 6442460000_u64, "monotonic_ns": 75793647058823_u64,
+        "uncertainty_ns": 9600, "latency_ms": 106.3
+    },
+    "offset": {"tick": 6442629900_u64, "monotonic_ns": 75795645882352_u64, "uncertainty_ns": 9600},
+    "duration_ms": {"ordered": 2000.0, "compiled": 1998.8, "played": 1998.8, "cut_after": null},
+    "items": [{
+        "item": 0, "pattern": "edge-45", "pattern_sha256": "9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08",
+        "scale": 1.0, "ordered_um": 80.0, "reached_um": 69.2, "planned_onset_ticks": 0, "ordered_ms": 1998.8,
+        "state": "incomplete",
+        "onset": {"tick": 6442460000_u64, "monotonic_ns": 75793647058823_u64, "uncertainty_ns": 9600},
+        "first_pulse_tick": 6442460000_u64,
+        "offset": {"tick": 6442629900_u64, "monotonic_ns": 75795645882352_u64, "uncertainty_ns": 9600},
+        "trigger": {"tick": 6442460000_u64, "width_ms": 10.0, "code": null}, "late_strokes": 1, "refused_strokes": 0
+    }],
+    "counts": {
+        "ordered": {"bursts": 1240, "pulses": 86800},
+        "bursts": {"planned": 1240, "played": 1238, "late": 2, "dropped": 0, "refused": 0, "replaced": 0, "amended": 1221, "shortened": 0},
+        "pulses": {"planned": 86800, "played": 86660},
+        "estimated": false,
+        "lateness": {
+            "host": 1, "link": 0, "device": 0, "worst_ms": 1.8,
+            "strokes": [{"motor": 3, "tick": 6442470000_u64, "late_ms": 1.8, "cause": "host"}]
+        },
+        "refusals": [],
+        "lowered": {"count": 0, "pins": []}
+    },
+    "reach": {
+        "drives": [{"drive": 1, "motor": 9, "ordered_um": 80.0, "reached_um": 69.2, "surplus_um": 0.0, "strokes": 119}],
+        "motions": [], "warnings": []
+    },
+    "live": null,
+    "pins": {
+        "rest_error_um": [0.4, -0.2],
+        "rest_errors": [{
+            "motor": 9, "onset_um": 0.1, "onset_source": "telemetry", "offset_um": 0.4, "offset_source": "telemetry"
+        }],
+        "moved": [{"motor": 9, "first_pulse_tick": 6442460000_u64, "offset_tick": 6442629900_u64}]
+    },
+    "device": {
+        "array": "tula35-6x4", "tick_hz": 85000, "boot": 305419896,
+        "wire": {"bytes_to_device": 14260, "bytes_per_burst": 11.5},
+        "board": {"slack_ticks": 29, "stalls": 0, "usb_recoveries": 0, "output_faults": 0}
+    }
+})))]
+pub struct Receipt {
+    /// The play's id: its number since the daemon's start.
+    #[schema(minimum = 1)]
+    pub id: u64,
+    /// What the play is called: as its order is, or else its one pattern, or `sequence`; `live` for a live play.
+    pub name: String,
+    /// SHA-256 of the pattern's file, in hexadecimal; of several items, or of one in an order with a name, that of the items as JSON; of a
+    /// live play that of its request.
+    pub sha256: String,
+    /// What it was asked to do.
+    pub order: PlayOrder,
+    /// Where the play stands.
+    pub state: PlayState,
+    /// Why the play ended; null if it is not over or came to its end.
+    #[schema(value_type = Option<String>)]
+    pub cause: Option<EndCause>,
+    /// The edges of the trigger input that started and stopped it.
+    pub edges: PlayEdges,
+    /// When the play began; null before.
+    pub onset: Option<OnsetRecord>,
+    /// When the last pulse was over, with the return of a play that was cut; null until the play is over, if nothing was played,
+    /// or if the link was lost before the device reported it. Corrections count as sent: if the line lost the last one, the tick is off by
+    /// its pulses.
+    pub offset: Option<InstantRecord>,
+    /// How long the play was to last, and lasted.
+    pub duration_ms: DurationRecord,
+    /// What became of the items; null until the play is over. The event `ended` has them only of a play of one item: events `items` come
+    /// before it.
+    #[schema(value_type = Option<Vec<ItemRecord>>, max_items = 4096)]
+    pub items: Option<Arc<[ItemRecord]>>,
+    /// What was ordered and played.
+    pub counts: PlayCounts,
+    /// What the motors can do of it.
+    pub reach: PlayReach,
+    /// What became of the updates of a live play, once it is over; null for another play.
+    pub live: Option<LiveRecord>,
+    /// Where the pins were, and when they moved; null until the play is over.
+    pub pins: Option<PlayPins>,
+    /// The device, and what went on there.
+    pub device: PlayDevice,
 }
 
 impl Receipt {
     /// The receipt of a play that was just requested. Its array is the paper's until another is set.
     #[must_use]
-    pub fn new(id: u64, pattern: &str, pattern_sha256: &str, seconds: Option<f64>) -> Self {
-        Self {
-            id,
-            pattern: pattern.to_owned(),
-            pattern_sha256: pattern_sha256.to_owned(),
-            array: "tula35-6x4".to_owned(),
-            tick_hz: 85_000,
-            seconds,
-            ..Self::default()
-        }
+    pub fn new(name: &str, sha256: &str, items: usize, terms: &Terms) -> Self {
+        let device = PlayDevice { array: "tula35-6x4".to_owned(), tick_hz: 85_000, ..PlayDevice::default() };
+        let order = PlayOrder { items: items as u64, terms: terms.clone() };
+        Self { name: name.to_owned(), sha256: sha256.to_owned(), order, device, ..Self::default() }
+    }
+
+    /// The session that the play belongs to.
+    #[must_use]
+    pub fn session(&self) -> Option<&str> {
+        self.order.terms.session.as_deref()
     }
 
     /// Whether the play came to its end with every burst played.
     #[must_use]
     pub fn all_played(&self) -> bool {
-        self.state == PlayState::Done && self.bursts.is_some_and(|bursts| bursts.played == bursts.planned)
+        self.state == PlayState::Done
+            && self.counts.bursts.is_some_and(|bursts| bursts.played == bursts.planned)
     }
 }

@@ -7,12 +7,8 @@
 
 use crate::answer::PlayAnswer;
 use crate::body::{check_labels, check_text, read};
-use crate::end_cause::EndCause;
-use crate::live_record::LiveRecord;
-use crate::order::{Fit, LatePolicy};
 use crate::problem::Problem;
-use crate::receipt::{BurstCounts, EdgeRecord, MAX_LISTED, OrderedCounts, PulseCounts};
-use crate::trigger::TriggerRecord;
+use crate::receipt::{MAX_LISTED, Receipt};
 use meissner_input::document::given;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -83,7 +79,7 @@ pub struct SessionStarted {
 #[schema(examples(json!({
     "id": "20261122T083000Z-9f3c", "participant": "P07", "experiment": "edges", "labels": {"block": "2"}, "seed": 42,
     "exclusive": true, "owner": "ada", "started": "2026-11-22T09:30:00.123456+01:00", "ended": null, "reason": null,
-    "plays": 12, "vibration_s": 24.0, "released": false, "release_in_s": 97.5, "lost": 0, "plays_lost": 0
+    "plays": 12, "vibration_s": 24.0, "released": false, "release_in_s": 97.5, "lost": {"entries": 0, "plays": 0}
 })))]
 pub struct Session {
     /// The session's id.
@@ -114,14 +110,20 @@ pub struct Session {
     pub released: bool,
     /// When others may act unless the owner sends a request, s from now; null: they may, or the session is over.
     pub release_in_s: Option<f64>,
-    /// Entries of the session that the record is known to have lost: the disk did not take them, or they were removed. 0 too without a
-    /// record.
-    pub lost: u64,
-    /// Plays of the session whose ends the record is known to have lost.
-    pub plays_lost: u64,
+    /// What the record is known to have lost of it.
+    pub lost: SessionLosses,
     /// In the status: whether the client that asks shows the token of this session. Missing elsewhere.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub mine: Option<bool>,
+}
+
+/// What the session record is known to have lost of a session: the disk did not take it, or it was removed. Without a record nothing.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+pub struct SessionLosses {
+    /// Number of entries.
+    pub entries: u64,
+    /// Number of plays whose ends are lost.
+    pub plays: u64,
 }
 
 impl Session {
@@ -145,114 +147,21 @@ pub struct SessionList {
     pub problems: Vec<String>,
 }
 
-/// Rows of a session's plays in one answer, at most, items of sequences included: with the longest labels and
-/// answers they fit into 16 MiB.
-pub const MAX_ROWS: usize = 1000;
-
-/// A recorded play of a session, or an item of a sequence. A sequence has a row as a whole, with what the items have not; its items
-/// follow.
+/// A recorded play of a session.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct RecordedPlay {
-    /// The play's id: its number since the daemon's start.
-    #[schema(minimum = 1)]
-    pub play: u64,
+    /// What became of it, with the items that have begun and whose lines the record has. If its end is missing, the state is `unknown`, and
+    /// there is no more than its order.
+    pub receipt: Receipt,
     /// The user who ordered it; null: not known.
     pub user: Option<String>,
-    /// The trial's number; null if none was given.
-    pub trial: Option<u64>,
-    /// The trial's labels.
-    pub labels: BTreeMap<String, String>,
-    /// The pattern's name.
-    pub pattern: String,
-    /// SHA-256 of the pattern's file, in hexadecimal; null if the play's end is missing.
-    pub pattern_sha256: Option<String>,
-    /// The array that was driven.
-    pub array: String,
-    /// Rate of its device's ticks, Hz: the row's ticks count in them.
-    #[schema(minimum = 20000, maximum = 200_000)]
-    pub tick_hz: u32,
-    /// Requested duration, s; null: as long as the pattern lasts.
-    pub seconds: Option<f64>,
-    /// `done`, `stopped` or `aborted`; `unknown` if its end is missing from the record.
-    pub state: String,
-    /// Why it ended; null if it is done or that is not known.
-    #[schema(value_type = Option<String>)]
-    pub cause: Option<EndCause>,
-    /// The tick at which the play began, ticks; null if it never began.
-    pub onset_tick: Option<u64>,
-    /// The onset on the host's `CLOCK_MONOTONIC`, ns.
-    pub onset_monotonic_ns: Option<u64>,
-    /// Uncertainty of the onset on the host's clock, ns.
-    pub onset_uncertainty_ns: Option<u64>,
-    /// The onset on the host's wall clock as of the record's line, Unix time, ns.
+    /// The onset on the host's wall clock as of the record's line, Unix time, ns; null if it never began.
     pub onset_wall_ns: Option<i64>,
     /// Time from the onset to the report of the end, s: some 10 ms more than the play.
     pub reported_after_s: Option<f64>,
-    /// What happened to the bursts; null if the end is missing.
-    pub bursts: Option<BurstCounts>,
-    /// The pulses; null if the end is missing.
-    pub pulses: Option<PulseCounts>,
-    /// Whether what was played is an estimate, because the link was lost.
-    pub estimated: bool,
-    /// By how much the latest stroke came late, ms; 0 if none did.
-    pub worst_late_ms: Option<f64>,
-    /// Largest estimated offset of a pin from rest at the end, µm.
-    pub rest_error_max_um: Option<f32>,
-    /// The item's number in its sequence, from 0; null of a play as a whole.
-    pub item: Option<u64>,
-    /// Of a sequence as a whole: how many rows of items follow. Otherwise 0.
-    pub items: u64,
-    /// Of a sequence as a whole: how many items it was to play. Rows of items that never began, or whose lines the record lost, are
-    /// missing. Null of other plays.
-    #[schema(minimum = 1, maximum = 4096)]
-    pub items_planned: Option<u64>,
-    /// The largest amplitude of its drives as ordered, µm; null if that is not recorded.
-    pub ordered_um: Option<f64>,
-    /// The largest amplitude that they reach in whole pulses, µm.
-    pub reached_um: Option<f64>,
-    /// The factor of the amplitudes; null of a sequence as a whole.
-    #[schema(minimum = 0.0, maximum = 1.0)]
-    pub scale: Option<f64>,
-    /// Which strokes were to be played at the end.
-    pub fit: Fit,
-    /// What was to happen to late strokes.
-    pub late_policy: LatePolicy,
-    /// Whether it was to play without corrections from telemetry.
-    pub open_loop: bool,
-    /// Duration as ordered, ms; null: without end, or not recorded.
-    pub ordered_ms: Option<f64>,
-    /// Duration as played, from onset to offset, ms.
-    pub played_ms: Option<f64>,
-    /// Time from the onset to the cut that ended the play, ms; null if it was not cut.
-    pub cut_after_ms: Option<f64>,
-    /// When the last pulse was over, ticks.
-    pub offset_tick: Option<u64>,
-    /// The same on the host's `CLOCK_MONOTONIC`, ns.
-    pub offset_monotonic_ns: Option<u64>,
-    /// What the trigger output gave at the onset; null: nothing.
-    pub trigger: Option<TriggerRecord>,
-    /// What pattern and order say; null of an item, or if it was not counted.
-    pub ordered: Option<OrderedCounts>,
-    /// When the item was to begin, ticks from the sequence's onset; null of a play as a whole.
-    pub planned_onset_ticks: Option<u64>,
-    /// Number of strokes that came late; null if the end is missing.
-    pub late_strokes: Option<u64>,
-    /// Number of the item's strokes that the device refused; null of a play as a whole, which counts bursts.
-    pub refused_strokes: Option<u64>,
-    /// The boot of the device whose ticks these are; null if the record does not tell.
-    pub boot: Option<u32>,
-    /// Whether the daemon has the pattern's text still, stored or in the session record, so that it can play it again. Of a sequence as
-    /// a whole and of a blank item: true.
-    pub pattern_kept: bool,
-    /// The first pulse of a pin, ticks; null if no pin moved, or if that is not recorded.
-    pub first_pulse_tick: Option<u64>,
-    /// The edge of the trigger input after which the play began; null: it waited for none. The items of a sequence repeat it.
-    pub start_edge: Option<EdgeRecord>,
-    /// The edge that stopped the play; null: none did. The items of a sequence repeat it.
-    pub stop_edge: Option<EdgeRecord>,
-    /// What became of the updates of a live play; null of other plays. The record has their counts, not the moves.
-    pub live: Option<LiveRecord>,
-    /// What the participant answered; null: nothing was recorded. The items of a sequence repeat its answer.
+    /// Whether the daemon has the texts of its patterns still, stored or in the session record, so that it can play it again.
+    pub patterns_kept: bool,
+    /// What the participant answered; null: nothing was recorded.
     pub answer: Option<PlayAnswer>,
 }
 
@@ -262,31 +171,16 @@ pub struct RecordedPlay {
     "session": {
         "id": "20261122T083000Z-9f3c", "participant": "P07", "experiment": "edges", "labels": {}, "seed": 42, "exclusive": true,
         "owner": "ada", "started": "2026-11-22T09:30:00.123456+01:00", "ended": null, "reason": null, "plays": 1,
-        "vibration_s": 2.0, "released": false, "release_in_s": null, "lost": 0, "plays_lost": 0
+        "vibration_s": 2.0, "released": false, "release_in_s": null, "lost": {"entries": 0, "plays": 0}
     },
-    "plays": [{
-        "play": 7, "user": "ada", "trial": 12, "labels": {"condition": "a"}, "pattern": "edge-45",
-        "pattern_sha256": "9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08", "array": "tula35-6x4", "tick_hz": 85000,
-        "seconds": 2.0, "state": "done",
-        "cause": null, "onset_tick": 6442460000_u64, "onset_monotonic_ns": 75793647058823_u64, "onset_uncertainty_ns": 9600,
-        "onset_wall_ns": 1795336200123456000_u64, "reported_after_s": 2.01,
-        "bursts": {"planned": 1240, "played": 1240, "late": 0, "dropped": 0, "refused": 0, "replaced": 0, "amended": 1221, "shortened": 0},
-        "pulses": {"planned": 86800, "played": 86790}, "estimated": false, "worst_late_ms": 0.0, "rest_error_max_um": 0.4,
-        "item": null, "items": 0, "items_planned": null, "ordered_um": 80.0, "reached_um": 69.2, "scale": 1.0, "fit": "whole", "late_policy": "drop",
-        "open_loop": false, "ordered_ms": 2000.0, "played_ms": 1998.8, "cut_after_ms": null, "offset_tick": 6442629900_u64,
-        "offset_monotonic_ns": 75795645882352_u64, "trigger": {"tick": 6442460000_u64, "width_ms": 10.0, "code": null},
-        "ordered": {"bursts": 1240, "pulses": 86800}, "planned_onset_ticks": null, "late_strokes": 0, "refused_strokes": null,
-        "boot": 305419896, "pattern_kept": true, "first_pulse_tick": 6442460000_u64, "start_edge": null, "stop_edge": null, "live": null,
-        "answer": {"response": "left", "correct": true, "rt_ms": 512.3, "level": 0.4, "factors": {"block": "2"}}
-    }],
+    "plays": [],
     "more": false, "complete": false, "missing": ["the session still runs: end it first"], "plays_missing": 0, "lost": 0, "left_out": 0,
     "unreadable": 0, "problems": []
 })))]
 pub struct SessionPlays {
     /// The session.
     pub session: Session,
-    /// Its rows from number `from` on, counted from 0: plays, each sequence followed by its items.
-    #[schema(max_items = 2000)]
+    /// Its plays from number `from` on, counted from 0: as many as have 4 MiB of text in the record, and at least one.
     pub plays: Vec<RecordedPlay>,
     /// Whether there are more plays: ask again, `from` the next one.
     pub more: bool,

@@ -38,8 +38,8 @@ pub struct RunningPlay {
     /// The play's id.
     #[schema(minimum = 1)]
     pub id: u64,
-    /// The pattern's name.
-    pub pattern: String,
+    /// What the play is called.
+    pub name: String,
     /// Time since the onset, s.
     pub played_s: f64,
 }
@@ -67,8 +67,8 @@ pub struct QueuedPlay {
     /// The play's id.
     #[schema(minimum = 1)]
     pub id: u64,
-    /// The pattern's name.
-    pub pattern: String,
+    /// What the play is called.
+    pub name: String,
     /// Whether it waits for an edge of the trigger input, which has not come.
     pub waits_for_edge: bool,
 }
@@ -225,44 +225,113 @@ pub struct ArmedStatus {
     pub left_s: Option<f64>,
 }
 
+/// The emergency stops.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct EStopStatus {
+    /// How many were ordered since the daemon began.
+    pub orders: u64,
+    /// By when the device had confirmed the last one, ms after its order: all lines were off by then. Null: it has confirmed none.
+    pub off_ms: Option<f64>,
+}
+
+/// The way to the device, and what it reports of itself.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct LinkStatus {
+    /// The device the daemon looks for, as `--device` names it.
+    pub wanted: String,
+    /// Why no device is connected, and what to do; null if one is connected or the daemon has not looked yet.
+    pub missing: Option<String>,
+    /// Which device a calibration belongs to: a board's serial number, or a simulated array's seed and settings; empty before
+    /// a device is opened.
+    pub identity: String,
+    /// Measured capacity of the line to the device, bytes/s; null until it is measured.
+    pub bytes_per_s: Option<u32>,
+    /// Undamaged messages from the device that cannot be true, since it was connected. 0 from a sound device.
+    pub contradictions: u64,
+    /// The device's counters; null until it has reported them.
+    pub board: Option<BoardStatus>,
+}
+
+/// The newest of what has a number, whether it waits, runs or is over.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+pub struct Newest {
+    /// The play; null before the first.
+    pub play: Option<u64>,
+    /// The rendering; null before the first.
+    pub rendering: Option<u64>,
+}
+
+/// The daemon, and what it is set to.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct DaemonStatus {
+    /// The daemon's version.
+    pub version: String,
+    /// The daemon's process id.
+    pub pid: u32,
+    /// The socket the daemon listens on.
+    pub socket: String,
+    /// Who can reach the daemon over the network; null: nothing listens there.
+    pub network: Option<NetworkStatus>,
+    /// What the client that asks may do: `operate` or `observe`, by the role of the access token that it shows.
+    pub role: Role,
+    /// The daemon's real-time rights.
+    pub realtime: Realtime,
+    /// The array that the daemon drives, as `GET /v1/array` shows it.
+    pub array: String,
+    /// When the calibration in use was measured, UTC; null if none is used.
+    pub calibrated: Option<String>,
+    /// Estimate by dead reckoning above which no play drives a pin, µm (configuration key `drift_limit_um`).
+    pub drift_limit_um: f32,
+    /// How far ahead the daemon sends strokes, ms: the configured lead; during a play the lead that is reached.
+    pub lead_ms: f64,
+    /// Host watchdog timeout, ms: the device stops when the daemon is silent for longer.
+    #[schema(minimum = 0.0, maximum = 10000.0)]
+    pub lease_ms: f64,
+    /// Why the daemon cannot write the session record, or which entries it has found missing; null if all is well, or it keeps none.
+    pub logbook_problem: Option<String>,
+    /// Entries that the session record lost since the daemon started: the disk or the queue was full, or somebody removed them.
+    pub logbook_lost: u64,
+}
+
 /// How the daemon and its device stand.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 #[schema(examples(json!({
-    "state": "armed", "cause": "request", "armed": {"by": "ada (uid 1000, pid 4711)", "silence_s": 10.0, "left_s": 7.4}, "estops": 0, "estop_off_ms": null, "position": "known",
-    "standing": null,
+    "state": "armed", "cause": "request", "position": "known",
+    "armed": {"by": "ada (uid 1000, pid 4711)", "silence_s": 10.0, "left_s": 7.4}, "standing": null,
+    "estop": {"orders": 0, "off_ms": null},
     "device": {
         "kind": "mock", "firmware": "0.1.0", "build": "6d656973", "boot": 305419896, "simulated": true, "telemetry": true, "trigger_input": true
     },
-    "array": "tula35-6x4",
-    "device_identity": "seed 0, gain_sd 0.1, asymmetry_sd 0.02, transient_gain 0.8, end_stop_um 500",
-    "wanted": "mock", "missing": null,
-    "play": {"id": 7, "pattern": "edge-45", "played_s": 0.52},
-    "queued": [{"id": 8, "pattern": "pin-60", "waits_for_edge": false}], "last_play": 8, "last_rendering": null,
-    "tick": 6442450944_u64, "clock_uncertainty_us": 9.6,
+    "link": {
+        "wanted": "mock", "missing": null,
+        "identity": "seed 0, gain_sd 0.1, asymmetry_sd 0.02, transient_gain 0.8, end_stop_um 500",
+        "bytes_per_s": 1000000, "contradictions": 0,
+        "board": {
+            "reset": "power", "uptime_s": 5400, "slack_ticks": 26, "stalls": 0, "usb_recoveries": 0, "output_faults": 0,
+            "high_at_boot": []
+        }
+    },
+    "play": {"id": 7, "name": "edge-45", "played_s": 0.52},
+    "queued": [{"id": 8, "name": "pin-60", "waits_for_edge": false}], "newest": {"play": 8, "rendering": null},
     "clock": {
         "tick": 6442450944_u64, "tick_hz": 85000, "monotonic_ns": 75793540741176_u64, "wall_ns": 1767225600000000000_u64,
         "uncertainty_us": 9.6
-    },
-    "lead_ms": 100.0, "lease_ms": 300.0,
-    "line_bytes_per_s": 1000000,
-    "drift_limit_um": 150.0, "contradictions": 0,
-    "board": {
-        "reset": "power", "uptime_s": 5400, "slack_ticks": 26, "stalls": 0, "usb_recoveries": 0, "output_faults": 0,
-        "high_at_boot": []
     },
     "motors": [{
         "rest_error_um": 0.4, "source": "telemetry", "calibrated": false, "sensor_fault": null,
         "now": {"height_um": 31.0, "swing_um": 62.0, "hz": 60.0}
     }],
-    "calibrated": null,
-    "session": null, "role": "operate",
+    "session": null,
     "participant": {
         "participant": null, "max_amplitude_um": 400.0, "max_continuous_s": 600.0, "pause_s": 10.0,
         "continuous_used_s": 12.5, "continuous_left_s": 587.5, "max_session_s": 3600.0,
         "session_used_s": null, "session_left_s": null, "max_day_s": 7200.0, "day_used_s": 900.0, "day_left_s": 6300.0
     },
-    "realtime": {"fifo": true, "mlock": true}, "logbook_problem": null, "logbook_lost": 0,
-    "socket": "/run/meissner/meissner.sock", "network": null, "version": "0.1.0", "pid": 1234
+    "daemon": {
+        "version": "0.1.0", "pid": 1234, "socket": "/run/meissner/meissner.sock", "network": null, "role": "operate",
+        "realtime": {"fifo": true, "mlock": true}, "array": "tula35-6x4", "calibrated": null, "drift_limit_um": 150.0,
+        "lead_ms": 100.0, "lease_ms": 300.0, "logbook_problem": null, "logbook_lost": 0
+    }
 })))]
 pub struct Status {
     /// `disarmed`, `armed`, `returning` (pins return to rest), `faulted` or `no-device`.
@@ -270,87 +339,41 @@ pub struct Status {
     /// Why the device is in this state: `boot`, `request`, `stop`, `shutdown`, `abort`, `estop`, `lease` (the host watchdog
     /// ran out), `link-lost`, `new-host`, `starved`, `panic`, `watchdog`, `output` (PIO or DMA failed) or `no-device`.
     pub cause: String,
-    /// For whom the motors are armed, and until when without a sign of life; null while they are not armed.
-    pub armed: Option<ArmedStatus>,
-    /// Emergency stops that were ordered since the daemon began.
-    pub estops: u64,
-    /// By when the device had confirmed the last emergency stop, ms after its order: all lines were off by then. Null: it has confirmed none.
-    pub estop_off_ms: Option<f64>,
     /// Whether the device knows where its pins are: `known` or `unknown`.
     pub position: String,
+    /// For whom the motors are armed, and until when without a sign of life; null while they are not armed.
+    pub armed: Option<ArmedStatus>,
     /// Pins that stand above rest while nothing drives them; null: none that the daemon knows of.
     pub standing: Option<StandingPins>,
+    /// The emergency stops.
+    pub estop: EStopStatus,
     /// The connected device; null without one.
     pub device: Option<DeviceInfo>,
-    /// The array that the daemon drives, as `GET /v1/array` shows it.
-    pub array: String,
-    /// Which device a calibration belongs to: a board's serial number, or a simulated array's seed and settings; empty before
-    /// a device is opened.
-    pub device_identity: String,
-    /// The device the daemon looks for, as `--device` names it.
-    #[serde(rename = "wanted")]
-    pub requested_device: String,
-    /// Why no device is connected, and what to do; null if one is connected or the daemon has not looked yet.
-    #[serde(rename = "missing")]
-    pub no_device_reason: Option<String>,
+    /// The way to the device.
+    pub link: LinkStatus,
     /// The running play; null without one.
     pub play: Option<RunningPlay>,
     /// The plays that wait, in their order.
     pub queued: Vec<QueuedPlay>,
-    /// The number of the newest play, which may be queued, running or over; null before the first.
-    pub last_play: Option<u64>,
-    /// The number of the newest rendering; null before the first.
-    pub last_rendering: Option<u64>,
-    /// The device's clock now, ticks since the device's start; null without a device.
-    pub tick: Option<u64>,
-    /// Uncertainty of `tick`, µs; null without a device.
-    pub clock_uncertainty_us: Option<f64>,
-    /// The clocks of device and host at the instant of `tick`; null without a device.
+    /// The newest play and rendering.
+    pub newest: Newest,
+    /// The clocks of device and host at one instant; null without a device.
     pub clock: Option<ClockSample>,
-    /// How far ahead the daemon sends strokes, ms: the configured lead; during a play the lead that is reached.
-    pub lead_ms: f64,
-    /// Host watchdog timeout, ms: the device stops when the daemon is silent for longer.
-    #[schema(minimum = 0.0, maximum = 10000.0)]
-    pub lease_ms: f64,
-    /// Measured capacity of the line to the device, bytes/s; null until it is measured.
-    pub line_bytes_per_s: Option<u32>,
-    /// Undamaged messages from the device that cannot be true, since it was connected. 0 from a sound device.
-    pub contradictions: u64,
-    /// The device's counters; null until it has reported them.
-    pub board: Option<BoardStatus>,
-    /// Estimate by dead reckoning above which no play drives a pin, µm (configuration key `drift_limit_um`).
-    pub drift_limit_um: f32,
     /// The motors, by number; empty until a device has connected.
     #[schema(max_items = 64)]
     pub motors: Vec<MotorStatus>,
-    /// When the calibration in use was measured, UTC; null if none is used.
-    pub calibrated: Option<String>,
     /// The running session; null without one.
     pub session: Option<Session>,
-    /// What the client that asks may do: `operate` or `observe`, by the role of the access token that it shows.
-    pub role: Role,
     /// The participant's limits, and what is used and left.
     pub participant: ParticipantStatus,
-    /// The daemon's real-time rights.
-    pub realtime: Realtime,
-    /// Why the daemon cannot write the session record, or which entries it has found missing; null if all is well, or it keeps none.
-    pub logbook_problem: Option<String>,
-    /// Entries that the session record lost since the daemon started: the disk or the queue was full, or somebody removed them.
-    pub logbook_lost: u64,
-    /// The socket the daemon listens on.
-    pub socket: String,
-    /// Who can reach the daemon over the network; null: nothing listens there.
-    pub network: Option<NetworkStatus>,
-    /// The daemon's version.
-    pub version: String,
-    /// The daemon's process id.
-    pub pid: u32,
+    /// The daemon, and what it is set to.
+    pub daemon: DaemonStatus,
 }
 
 impl Status {
     /// Whether a device has completed the handshake; before that the daemon takes no commands for it.
     #[must_use]
     pub fn is_connected(&self) -> bool {
-        self.device.is_some() && self.state != NO_DEVICE && self.tick.is_some()
+        self.device.is_some() && self.state != NO_DEVICE && self.clock.is_some()
     }
 }
