@@ -13,7 +13,6 @@ import meissner
 from meissner import _exports, bids, errors
 from meissner._labels import Labels, exact
 
-
 SHA256 = 64 * "0"
 
 
