@@ -22,7 +22,7 @@ fn each_shipped_array_plays_its_own_patterns_and_refuses_those_of_others() {
         assert_eq!((details.name.as_str(), details.positions_mm.len()), (name, array.motors()));
         assert_eq!((details.tick_hz, details.hash), (array.rate().hz(), format!("{:016x}", array.hash())));
         let status: Status = client.get("/v1/status").unwrap();
-        assert_eq!((status.array.as_str(), status.motors.len()), (name, array.motors()));
+        assert_eq!((status.daemon.array.as_str(), status.motors.len()), (name, array.motors()));
         let mut events = client.events().unwrap();
         let play = json!({"pattern": "all-in-phase", "seconds": 0.2});
         if array != Array::paper() {
@@ -51,7 +51,7 @@ fn each_shipped_array_plays_its_own_patterns_and_refuses_those_of_others() {
         let _: Value = client.post("/v1/play", &json!({"pattern": "own"})).unwrap();
         let receipt = ended(&mut events);
         assert_eq!(
-            (&*receipt.array, receipt.tick_hz, receipt.bursts.unwrap().played),
+            (&*receipt.device.array, receipt.device.tick_hz, receipt.counts.bursts.unwrap().played),
             (name, details.tick_hz, 24)
         );
         let live = json!({"drives": [{"motor": last + 1, "frequency_hz": 60.0, "amplitude_um": 10.0}]});
@@ -97,5 +97,8 @@ fn an_array_of_ones_own_takes_a_file_and_no_code() {
     assert!(text.lines().any(|line| line.starts_with("lab-edge ") && line.contains(" lab-3x2 ")), "{text}");
     let _: Value = client.post("/v1/play", &json!({"pattern": "lab-edge", "seconds": 0.2})).unwrap();
     let receipt = ended(&mut events);
-    assert_eq!((receipt.array.as_str(), receipt.tick_hz, receipt.state.name()), ("lab-3x2", 70_000, "done"));
+    assert_eq!(
+        (receipt.device.array.as_str(), receipt.device.tick_hz, receipt.state.name()),
+        ("lab-3x2", 70_000, "done")
+    );
 }

@@ -116,7 +116,7 @@ fn a_daemon_without_a_device_says_which_one_it_wants() {
     daemon.wait_for_log(&format!("{missing}; looking every 0.25 s"));
     let status: Status = daemon.client().get("/v1/status").unwrap();
     assert_eq!(
-        (status.requested_device.as_str(), status.no_device_reason.as_deref()),
+        (status.link.wanted.as_str(), status.link.missing.as_deref()),
         ("serial:/nonexistent/tty", Some(missing))
     );
     let text = printed(daemon.meissner().arg("status"));

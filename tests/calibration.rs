@@ -35,7 +35,7 @@ fn a_calibration_is_played_fitted_stored_and_used() {
     assert_eq!(refusal(client.post("/v1/calibrate", &quick(4))), ("playing".into(), 409));
     assert_eq!(outcome(&mut events), (vec![3], None));
     let receipt: Value = client.get(&format!("/v1/plays/{id}")).unwrap();
-    assert_eq!((&receipt["pattern"], &receipt["state"]), (&"calibration".into(), &"done".into()));
+    assert_eq!((&receipt["name"], &receipt["state"]), (&"calibration".into(), &"done".into()));
     let report: Value = client.get("/v1/calibration").unwrap();
     assert_eq!((&report["used"], &report["motors"][0]["motor"]), (&true.into(), &3.into()));
     // The true asymmetry of simulated motor 3, seed 0.
@@ -66,7 +66,10 @@ fn a_calibration_is_played_fitted_stored_and_used() {
     let log = other.log();
     assert!(log.contains("belongs to another device: not used; run `meissner calibrate`"), "{log}");
     let status: Value = other.client().get("/v1/status").unwrap();
-    assert!(status["calibrated"].is_null() && status["motors"][3]["calibrated"] == false, "{status}");
+    assert!(
+        status["daemon"]["calibrated"].is_null() && status["motors"][3]["calibrated"] == false,
+        "{status}"
+    );
     // A calibration of the other array does not destroy that of the first.
     let mut client = other.armed();
     let mut events = client.events().unwrap();
@@ -122,7 +125,7 @@ fn a_device_without_telemetry_plays_a_plan_for_a_laser_and_takes_its_gains() {
     assert!(text.contains("60 of motor 5 in 8 s, all played") && text.contains("`meissner.laser`"), "{text}");
     let plan: Value = serde_json::from_str(&fs::read_to_string(daemon.path("plan.json")).unwrap()).unwrap();
     let status: Value = daemon.client().get("/v1/status").unwrap();
-    assert_eq!((&plan["identity"], &plan["motor"]), (&status["device_identity"], &5.into()));
+    assert_eq!((&plan["identity"], &plan["motor"]), (&status["link"]["identity"], &5.into()));
     let receipt: Value = daemon.client().get("/v1/plays/last").unwrap();
     assert!(plan["bursts"][0]["tick"].as_u64() >= receipt["onset"]["actual_tick"].as_u64(), "{receipt}");
 

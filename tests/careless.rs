@@ -96,7 +96,7 @@ fn a_flood_of_refusals_is_bounded_in_the_log_and_counted() {
         }
     }
     // The command repeats an e-stop that is not answered in time.
-    let estops = client.get::<Status>("/v1/status").unwrap().estops;
+    let estops = client.get::<Status>("/v1/status").unwrap().estop.orders;
     let log = daemon.wait_for_log("lines of the log were left out");
     let lines =
         |what: &str| log.lines().filter(|line| line.contains(what) && !line.contains("left out")).count();

@@ -213,7 +213,10 @@ fn without_a_daemon_both_places_are_named() {
     // An e-stop goes to both places, and prints the answer of the one that has a daemon.
     assert!(printed(&mut run(&["estop"])).starts_with("faulted (estop)"));
     let status = document(&mut run(&["status", "--json"]));
-    assert_eq!((&status["state"], status["socket"].as_str()), (&json!("faulted"), daemon.socket().to_str()));
+    assert_eq!(
+        (&status["state"], status["daemon"]["socket"].as_str()),
+        (&json!("faulted"), daemon.socket().to_str())
+    );
     drop(daemon);
     assert!(service || complaint(&mut run(&["estop"])).contains("nor at /run/meissner/meissner.sock: "));
 }

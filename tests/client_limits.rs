@@ -144,7 +144,7 @@ fn another_terminal_resets_an_emergency_stop_by_force_alone() {
     let _: Status = client.post("/v1/estop", &json!({})).unwrap();
     assert_eq!(refusal(client.post("/v1/reset", &json!({}))), ("recent-estop".into(), 409));
     // A person decides about the stops so far; another terminal stops meanwhile.
-    let seen = client.get::<Status>("/v1/status").unwrap().estops;
+    let seen = client.get::<Status>("/v1/status").unwrap().estop.orders;
     assert_eq!(seen, 4);
     other("estop");
     let late = json!({"force": true, "estops_seen": seen});
@@ -367,7 +367,7 @@ fn an_emergency_stop_counts_behind_requests_that_wait() {
         stream.write_all(ESTOP).unwrap();
         let answer = read.join().unwrap();
         let status: Status = client.get("/v1/status").unwrap();
-        assert_eq!((status.state.as_str(), status.estops), ("faulted", 1), "once");
+        assert_eq!((status.state.as_str(), status.estop.orders), ("faulted", 1), "once");
         assert_eq!(answer.matches("HTTP/1.1 ").count(), answers, "{answer}");
         let waited = answer.split("HTTP/1.1 ").nth(1).unwrap();
         let receipt: Value = serde_json::from_str(waited.split("\r\n\r\n").nth(1).unwrap()).unwrap();

@@ -36,7 +36,7 @@ fn played_after_an_edge(client: &mut Client, events: &mut Events) -> (EdgeRecord
         let (edge, of, effect) = edge(events);
         assert_eq!((of, effect), (Some(id), EdgeEffect::Start));
         let receipt = ended(events);
-        assert_eq!(receipt.start_edge, Some(edge));
+        assert_eq!(receipt.edges.start, Some(edge));
         if receipt.state == PlayState::Done {
             return (edge, receipt);
         }
@@ -70,8 +70,8 @@ fn a_play_waits_for_an_edge_and_the_record_has_both() {
     let id = session["id"].as_str().unwrap();
     let exported = document(daemon.meissner().args(["session", "export", id, "--json"]));
     let last = exported["plays"].as_array().unwrap().last().unwrap();
-    assert_eq!(last["start_edge"], serde_json::to_value(edge).unwrap());
-    assert_eq!(last["stop_edge"], Value::Null);
+    assert_eq!(last["edges"]["start"], serde_json::to_value(edge).unwrap());
+    assert_eq!(last["edges"]["stop"], Value::Null);
     let csv = printed(daemon.meissner().args(["session", "export", id]));
     let [names, row] = [0, exported["plays"].as_array().unwrap().len()]
         .map(|line| csv.lines().nth(line).unwrap().split(',').collect::<Vec<_>>());
@@ -93,7 +93,7 @@ fn an_edge_stops_a_play_and_clears_the_queue() {
     assert_eq!((of, effect), (Some(id), EdgeEffect::Stop));
     let stopped = ended(&mut events);
     assert_eq!((stopped.id, stopped.state, stopped.cause), (id, PlayState::Stopped, Some(EndCause::Edge)));
-    assert_eq!((stopped.start_edge, stopped.stop_edge), (None, Some(edge)));
+    assert_eq!((stopped.edges.start, stopped.edges.stop), (None, Some(edge)));
     let queued = ended(&mut events);
     assert_eq!((queued.id, queued.cause, queued.onset), (waits, Some(EndCause::Stop), None));
     assert_eq!(client.get::<Status>("/v1/status").unwrap().state, "armed");

@@ -35,17 +35,17 @@ fn an_export_has_one_row_per_play() {
     let rows: Vec<_> = table.records().map(Result::unwrap).collect();
     assert_eq!(rows.len(), receipts.len(), "{text}");
     for (row, receipt) in rows.iter().zip(&receipts) {
-        let (onset, bursts) = (receipt.onset.unwrap(), receipt.bursts.unwrap());
-        let label = receipt.labels.get("condition").map(|label| format!("condition={label}"));
+        let (onset, bursts) = (receipt.onset.unwrap(), receipt.counts.bursts.unwrap());
+        let label = receipt.order.terms.labels.get("condition").map(|label| format!("condition={label}"));
         for (column, value) in [
             ("session", started.id.clone()),
             ("participant", "P07".into()),
             ("seed", "7".into()),
             ("session_labels", "block=2".into()),
             ("play", receipt.id.to_string()),
-            ("trial", receipt.trial.map_or_else(String::new, |trial| trial.to_string())),
+            ("trial", receipt.order.terms.trial.map_or_else(String::new, |trial| trial.to_string())),
             ("labels", label.unwrap_or_default()),
-            ("pattern_sha256", receipt.pattern_sha256.clone()),
+            ("pattern_sha256", receipt.sha256.clone()),
             ("onset_tick", onset.actual_tick.to_string()),
             ("onset_monotonic_ns", onset.monotonic_ns.to_string()),
             ("bursts_planned", bursts.planned.to_string()),
@@ -152,8 +152,8 @@ fn an_export_has_a_row_for_each_item_of_a_sequence() {
     let _: Value = client.post("/v1/play", &sequence).unwrap();
     let mut told = Vec::new();
     let receipt = next_ended(&mut events, |event| {
-        if let Event::Items { first, items, session, .. } = event {
-            assert_eq!((first, session.as_deref()), (told.len(), Some(&*started.id)));
+        if let Event::Items { items, session, .. } = event {
+            assert_eq!((items[0].item, session.as_deref()), (told.len() as u64, Some(&*started.id)));
             told.extend(items);
         }
     });
@@ -201,12 +201,11 @@ fn an_export_has_a_row_for_each_item_of_a_sequence() {
         assert!((wall - first - 30_000_000 * number as i64).abs() < 1_000_000);
     }
     let exported = document(daemon.meissner().args(["session", "export", &started.id, "--json"]));
-    assert_eq!(
-        (&exported["plays"][0]["items"], &exported["plays"][0]["pattern"]),
-        (&json!(40), &json!("taps"))
-    );
+    let play = &exported["plays"][0];
+    let receipt = &play["receipt"];
+    assert_eq!((receipt["items"].as_array().unwrap().len(), &receipt["name"]), (40, &json!("taps")));
     // The boot from the mock's handshake.
-    assert!(exported["plays"][1]["boot"].is_u64() && exported["plays"][1]["pattern_kept"] == true);
+    assert!(receipt["device"]["boot"].is_u64() && play["patterns_kept"] == true);
 }
 
 /// The next receipt; `see` gets the events before it.

@@ -86,11 +86,11 @@ fn updates_over_the_socket_are_applied_and_counted() {
     let live = receipt.live.unwrap();
     assert_eq!((receipt.id, live.updates, live.applied, live.merged), (accepted.id, 52, 52, 0));
     assert!(live.first_motor.unwrap().longest_ms >= live.decided.unwrap().longest_ms);
-    assert_eq!(receipt.labels["what"], "knob");
-    assert_eq!((receipt.pattern.as_str(), receipt.bursts.unwrap().late), ("live", 0));
+    assert_eq!(receipt.order.terms.labels["what"], "knob");
+    assert_eq!((receipt.name.as_str(), receipt.counts.bursts.unwrap().late), ("live", 0));
     let receipt: Value = client.get(&format!("/v1/plays/{}", accepted.id)).unwrap();
     assert_accounts(&receipt);
-    assert!(receipt["bursts"]["replaced"].as_u64().unwrap() > 100);
+    assert!(receipt["counts"]["bursts"]["replaced"].as_u64().unwrap() > 100);
     assert_eq!(client.get::<Status>("/v1/status").unwrap().state, "armed");
 }
 
@@ -122,8 +122,8 @@ fn pins_follow_levels_and_are_at_rest_when_the_client_ends() {
     lines.send(&json!({"seq": 5, "end": true}));
     assert_eq!(lines.answer().ended.as_ref().map(EndCause::text), Some("stop"));
     let receipt = ended(&mut events);
-    let pins: Vec<u8> = receipt.pins.unwrap().iter().map(|pin| pin.motor).collect();
-    assert_eq!((pins, receipt.bursts.unwrap().late), (vec![9, 10, 11], 0));
+    let pins: Vec<u8> = receipt.pins.unwrap().moved.iter().map(|pin| pin.motor).collect();
+    assert_eq!((pins, receipt.counts.bursts.unwrap().late), (vec![9, 10, 11], 0));
     // A play that was not started for levels takes none.
     let accepted = start(&daemon, json!({"drives": [drive(9, 80.0)]}));
     let mut lines = Updates::open(&daemon, &accepted.path);
@@ -162,8 +162,8 @@ fn pins_follow_an_object() {
     lines.send(&json!({"seq": 6, "end": true}));
     assert_eq!(lines.answer().ended.as_ref().map(EndCause::text), Some("stop"));
     let receipt = ended(&mut events);
-    assert_eq!((receipt.bursts.unwrap().late, receipt.live.unwrap().updates), (0, 5));
-    assert!(receipt.pins.unwrap().len() > 3);
+    assert_eq!((receipt.counts.bursts.unwrap().late, receipt.live.unwrap().updates), (0, 5));
+    assert!(receipt.pins.unwrap().moved.len() > 3);
 }
 
 #[test]
@@ -276,7 +276,7 @@ fn updates_come_over_tcp() {
     let daemon = Daemon::with("mock", &format!("{PATIENT}listen = \"127.0.0.1:0\"\n"));
     daemon.armed();
     let mut events = daemon.client().events().unwrap();
-    let address = daemon.client().get::<Status>("/v1/status").unwrap().network.unwrap().address;
+    let address = daemon.client().get::<Status>("/v1/status").unwrap().daemon.network.unwrap().address;
     let accepted = start(&daemon, json!({"drives": [drive(9, 80.0)]}));
     let stream = TcpStream::connect(&address).unwrap();
     stream.set_read_timeout(Some(TIMEOUT)).unwrap();
@@ -335,7 +335,7 @@ fn a_flood_of_messages_keeps_nobody_waiting() {
     while lines.answer().ended.is_none() {}
     let receipt = ended(&mut events);
     assert!(applied > 0 && applied + merged + busy <= 5_000, "{applied} {merged} {busy}");
-    assert_eq!(receipt.bursts.unwrap().late, 0);
+    assert_eq!(receipt.counts.bursts.unwrap().late, 0);
 }
 
 #[test]

@@ -16,7 +16,7 @@ const SMALL_KB: usize = 64 << 10;
 /// The most memory that the daemon has had, kB.
 fn peak_kb(daemon: &Daemon) -> usize {
     let status: Value = daemon.client().get("/v1/status").unwrap();
-    peak_of(&status["pid"])
+    peak_of(&status["daemon"]["pid"])
 }
 
 fn peak_of(pid: &Value) -> usize {
@@ -89,7 +89,7 @@ fn a_full_queue_of_the_longest_pattern_takes_little_memory() {
 fn the_bodies_of_64_clients_do_not_pile_up() {
     let daemon = Daemon::start();
     let status: Value = daemon.client().get("/v1/status").unwrap();
-    let before = peak_of(&status["pid"]);
+    let before = peak_of(&status["daemon"]["pid"]);
     let request = "PUT /v1/patterns/x HTTP/1.1\r\nhost: x\r\ncontent-length: 1048576\r\n\r\n";
     let request = format!("{request}{}", "#".repeat((1 << 20) - 1));
     let uploads: Vec<_> = (0..MAX_CLIENTS)
@@ -114,7 +114,7 @@ fn the_bodies_of_64_clients_do_not_pile_up() {
         thread::sleep(Duration::from_millis(5));
     }
     assert_eq!(whole(&sent), 4, "{sent:?}");
-    let added = peak_of(&status["pid"]) - before;
+    let added = peak_of(&status["daemon"]["pid"]) - before;
     assert!(added < SMALL_KB, "{added} kB");
 }
 

@@ -18,7 +18,7 @@ fn listening(more: &str) -> Daemon {
 
 fn address(daemon: &Daemon) -> String {
     let status: Status = daemon.client().get("/v1/status").unwrap();
-    status.network.unwrap().address
+    status.daemon.network.unwrap().address
 }
 
 fn connect(address: &str) -> TcpStream {
@@ -85,14 +85,14 @@ fn without_the_key_nothing_listens() {
     for (daemon, listeners) in [(&daemon, 0), (&listens, 1)] {
         let status: Status = daemon.client().get("/v1/status").unwrap();
         assert_eq!(
-            (tcp_listeners(status.pid), usize::from(status.network.is_some())),
+            (tcp_listeners(status.daemon.pid), usize::from(status.daemon.network.is_some())),
             (listeners, listeners)
         );
     }
     // With a port that is taken the socket works.
     let second = Daemon::with("mock", &format!("{PATIENT}listen = \"{}\"\n", address(&listens)));
     let status: Status = second.client().get("/v1/status").unwrap();
-    let problem = status.network.unwrap().problem.unwrap();
+    let problem = status.daemon.network.unwrap().problem.unwrap();
     assert!(problem.contains("in use") && problem.contains("choose an address of this machine"), "{problem}");
 }
 
@@ -155,9 +155,9 @@ fn a_page_of_another_site_moves_and_reads_nothing() {
     assert_answers(&ask(&address, "GET /v1/patterns/..%2f..%2fetc%2fpasswd", ""), 404, "not-found");
     assert_answers(&ask(&address, "GET /v1/patterns/x%0d%0aset-cookie:%20a=b", ""), 404, "not-found");
     let status: Status = daemon.client().get("/v1/status").unwrap();
-    assert_eq!((status.state.as_str(), status.estops), ("armed", 0));
+    assert_eq!((status.state.as_str(), status.estop.orders), ("armed", 0));
     // Both requests with two hosts count; the gate does not see the broken one.
-    assert_eq!(status.network.unwrap().denied as usize, 2 * lines.len() + 2 + 1);
+    assert_eq!(status.daemon.network.unwrap().denied as usize, 2 * lines.len() + 2 + 1);
 }
 
 #[test]
@@ -206,7 +206,7 @@ fn a_token_is_needed_where_the_configuration_says_so() {
     for (token, estops) in [(&observe, 1), (&operate, 2)] {
         assert_answers(&ask(&address, "POST /v1/estop", &bearer(token)), 200, "");
         let status: Status = daemon.client().get("/v1/status").unwrap();
-        assert_eq!((status.state.as_str(), status.estops), ("faulted", estops));
+        assert_eq!((status.state.as_str(), status.estop.orders), ("faulted", estops));
         let id = &token.info.id;
         wait_until(|| daemon.log().contains(&format!("estop by 127.0.0.1 (token {id}): done")));
     }
@@ -329,7 +329,7 @@ fn clients_of_the_network_leave_places_to_those_of_the_socket_and_to_emergency_s
     });
     result.unwrap();
     drop((silent, slow));
-    assert_eq!(daemon.client().get::<Status>("/v1/status").unwrap().estops, 50);
+    assert_eq!(daemon.client().get::<Status>("/v1/status").unwrap().estop.orders, 50);
 }
 
 #[test]
@@ -374,7 +374,7 @@ fn an_emergency_stop_behind_a_waiting_request_needs_the_right_as_any_other() {
         let mut answer = String::new();
         stream.read_to_string(&mut answer).unwrap();
         assert_eq!(answer.matches("HTTP/1.1 ").count(), 2, "{answer}");
-        assert_eq!(client.get::<Status>("/v1/status").unwrap().estops, estops, "{answer}");
+        assert_eq!(client.get::<Status>("/v1/status").unwrap().estop.orders, estops, "{answer}");
         assert_eq!(answer.contains("\"cause\":\"estop\""), estops > 0, "the wait ends by it: {answer}");
     }
 }
@@ -435,7 +435,7 @@ fn the_page_loads_without_a_token_and_the_status_says_the_role() {
     }
     for role in ["observe", "operate"] {
         let (_, _, status) = unpacked(&address, "GET /v1/status", &bearer(&create(&daemon, role)));
-        assert_eq!(serde_json::from_slice::<Value>(&status).unwrap()["role"], role);
+        assert_eq!(serde_json::from_slice::<Value>(&status).unwrap()["daemon"]["role"], role);
     }
-    assert_eq!(daemon.client().get::<Value>("/v1/status").unwrap()["role"], "operate");
+    assert_eq!(daemon.client().get::<Value>("/v1/status").unwrap()["daemon"]["role"], "operate");
 }

@@ -195,7 +195,7 @@ fn survives(daemon: &mut Daemon, why: &str) {
     assert_eq!(receipt["state"], "done", "{receipt}");
     let status: Value = client.get("/v1/status").unwrap();
     assert!(
-        status["logbook_problem"].as_str().is_some_and(|says| says.contains("cannot be written")),
+        status["daemon"]["logbook_problem"].as_str().is_some_and(|says| says.contains("cannot be written")),
         "{status}"
     );
     let refused = problem(client.put::<Value>("/v1/patterns/mine?replace=true", text("mine", 2, 5000)));
@@ -272,7 +272,7 @@ fn the_session_record_tells_a_session_from_start_to_end() {
     assert_eq!((names[0], names[names.len() - 1]), ("daemon-started", "daemon-ended"), "{names:?}");
     let of = |event: &str| lines.iter().position(|line| line["event"] == event).unwrap();
     assert!(of("connected") < of("queued") && of("queued") < of("began") && of("began") < of("ended"));
-    assert_eq!(lines[of("ended")]["receipt"]["bursts"], receipt["bursts"]);
+    assert_eq!(lines[of("ended")]["receipt"]["counts"]["bursts"], receipt["counts"]["bursts"]);
     let (pid, uid) = (std::process::id(), rustix::process::getuid().as_raw());
     let mut commands = lines.iter().filter(|line| line["event"] == "command");
     for (command, answer) in [("arm", "ok"), ("play", "ok"), ("play", "not-found"), ("stop", "bad-request")] {

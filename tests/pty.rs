@@ -162,7 +162,7 @@ fn a_board_that_is_plugged_in_again_is_found_and_disarmed() {
     until(&|status| !status.is_connected());
     let receipt: Receipt = daemon.client().get("/v1/plays/last").unwrap();
     assert_eq!(receipt.cause.as_ref(), Some(&EndCause::Unplugged));
-    let bursts = receipt.bursts.unwrap();
+    let bursts = receipt.counts.bursts.unwrap();
     assert_eq!(bursts.planned, bursts.played + bursts.late + bursts.dropped + bursts.refused);
 
     let second = board();
@@ -222,7 +222,7 @@ fn two_boards_that_swap_places_are_disarmed() {
         });
         let receipt: Receipt = daemon.client().get("/v1/plays/last").unwrap();
         assert!(receipt.cause.is_some(), "{receipt:?}");
-        let bursts = receipt.bursts.unwrap();
+        let bursts = receipt.counts.bursts.unwrap();
         assert_eq!(bursts.planned, bursts.played + bursts.late + bursts.dropped + bursts.refused);
     }
     let logs = daemons.map(|daemon| daemon.log());

@@ -49,8 +49,8 @@ fn a_play_that_needs_too_many_motors_at_once_is_refused_with_numbers() {
     printed(daemon.meissner().args(["play", "apart", "--seconds", "0.5", "--wait"]));
     let receipt: Value = client.get("/v1/plays/last").unwrap();
     assert_eq!(receipt["id"], 1, "no play was accepted before: {receipt}");
-    assert_eq!(receipt["bursts"]["refused"], 0, "{receipt}");
-    assert_eq!(receipt["bursts"]["played"], receipt["bursts"]["planned"], "{receipt}");
+    assert_eq!(receipt["counts"]["bursts"]["refused"], 0, "{receipt}");
+    assert_eq!(receipt["counts"]["bursts"]["played"], receipt["counts"]["bursts"]["planned"], "{receipt}");
 }
 
 #[test]

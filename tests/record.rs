@@ -43,11 +43,14 @@ fn a_session_on_a_full_disk_is_told_at_once_and_after_a_restart() {
     let _: SessionList = client.get("/v1/sessions").unwrap();
     let status: Status = client.get("/v1/status").unwrap();
     let running = status.session.unwrap();
-    assert!(status.logbook_lost > 4 && running.plays_lost == 4 && running.lost > 4, "{running:?}");
+    assert!(
+        status.daemon.logbook_lost > 4 && running.lost.plays == 4 && running.lost.entries > 4,
+        "{running:?}"
+    );
     let told = printed(daemon.meissner().arg("status"));
     assert!(told.contains("entries are lost"), "{told}");
     let over = end(&mut client);
-    assert_eq!((over.plays, over.plays_lost, over.reason.as_deref()), (4, 4, Some("request")));
+    assert_eq!((over.plays, over.lost.plays, over.reason.as_deref()), (4, 4, Some("request")));
     let refused = |daemon: &Daemon, id: &str| complaint(daemon.meissner().args(["session", "export", id]));
     let check = |daemon: &Daemon| {
         let shown = printed(daemon.meissner().args(["session", "show", &second.id]));
@@ -114,7 +117,7 @@ fn status(client: &mut Client) -> Status {
 }
 
 fn warnings(client: &mut Client) -> String {
-    client.get::<Receipt>("/v1/plays/last").unwrap().warnings.join("; ")
+    client.get::<Receipt>("/v1/plays/last").unwrap().reach.warnings.join("; ")
 }
 
 /// Something that happens to the record's directory, or to the file of the day.
@@ -174,7 +177,7 @@ fn no_session_starts_while_its_start_cannot_be_recorded() {
         repair(&daemon, folder, &day);
         wait_until(|| start(&mut client).is_ok());
         let over = end(&mut client);
-        assert_eq!((over.lost, over.plays_lost), (0, 0));
+        assert!(!over.lost.any());
         let list: SessionList = client.get("/v1/sessions").unwrap();
         assert_eq!(list.sessions.len(), before + 1, "{list:?}");
     }
@@ -209,10 +212,15 @@ fn an_answer_that_cannot_be_recorded_is_refused_and_everybody_is_told() {
         assert!(told.contains("cannot be written"), "{told}");
         assert!(warnings(&mut client).contains("the session record cannot be written"));
         let now = status(&mut client);
-        assert!(now.logbook_problem.is_some() && now.session.is_some_and(|session| session.lost >= 2));
+        assert!(
+            now.daemon.logbook_problem.is_some()
+                && now.session.is_some_and(|session| session.lost.entries >= 2)
+        );
         // A play meanwhile tells it, too.
         let _: Value = client.post("/v1/play", &json!({"pattern": "pin-60", "seconds": 0.05})).unwrap();
-        assert!(ended(&mut events).warnings.join("; ").contains("the session record cannot be written"));
+        assert!(
+            ended(&mut events).reach.warnings.join("; ").contains("the session record cannot be written")
+        );
         repair(&daemon, folder, &day);
         wait_until(|| answer(&mut client).is_ok());
         assert_eq!(problem(answer(&mut client)).code, "exists");
@@ -222,7 +230,7 @@ fn an_answer_that_cannot_be_recorded_is_refused_and_everybody_is_told() {
         });
         assert!(warnings(&mut client).contains("entries of this session"));
         let over = end(&mut client);
-        assert!(over.lost >= 2 && over.plays_lost == 1, "{over:?}");
+        assert!(over.lost.entries >= 2 && over.lost.plays == 1, "{over:?}");
         let (document, _) = exported(&daemon, &started.id);
         assert_eq!(document["plays"][0]["answer"]["response"], "left");
     }
@@ -249,7 +257,7 @@ fn acknowledged_answers_that_somebody_takes_away_are_told_without_a_further_entr
         let report: DoctorReport = daemon.client().get("/v1/doctor").unwrap();
         report.findings.iter().any(|finding| finding.what == "logbook" && finding.level == Level::Warn)
     };
-    let is_told = |status: &Status| status.logbook_problem.is_some() || status.logbook_lost > 0;
+    let is_told = |status: &Status| status.daemon.logbook_problem.is_some() || status.daemon.logbook_lost > 0;
     for (kind, (first, damage)) in kinds.into_iter().enumerate() {
         let mut daemon = Daemon::start();
         let (mut client, started) = owner(&daemon, "P07", false);
@@ -270,14 +278,14 @@ fn acknowledged_answers_that_somebody_takes_away_are_told_without_a_further_entr
         assert!(doctor(&daemon), "{kind} {first}");
         list(&daemon, 1);
         let now = status(&mut client);
-        assert!(now.session.as_ref().is_some_and(|session| session.lost > 0), "{kind} {first}: {now:?}");
-        assert!(end(&mut client).lost > 0, "{kind} {first}");
+        assert!(now.session.as_ref().is_some_and(|session| session.lost.any()), "{kind} {first}: {now:?}");
+        assert!(end(&mut client).lost.any(), "{kind} {first}");
         let line = complaint(daemon.meissner().args(["session", "export", &started.id]));
         assert!(line.contains("is not whole in the record"), "{kind} {first}: {line}");
         // The next daemon tells it, too.
         daemon.end();
         let daemon = daemon.again();
-        wait_until(|| status(&mut daemon.client()).logbook_problem.is_some());
+        wait_until(|| status(&mut daemon.client()).daemon.logbook_problem.is_some());
         assert!(doctor(&daemon), "{kind} {first}");
         list(&daemon, 1);
     }
@@ -309,12 +317,12 @@ fn sessions_that_vanish_with_their_file_are_told() {
     let whole = |daemon: &Daemon| {
         let (listed, warning) = list(daemon, 0);
         assert_eq!((listed.lines().count(), &*warning), (7, ""));
-        assert_eq!(status(&mut daemon.client()).logbook_problem, None);
+        assert_eq!(status(&mut daemon.client()).daemon.logbook_problem, None);
     };
     let told = |daemon: &Daemon, says: &str| {
         let (_, warning) = list(daemon, 1);
         assert!(warning.contains(says), "{says}: {warning}");
-        let problem = status(&mut daemon.client()).logbook_problem.unwrap();
+        let problem = status(&mut daemon.client()).daemon.logbook_problem.unwrap();
         assert!(problem.contains(says), "{says}: {problem}");
         let export = daemon.meissner().args(["session", "export", &ids[5]]).assert().success();
         let warning = String::from_utf8(export.get_output().stderr.clone()).unwrap();
@@ -345,7 +353,7 @@ fn sessions_that_vanish_with_their_file_are_told() {
     fs::write(&today, "").unwrap();
     daemon = daemon.again();
     let says = format!("entries {} to ", third + 1);
-    let problem = status(&mut daemon.client()).logbook_problem.unwrap();
+    let problem = status(&mut daemon.client()).daemon.logbook_problem.unwrap();
     assert!(problem.contains(&says), "{says}: {problem}");
     assert!(list(&daemon, 1).1.contains(&says));
 }

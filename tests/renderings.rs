@@ -80,7 +80,7 @@ fn long() -> Value {
 /// The processes that a daemon has started and that have not ended.
 fn children(daemon: &Daemon) -> Vec<i32> {
     let status: Status = daemon.client().get("/v1/status").unwrap();
-    let threads = fs::read_dir(format!("/proc/{}/task", status.pid)).unwrap();
+    let threads = fs::read_dir(format!("/proc/{}/task", status.daemon.pid)).unwrap();
     let of =
         |thread: std::io::Result<fs::DirEntry>| fs::read_to_string(thread.unwrap().path().join("children"));
     let all: String = threads.filter_map(|thread| of(thread).ok()).collect();
@@ -136,7 +136,7 @@ fn a_shipped_object_is_rendered_and_judged_as_by_the_commands_and_plays() {
     let _: Value = client
         .post_within(TIMEOUT, "/v1/play", &json!({"pattern": "rendering:1", "pattern_sha256": found.sha256}))
         .unwrap();
-    assert_eq!(ended(&mut events).pattern, "edge-45");
+    assert_eq!(ended(&mut events).name, "edge-45");
     let preview: PatternPreview =
         client.get_within(TIMEOUT, "/v1/patterns/rendering:1/preview?seconds=0.3").unwrap();
     let early = |trains: &[Vec<f64>]| -> Vec<Vec<f64>> {

@@ -22,7 +22,7 @@ fn listening(more: &str) -> Daemon {
 }
 
 fn address(daemon: &Daemon) -> String {
-    daemon.client().get::<Status>("/v1/status").unwrap().network.unwrap().address
+    daemon.client().get::<Status>("/v1/status").unwrap().daemon.network.unwrap().address
 }
 
 fn create(daemon: &Daemon, role: Role) -> TokenCreated {
@@ -606,7 +606,7 @@ fn a_stranger_on_the_socket_touches_neither_tokens_nor_edges_of_an_exclusive_ses
     let its_own = create(&daemon, Role::Operate);
     let mut events = daemon.client().events().unwrap();
     // Far ahead, and still within the time of the test.
-    let tick = |client: &mut Client| client.get::<Status>("/v1/status").unwrap().tick.unwrap();
+    let tick = |client: &mut Client| client.get::<Status>("/v1/status").unwrap().clock.unwrap().tick;
     let (planned, started) = loop {
         let planned = tick(&mut owner) + 85 * 3000;
         let _: Status = stranger.post("/v1/edge", &json!({"at_tick": planned})).unwrap();

@@ -127,7 +127,7 @@ fn table(user: Option<u32>) -> Result<(), Box<dyn Error>> {
     setrlimit(Resource::Rtprio, rtprio)?;
     let daemon = Process(daemon?);
     let status = wait_for_device(&place.socket)?;
-    let fifo = if status.realtime.fifo { "with" } else { "without" };
+    let fifo = if status.daemon.realtime.fifo { "with" } else { "without" };
     let who = user.map_or_else(|| "this user".to_owned(), |user| format!("uid {user}"));
     println!(
         "daemon of {who}, {fifo} SCHED_FIFO; {rounds} orders on the socket per load, a tenth of that in the other columns"

@@ -114,7 +114,7 @@ fn play_for_laser(request: &CalibrateRequest, out: &Path, options: &ClientOption
     let on = PlayedOn {
         device: device.kind.split(':').next().unwrap_or_default().to_owned(),
         firmware: format!("{} ({})", device.firmware, device.build),
-        identity: after.device_identity.clone(),
+        identity: after.link.identity.clone(),
         boot: device.boot,
         date: utc_now(),
     };

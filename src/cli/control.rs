@@ -123,7 +123,7 @@ pub(super) fn estop(options: &ClientOptions) -> Result<ExitCode> {
             Ok((is_confirmed, status)) => {
                 let state = match &status {
                     None => done(is_confirmed).to_owned(),
-                    Some(status) => match status.estop_off_ms.filter(|_| status.is_connected()) {
+                    Some(status) => match status.estop.off_ms.filter(|_| status.is_connected()) {
                         Some(ms) => {
                             format!("{}: lines off within {ms:.1} ms of the order", text::state(status))
                         }
@@ -168,9 +168,9 @@ pub(super) fn reset(options: &ClientOptions, force: bool, keep: bool) -> Result<
             if problem.code == Code::RecentEStop.parts().0 && io::stdin().is_terminal() =>
         {
             // The person's decision covers only the stops so far, not one that comes while they read.
-            let Status { estops, .. } = client.get("/v1/status")?;
+            let Status { estop, .. } = client.get("/v1/status")?;
             ask(&problem.detail, "Is it safe to reset? [yes/no] ", "not reset: find out why first")?;
-            client.post("/v1/reset", &ResetRequest { force: true, keep, estops_seen: Some(estops) })
+            client.post("/v1/reset", &ResetRequest { force: true, keep, estops_seen: Some(estop.orders) })
         }
         answer => answer,
     };
@@ -301,8 +301,8 @@ pub(super) fn play(play: &Play) -> Result<ExitCode> {
     let mut progress = Progress::new(played.ordered_ms.map(|ms| ms / 1e3), json);
     let mut receipt = follow(&mut client, &mut events, played.id, &mut progress)?;
     ending.set_over();
-    if receipt.items_planned.is_some() {
-        // The event has no items.
+    if receipt.items.is_none() {
+        // The event has not the items of a play of several.
         receipt = client.get(&format!("/v1/plays/{}", played.id))?;
     }
     give(json, &receipt, || text::receipt(&receipt))?;

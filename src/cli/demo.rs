@@ -210,7 +210,7 @@ fn serve_page(client: &mut Client) -> Result<Receiver<i32>> {
         let _ = sender.send(number);
     })?;
     let status: Status = client.get("/v1/status")?;
-    let network = status.network.context("internal error: the daemon does not listen")?;
+    let network = status.daemon.network.context("internal error: the daemon does not listen")?;
     if let Some(problem) = network.problem {
         bail!("{problem}");
     }
@@ -384,26 +384,26 @@ fn report(
     let designed = same.as_ref().unwrap_or(&open).response.as_ref();
     let hz = designed.map(|response| response.played_hz);
     let status: Status = client.get("/v1/status")?;
-    let traffic = receipt.wire.unwrap_or(LinkTraffic::new(0, 0));
+    let traffic = receipt.device.wire.unwrap_or(LinkTraffic::new(0, 0));
     let surplus = config.settings.surplus(&PerMotor::all(array, Gains::default()));
     let drives = pattern.drives().iter();
     let expected = status.motors.iter().filter(|motor| motor.rest_error_um > 0.0);
     let squares: Vec<f64> = expected.map(|motor| f64::from(motor.rest_error_um).powi(2)).collect();
     let mean = squares.iter().sum::<f64>() / squares.len().max(1) as f64;
     Ok(Report {
-        pattern: receipt.pattern.clone(),
+        pattern: receipt.name.clone(),
         seconds: request.items[0].seconds.unwrap_or_default(),
         device: status.device.as_ref().map(|device| device.kind.clone()).unwrap_or_default(),
         state: receipt.state.name(),
         cause: receipt.cause.clone(),
-        cut_after_ms: receipt.cut_after_ms,
+        cut_after_ms: receipt.duration_ms.cut_after,
         duration_ms: receipt.duration_ms,
-        ordered: receipt.ordered,
-        bursts: receipt.bursts.unwrap_or_default(),
-        pulses: receipt.pulses.unwrap_or_default(),
+        ordered: receipt.counts.ordered,
+        bursts: receipt.counts.bursts.unwrap_or_default(),
+        pulses: receipt.counts.pulses.unwrap_or_default(),
         wire: WireReport { traffic, bytes_per_burst_open_loop: open.bytes_per_burst },
-        onset_latency_ms: receipt.onset_latency_ms,
-        lead_ms: status.lead_ms,
+        onset_latency_ms: receipt.onset.map(|onset| onset.latency_ms),
+        lead_ms: status.daemon.lead_ms,
         sensorless,
         surplus_um: drives.map(|drive| surplus.um(drive.motor, drive.amplitude_um)).fold(0.0, f64::max),
         rest_true_rms_um: truth.rms_um(),

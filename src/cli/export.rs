@@ -1,6 +1,6 @@
 //! `session export`: the recorded plays of a session as CSV, one row per stimulus, or as one JSON document.
 //!
-//! A stimulus is a play, or an item of a sequence. The JSON also has a row for each sequence as a whole.
+//! A stimulus is a play of one item, or an item of several; [`Row`] makes its row of the receipt, the item and the answer.
 //!
 //! `docs/reference/session-export.md` describes the columns. A file is replaced atomically, after everything was read.
 //!
@@ -14,94 +14,193 @@ use crate::file::{PRIVATE, replace};
 use crate::session_record::json;
 use anyhow::{Context, Result, bail};
 use csv::Writer;
-use meissner_api::{Fit, Labels, PlayAnswer, RecordedPlay, Session, SessionPlays};
+use meissner_api::{
+    BurstCounts, Fit, InstantRecord, ItemRecord, ItemState, Labels, PlayAnswer, PulseCounts, Receipt,
+    RecordedPlay, Session, SessionPlays, TriggerRecord,
+};
+use meissner_array::units::TickRate;
 use meissner_client::{Client, DISK_TIMEOUT, escape};
 use std::collections::BTreeSet;
 use std::mem;
 use std::path::Path;
 use std::process::ExitCode;
 
-/// A column: its name, and its field in the row of a play.
-type Column = (&'static str, fn(&Session, &RecordedPlay) -> String);
+/// A stimulus: a play of one item, or an item of several.
+struct Row<'p> {
+    session: &'p Session,
+    play: &'p RecordedPlay,
+    item: Option<&'p ItemRecord>,
+    /// The receipt, if what it says of the play is true of the stimulus.
+    whole: Option<&'p Receipt>,
+}
+
+impl<'p> Row<'p> {
+    /// The rows of a play. One whose items are not known has a row, to show that it was ordered.
+    fn of(session: &'p Session, play: &'p RecordedPlay) -> Vec<Self> {
+        let receipt = &play.receipt;
+        let row = |item: Option<&'p ItemRecord>| {
+            let whole = (receipt.order.items <= 1 || item.is_none()).then_some(receipt);
+            Row { session, play, item, whole }
+        };
+        let items = receipt.items.iter().flat_map(|items| items.iter());
+        let rows: Vec<_> = items.map(|item| row(Some(item))).collect();
+        if rows.is_empty() { vec![row(None)] } else { rows }
+    }
+
+    /// The item, if the play has several.
+    fn part(&self) -> Option<&'p ItemRecord> {
+        self.item.filter(|_| self.whole.is_none())
+    }
+
+    fn onset(&self) -> Option<InstantRecord> {
+        match self.part() {
+            Some(item) => item.onset,
+            None => self.play.receipt.onset.map(|onset| InstantRecord {
+                tick: onset.actual_tick,
+                monotonic_ns: onset.monotonic_ns,
+                uncertainty_ns: onset.uncertainty_ns,
+            }),
+        }
+    }
+
+    fn onset_wall_ns(&self) -> Option<i64> {
+        let (whole, own) = (self.play.receipt.onset?.monotonic_ns, self.onset()?.monotonic_ns);
+        self.play.onset_wall_ns?.checked_add_unsigned(own.checked_sub(whole)?)
+    }
+
+    fn offset(&self) -> Option<InstantRecord> {
+        self.part().map_or(self.play.receipt.offset, |item| item.offset)
+    }
+
+    fn ordered_ms(&self) -> Option<f64> {
+        self.part().map_or(self.play.receipt.duration_ms.ordered, |item| item.ordered_ms)
+    }
+
+    fn played_ms(&self) -> Option<f64> {
+        let Some(item) = self.part() else { return self.play.receipt.duration_ms.played };
+        let ticks = item.offset?.tick.checked_sub(item.onset?.tick)?;
+        Some(TickRate::new(self.play.receipt.device.tick_hz).ticks_to_ms(ticks))
+    }
+
+    fn cause(&self) -> Option<String> {
+        let cuts = self.part().is_none_or(|item| item.state == ItemState::Cut);
+        self.play.receipt.cause.as_ref().filter(|_| cuts).map(ToString::to_string)
+    }
+
+    fn state(&self) -> &'static str {
+        self.part().map_or(self.play.receipt.state.name(), |item| item.state.name())
+    }
+
+    fn bursts(&self) -> Option<BurstCounts> {
+        self.whole?.counts.bursts
+    }
+
+    fn pulses(&self) -> Option<PulseCounts> {
+        self.whole?.counts.pulses
+    }
+
+    fn rest_error_max_um(&self) -> Option<f32> {
+        self.whole?.pins.as_ref()?.rest_error_um.iter().map(|um| um.abs()).reduce(f32::max)
+    }
+
+    fn late_strokes(&self) -> Option<u64> {
+        let whole = || self.bursts().map(|_| self.play.receipt.counts.lateness.counts);
+        let whole = || whole().map(|late| late.host + late.link + late.device);
+        self.part().map_or_else(whole, |item| Some(item.late_strokes.into()))
+    }
+
+    fn first_pulse_tick(&self) -> Option<u64> {
+        let pins = || self.whole?.pins.as_ref()?.moved.iter().map(|pin| pin.first_pulse_tick).min();
+        self.part().map_or_else(pins, |item| item.first_pulse_tick)
+    }
+
+    fn trigger(&self) -> Option<TriggerRecord> {
+        self.item?.trigger
+    }
+
+    /// The field of a part of the participant's answer.
+    fn answered<T: ToString>(&self, part: impl FnOnce(&'p PlayAnswer) -> Option<T>) -> String {
+        field(self.play.answer.as_ref().and_then(part))
+    }
+}
+
+/// A column: its name, and its field of a stimulus.
+type Column = (&'static str, fn(&Row) -> String);
 
 /// The columns.
 const COLUMNS: [Column; 58] = [
-    ("session", |session, _| session.id.clone()),
-    ("participant", |session, _| session.participant.clone()),
-    ("experiment", |session, _| field(session.experiment.as_ref())),
-    ("seed", |session, _| field(session.seed)),
-    ("session_labels", |session, _| labels(&session.labels)),
-    ("trial", |_, play| field(play.trial)),
-    ("labels", |_, play| labels(&play.labels)),
-    ("play", |_, play| play.play.to_string()),
-    ("user", |_, play| field(play.user.as_ref())),
-    ("pattern", |_, play| play.pattern.clone()),
-    ("pattern_sha256", |_, play| field(play.pattern_sha256.as_ref())),
-    ("seconds", |_, play| field(play.seconds)),
-    ("state", |_, play| play.state.clone()),
-    ("cause", |_, play| field(play.cause.as_ref())),
-    ("onset_tick", |_, play| field(play.onset_tick)),
-    ("onset_monotonic_ns", |_, play| field(play.onset_monotonic_ns)),
-    ("onset_uncertainty_ns", |_, play| field(play.onset_uncertainty_ns)),
-    ("onset_wall_ns", |_, play| field(play.onset_wall_ns)),
-    ("reported_after_s", |_, play| field(play.reported_after_s)),
-    ("bursts_planned", |_, play| field(play.bursts.map(|bursts| bursts.planned))),
-    ("bursts_played", |_, play| field(play.bursts.map(|bursts| bursts.played))),
-    ("bursts_late", |_, play| field(play.bursts.map(|bursts| bursts.late))),
-    ("bursts_dropped", |_, play| field(play.bursts.map(|bursts| bursts.dropped))),
-    ("bursts_refused", |_, play| field(play.bursts.map(|bursts| bursts.refused))),
-    ("bursts_amended", |_, play| field(play.bursts.map(|bursts| bursts.amended))),
-    ("pulses_planned", |_, play| field(play.pulses.map(|pulses| pulses.planned))),
-    ("pulses_played", |_, play| field(play.pulses.map(|pulses| pulses.played))),
-    ("worst_late_ms", |_, play| field(play.worst_late_ms)),
-    ("rest_error_max_um", |_, play| field(play.rest_error_max_um)),
-    ("session_started", |session, _| session.started.clone()),
-    ("session_ended", |session, _| field(session.ended.as_ref())),
-    ("item", |_, play| field(play.item)),
-    ("scale", |_, play| field(play.scale)),
-    ("ordered_um", |_, play| field(play.ordered_um)),
-    ("reached_um", |_, play| field(play.reached_um)),
-    ("ordered_ms", |_, play| field(play.ordered_ms)),
-    ("played_ms", |_, play| field(play.played_ms)),
-    ("cut_after_ms", |_, play| field(play.cut_after_ms)),
-    ("offset_tick", |_, play| field(play.offset_tick)),
-    ("offset_monotonic_ns", |_, play| field(play.offset_monotonic_ns)),
-    ("trigger_tick", |_, play| field(play.trigger.map(|trigger| trigger.tick))),
-    ("trigger_code", |_, play| field(play.trigger.and_then(|trigger| trigger.code))),
-    ("trigger_ms", |_, play| field(play.trigger.map(|trigger| trigger.width_ms))),
-    ("late_strokes", |_, play| field(play.late_strokes)),
-    ("refused_strokes", |_, play| field(play.refused_strokes)),
-    ("fit", |_, play| {
-        match play.fit {
+    ("session", |row| row.session.id.clone()),
+    ("participant", |row| row.session.participant.clone()),
+    ("experiment", |row| field(row.session.experiment.as_ref())),
+    ("seed", |row| field(row.session.seed)),
+    ("session_labels", |row| labels(&row.session.labels)),
+    ("trial", |row| field(row.play.receipt.order.terms.trial)),
+    ("labels", |row| labels(&row.play.receipt.order.terms.labels)),
+    ("play", |row| row.play.receipt.id.to_string()),
+    ("user", |row| field(row.play.user.as_ref())),
+    ("pattern", |row| {
+        row.item.map_or_else(|| row.play.receipt.name.clone(), |item| item.pattern.to_string())
+    }),
+    ("pattern_sha256", |row| {
+        row.item.map_or_else(|| row.play.receipt.sha256.clone(), |item| item.pattern_sha256.to_string())
+    }),
+    ("seconds", |row| field(row.ordered_ms().map(|ms| ms / 1e3))),
+    ("state", |row| row.state().to_owned()),
+    ("cause", |row| field(row.cause())),
+    ("onset_tick", |row| field(row.onset().map(|onset| onset.tick))),
+    ("onset_monotonic_ns", |row| field(row.onset().map(|onset| onset.monotonic_ns))),
+    ("onset_uncertainty_ns", |row| field(row.onset().map(|onset| onset.uncertainty_ns))),
+    ("onset_wall_ns", |row| field(row.onset_wall_ns())),
+    ("reported_after_s", |row| field(row.whole.and(row.play.reported_after_s))),
+    ("bursts_planned", |row| field(row.bursts().map(|bursts| bursts.planned))),
+    ("bursts_played", |row| field(row.bursts().map(|bursts| bursts.played))),
+    ("bursts_late", |row| field(row.bursts().map(|bursts| bursts.late))),
+    ("bursts_dropped", |row| field(row.bursts().map(|bursts| bursts.dropped))),
+    ("bursts_refused", |row| field(row.bursts().map(|bursts| bursts.refused))),
+    ("bursts_amended", |row| field(row.bursts().map(|bursts| bursts.amended))),
+    ("pulses_planned", |row| field(row.pulses().map(|pulses| pulses.planned))),
+    ("pulses_played", |row| field(row.pulses().map(|pulses| pulses.played))),
+    ("worst_late_ms", |row| field(row.bursts().map(|_| row.play.receipt.counts.lateness.counts.worst_ms))),
+    ("rest_error_max_um", |row| field(row.rest_error_max_um())),
+    ("session_started", |row| row.session.started.clone()),
+    ("session_ended", |row| field(row.session.ended.as_ref())),
+    ("item", |row| field(row.part().map(|item| item.item))),
+    ("scale", |row| field(row.item.map(|item| item.scale))),
+    ("ordered_um", |row| field(row.item.and_then(|item| item.ordered_um))),
+    ("reached_um", |row| field(row.item.and_then(|item| item.reached_um))),
+    ("ordered_ms", |row| field(row.ordered_ms())),
+    ("played_ms", |row| field(row.played_ms())),
+    ("cut_after_ms", |row| field(row.whole.and_then(|receipt| receipt.duration_ms.cut_after))),
+    ("offset_tick", |row| field(row.offset().map(|offset| offset.tick))),
+    ("offset_monotonic_ns", |row| field(row.offset().map(|offset| offset.monotonic_ns))),
+    ("trigger_tick", |row| field(row.trigger().map(|trigger| trigger.tick))),
+    ("trigger_code", |row| field(row.trigger().and_then(|trigger| trigger.code))),
+    ("trigger_ms", |row| field(row.trigger().map(|trigger| trigger.width_ms))),
+    ("late_strokes", |row| field(row.late_strokes())),
+    ("refused_strokes", |row| field(row.part().map(|item| item.refused_strokes))),
+    ("fit", |row| {
+        match row.play.receipt.order.terms.fit {
             Fit::Whole => "whole",
             Fit::Cover => "cover",
         }
         .to_owned()
     }),
-    ("estimated", |_, play| play.estimated.to_string()),
-    ("array", |_, play| play.array.clone()),
-    ("tick_hz", |_, play| play.tick_hz.to_string()),
-    ("first_pulse_tick", |_, play| field(play.first_pulse_tick)),
+    ("estimated", |row| row.play.receipt.counts.estimated.to_string()),
+    ("array", |row| row.play.receipt.device.array.clone()),
+    ("tick_hz", |row| row.play.receipt.device.tick_hz.to_string()),
+    ("first_pulse_tick", |row| field(row.first_pulse_tick())),
     // An empty response is an answer, too.
-    ("response", |_, play| {
-        answered(play, |answer| Some(if answer.response.is_empty() { "\"\"" } else { &answer.response }))
+    ("response", |row| {
+        row.answered(|answer| Some(if answer.response.is_empty() { "\"\"" } else { &answer.response }))
     }),
-    ("correct", |_, play| answered(play, |answer| answer.correct)),
-    ("response_time", |_, play| answered(play, |answer| answer.rt_ms.map(|ms| ms / 1e3))),
-    ("level", |_, play| answered(play, |answer| answer.level)),
-    ("start_edge", |_, play| field(play.start_edge.map(|edge| edge.number))),
-    ("start_edge_tick", |_, play| field(play.start_edge.map(|edge| edge.tick))),
-    ("stop_edge", |_, play| field(play.stop_edge.map(|edge| edge.number))),
-    ("stop_edge_tick", |_, play| field(play.stop_edge.map(|edge| edge.tick))),
+    ("correct", |row| row.answered(|answer| answer.correct)),
+    ("response_time", |row| row.answered(|answer| answer.rt_ms.map(|ms| ms / 1e3))),
+    ("level", |row| row.answered(|answer| answer.level)),
+    ("start_edge", |row| field(row.play.receipt.edges.start.map(|edge| edge.number))),
+    ("start_edge_tick", |row| field(row.play.receipt.edges.start.map(|edge| edge.tick))),
+    ("stop_edge", |row| field(row.play.receipt.edges.stop.map(|edge| edge.number))),
+    ("stop_edge_tick", |row| field(row.play.receipt.edges.stop.map(|edge| edge.tick))),
 ];
-
-/// The field of a part of the participant's answer.
-fn answered<'p, T: ToString>(
-    play: &'p RecordedPlay,
-    part: impl FnOnce(&'p PlayAnswer) -> Option<T>,
-) -> String {
-    field(play.answer.as_ref().and_then(part))
-}
 
 /// The field of a value that may not be known.
 fn field(value: Option<impl ToString>) -> String {
@@ -200,10 +299,9 @@ fn table(exported: &SessionPlays) -> Result<String> {
         .collect();
     let names = factors.iter().map(|key| format!("factor_{key}"));
     csv.write_record(COLUMNS.map(|(name, _)| name.to_owned()).into_iter().chain(names))?;
-    // A sequence as a whole is not a stimulus. A sequence without items keeps its row, to show that it was ordered.
-    for play in exported.plays.iter().filter(|play| play.items == 0) {
-        let of = |key: &&String| answered(play, |answer| answer.factors.get(*key));
-        let fields = COLUMNS.map(|(_, field)| field(&exported.session, play)).into_iter();
+    for row in exported.plays.iter().flat_map(|play| Row::of(&exported.session, play)) {
+        let of = |key: &&String| row.answered(|answer| answer.factors.get(*key));
+        let fields = COLUMNS.map(|(_, field)| field(&row)).into_iter();
         csv.write_record(fields.chain(factors.iter().map(of)))?;
     }
     Ok(String::from_utf8(csv.into_inner()?)?)

@@ -193,6 +193,6 @@ fn list(options: &ClientOptions) -> Result<ExitCode> {
             }
         }
     })?;
-    let lacks = |session: &api::Session| session.lost > 0 || session.plays_lost > 0;
+    let lacks = |session: &api::Session| session.lost.any();
     Ok(if list.unreadable > 0 || list.sessions.iter().any(lacks) { ExitCode::FAILURE } else { given })
 }

@@ -13,8 +13,8 @@ use crate::doctor::rights::SLOW_ESTOP;
 use comfy_table::Table;
 use comfy_table::presets::NOTHING;
 use meissner_api::{
-    ArmedStatus, BoardRecord, BoardStatus, EndCause, ErrorSource, NO_DEVICE, ParticipantStatus, Session,
-    Status,
+    ArmedStatus, BoardRecord, BoardStatus, ClockSample, EndCause, ErrorSource, NO_DEVICE, ParticipantStatus,
+    Session, Status,
 };
 use serde_json::Value;
 use std::fmt::Write;
@@ -48,11 +48,11 @@ pub(super) fn number(number: Option<f64>, digits: usize) -> String {
 
 /// State and cause, and pins that stand above rest.
 pub(super) fn state(status: &Status) -> String {
-    let Status { state, cause, lease_ms, .. } = status;
+    let Status { state, cause, daemon, .. } = status;
     let mut text = match cause.as_str() {
         _ if state == NO_DEVICE => "no device".to_owned(),
         cause if cause == EndCause::HostTimeout.text() => {
-            format!("{state}: the PC was silent for more than {lease_ms} ms")
+            format!("{state}: the PC was silent for more than {} ms", daemon.lease_ms)
         }
         cause => format!("{state} ({cause})"),
     };
@@ -65,7 +65,7 @@ pub(super) fn state(status: &Status) -> String {
 /// How far pins may be from rest by dead reckoning: the largest estimate, and the number of motors that have one.
 pub(super) fn drift(status: &Status) -> Option<String> {
     let (um, count) = largest_offset(status, ErrorSource::DeadReckoning)?;
-    let limit_um = status.drift_limit_um;
+    let limit_um = status.daemon.drift_limit_um;
     let full = if um > limit_um { ": no play drives such a pin until it is home or level" } else { "" };
     Some(format!("up to {um:.0} um from rest (estimated), {count}; limit {limit_um} um{full}"))
 }
@@ -98,22 +98,22 @@ fn sensor_faults(status: &Status) -> Option<String> {
 }
 
 pub(super) fn status(status: &Status) -> String {
-    let none = || match &status.no_device_reason {
+    let none = || match &status.link.missing {
         Some(missing) => format!("none: {missing}"),
-        None => format!("none yet: the daemon looks for `{}`", status.requested_device),
+        None => format!("none yet: the daemon looks for `{}`", status.link.wanted),
     };
     let device = status.device.as_ref().map_or_else(none, |device| {
         format!("{}, firmware {} ({})", device.kind, device.firmware, device.build)
     });
     let play = status.play.as_ref().map_or_else(
         || "nothing".to_owned(),
-        |play| format!("{} of {}, {:.1} s", play.id, play.pattern, play.played_s),
+        |play| format!("{} of {}, {:.1} s", play.id, play.name, play.played_s),
     );
     let mut lines = vec![
         ("state", state(status)),
         ("position", status.position.clone()),
         ("device", device),
-        ("array", status.array.clone()),
+        ("array", status.daemon.array.clone()),
         ("playing", play),
     ];
     if let Some(ArmedStatus { by, left_s, .. }) = &status.armed {
@@ -125,7 +125,7 @@ pub(super) fn status(status: &Status) -> String {
     if !status.queued.is_empty() {
         let waiting = status.queued.iter().map(|play| {
             let waits = if play.waits_for_edge { ", which waits for an edge" } else { "" };
-            format!("{} of {}{waits}", play.id, play.pattern)
+            format!("{} of {}{waits}", play.id, play.name)
         });
         lines.push(("queued", waiting.collect::<Vec<_>>().join(", ")));
     }
@@ -142,15 +142,16 @@ pub(super) fn status(status: &Status) -> String {
     lines.extend(offset(status).map(|offset| ("offset", offset)));
     lines.extend(drift(status).map(|drift| ("drift", drift)));
     lines.extend(sensor_faults(status).map(|faults| ("sensor faults", faults)));
-    if !status.realtime.fifo {
+    if !status.daemon.realtime.fifo {
         lines.push(("emergency stop", format!("{SLOW_ESTOP}; see `meissner doctor`")));
     }
-    if status.logbook_problem.is_some() || status.logbook_lost > 0 {
-        let lost = (status.logbook_lost > 0).then(|| format!("{} entries are lost", status.logbook_lost));
-        let told: Vec<_> = status.logbook_problem.iter().cloned().chain(lost).collect();
+    if status.daemon.logbook_problem.is_some() || status.daemon.logbook_lost > 0 {
+        let lost = (status.daemon.logbook_lost > 0)
+            .then(|| format!("{} entries are lost", status.daemon.logbook_lost));
+        let told: Vec<_> = status.daemon.logbook_problem.iter().cloned().chain(lost).collect();
         lines.push(("session record", told.join("; ")));
     }
-    if let Some(date) = &status.calibrated {
+    if let Some(date) = &status.daemon.calibrated {
         let count = status.motors.iter().filter(|motor| motor.calibrated).count();
         lines.push(("calibrated", format!("{count} of {} motors, {date}", status.motors.len())));
     }
@@ -159,23 +160,26 @@ pub(super) fn status(status: &Status) -> String {
         lines.push(("session", format!("{}{closed}", session_name(session))));
     }
     lines.extend(participant(&status.participant));
-    if let (Some(tick), Some(uncertainty_us)) = (status.tick, status.clock_uncertainty_us) {
+    if let Some(ClockSample { tick, uncertainty_us, .. }) = status.clock {
         lines.push(("clock", format!("synchronised to +-{uncertainty_us:.1} us, at tick {tick}")));
     }
-    if let Some(bytes) = status.line_bytes_per_s {
+    if let Some(bytes) = status.link.bytes_per_s {
         lines.push(("line", format!("{:.1} kB/s", f64::from(bytes) / 1000.0)));
     }
-    if let Some(board) = &status.board {
+    if let Some(board) = &status.link.board {
         lines.push(("board", self::board(board)));
     }
-    if status.contradictions > 0 {
+    if status.link.contradictions > 0 {
         lines.push((
             "doubt",
-            format!("{} messages of the device cannot be true; see the log", status.contradictions),
+            format!("{} messages of the device cannot be true; see the log", status.link.contradictions),
         ));
     }
-    lines.push(("daemon", format!("{}, pid {}", status.socket, status.pid)));
-    lines.push(("lead", format!("{} ms, host watchdog timeout {} ms", status.lead_ms, status.lease_ms)));
+    lines.push(("daemon", format!("{}, pid {}", status.daemon.socket, status.daemon.pid)));
+    lines.push((
+        "lead",
+        format!("{} ms, host watchdog timeout {} ms", status.daemon.lead_ms, status.daemon.lease_ms),
+    ));
     pairs(&lines)
 }
 
@@ -260,9 +264,9 @@ pub(super) fn session(session: &Session) -> String {
 
 /// The number of a session's entries that the record has lost, if any.
 pub(super) fn lost(session: &Session) -> Option<String> {
-    let Session { plays, plays_lost, lost, .. } = session;
-    (*lost > 0 || *plays_lost > 0)
-        .then(|| format!("{plays_lost} of {plays} plays, {lost} entries of the session record"))
+    let Session { plays, lost, .. } = session;
+    lost.any()
+        .then(|| format!("{} of {plays} plays, {} entries of the session record", lost.plays, lost.entries))
 }
 
 /// A pattern from the daemon, for this array: its drives, what its rails draw, its warnings.

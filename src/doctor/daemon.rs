@@ -9,22 +9,29 @@ use std::path::Path;
 /// The findings about the daemon with this status.
 pub(crate) fn findings(root: &Path, status: &Status, units: &Units) -> Vec<Finding> {
     let holds = status.device.as_ref().map_or_else(String::new, |device| format!(", has {}", device.kind));
-    let found = format!("version {}, pid {}, at {}{holds}", status.version, status.pid, status.socket);
-    let same = status.version == env!("CARGO_PKG_VERSION");
+    let found = format!(
+        "version {}, pid {}, at {}{holds}",
+        status.daemon.version, status.daemon.pid, status.daemon.socket
+    );
+    let same = status.daemon.version == env!("CARGO_PKG_VERSION");
     let advice = "restart the daemon: this program has another version";
     let mut findings = vec![Finding::check("daemon", same, found, advice)];
-    findings.push(rights::of_daemon(status.realtime, Limits::of(root, status.pid), units.runs(status.pid)));
-    findings.extend(estop(status.realtime));
-    if let Some(problem) = &status.logbook_problem {
+    findings.push(rights::of_daemon(
+        status.daemon.realtime,
+        Limits::of(root, status.daemon.pid),
+        units.runs(status.daemon.pid),
+    ));
+    findings.extend(estop(status.daemon.realtime));
+    if let Some(problem) = &status.daemon.logbook_problem {
         let advice = "free space there, let the daemon write there, or set `logbook_dir` to a folder of its own: see docs/lab-pc.md, \"Configuration\"; `meissner session list` shows \
              what is missing";
         findings.push(Finding::warn("logbook", problem.clone(), advice));
-    } else if let lost @ 1.. = status.logbook_lost {
+    } else if let lost @ 1.. = status.daemon.logbook_lost {
         let found = format!("the session record has lost {lost} entries since the daemon started");
         let advice = "see which sessions lack plays: `meissner session list`";
         findings.push(Finding::warn("logbook", found, advice));
     }
-    findings.push(network(status.network.as_ref()));
+    findings.push(network(status.daemon.network.as_ref()));
     findings
 }
 

@@ -22,15 +22,15 @@ pub(crate) const SHORT_PLAYS: &str = "keep plays short";
 /// The findings about the daemon's device.
 pub(crate) fn findings(status: &Status) -> Vec<Finding> {
     let Some(device) = &status.device else {
-        let found = match &status.no_device_reason {
+        let found = match &status.link.missing {
             Some(missing) => format!("the daemon has no device: {missing}"),
-            None => format!("the daemon has no device yet: it looks for `{}`", status.requested_device),
+            None => format!("the daemon has no device yet: it looks for `{}`", status.link.wanted),
         };
         let advice = "the daemon keeps looking; for another device set `device` in its configuration, or restart it with --device";
         return vec![Finding::fail("daemon", found, advice)];
     };
     let mut findings = held(status, device);
-    findings.extend(status.line_bytes_per_s.map(line));
+    findings.extend(status.link.bytes_per_s.map(line));
     findings.extend(telemetry(device.telemetry));
     findings.push(trigger_input(device.trigger_input));
     findings
@@ -52,7 +52,7 @@ fn held(status: &Status, device: &DeviceInfo) -> Vec<Finding> {
         _ => (Level::Ok, ""),
     };
     let state = Finding::new("state", level, state, advice);
-    let uncertainty_us = status.clock_uncertainty_us.unwrap_or(f64::INFINITY);
+    let uncertainty_us = status.clock.map_or(f64::INFINITY, |clock| clock.uncertainty_us);
     let found = format!("synchronised to +-{uncertainty_us:.1} us");
     let advice = "onsets requested with --at are no more exact: check the cable and the machine's load";
     let clock = Finding::check("clock", uncertainty_us < CLOCK_US, found, advice);

@@ -25,8 +25,8 @@ use firmware_protocol::tick::Tick;
 use live::LiveAccount;
 use meissner_api::{
     BurstCounts, DeviceInfo, EdgeEffect, Event, LateCounts, LateStroke, LinkTraffic, LoweredPin,
-    LoweredReason, MAX_LISTED, MotorRestError, MovedPin, NO_DEVICE, OrderedCounts, PlayState, PulseCounts,
-    Receipt, RefusedStroke, RunningPlay,
+    LoweredReason, MAX_LISTED, MotorRestError, MovedPin, NO_DEVICE, OrderedCounts, PlayDevice, PlayEdges,
+    PlayPins, PlayState, PulseCounts, Receipt, RefusedStroke, RunningPlay,
 };
 use meissner_array::spec::Array;
 use meissner_array::units::{TickRate, ns_to_ms};
@@ -110,21 +110,15 @@ impl Receipts {
         }
     }
 
-    /// Adds a play that is about to be sent to the streamer.
-    pub fn add(&mut self, receipt: Receipt) {
+    /// Adds a play that is about to be sent to the streamer, and the plan of its items.
+    pub fn add(&mut self, receipt: Receipt, items: Arc<[PlannedItem]>) {
         if receipt.live.is_some() {
             self.updates.insert(receipt.id, LiveAccount::default());
         }
+        self.planned.insert(receipt.id, items);
         let (array, tick_hz) = (self.array.name().to_owned(), self.array.rate().hz());
-        self.sent.push(Receipt { array, tick_hz, ..receipt });
-    }
-
-    /// Sets the plan of the items of a sequence that was added.
-    pub fn plan(&mut self, id: u64, items: Arc<[PlannedItem]>) {
-        if let Some(receipt) = self.sent.iter_mut().find(|receipt| receipt.id == id) {
-            receipt.items_planned = Some(items.len() as u64);
-        }
-        self.planned.insert(id, items);
+        let device = PlayDevice { array, tick_hz, ..PlayDevice::default() };
+        self.sent.push(Receipt { device, ..receipt });
     }
 
     /// Takes the streamer's answer to a play.
@@ -132,8 +126,8 @@ impl Receipts {
         let at = self.sent.iter().position(|receipt| receipt.id == id)?;
         let mut receipt = self.sent.remove(at);
         // A play belongs to one connection, so the current boot is the play's.
-        receipt.boot = self.hello.map(|hello| hello.boot);
-        let event = Event::Queued { id, pattern: receipt.pattern.clone(), seconds: receipt.seconds };
+        receipt.device.boot = self.hello.map(|hello| hello.boot);
+        let event = Event::Queued { id, name: receipt.name.clone(), ordered_ms: receipt.duration_ms.ordered };
         if !accepted {
             self.planned.remove(&id);
         }
@@ -184,8 +178,8 @@ impl Receipts {
             StreamEvent::StrokeLate { id, motor, up, late_ms, cause, counts } => {
                 let stroke = LateStroke { motor: *motor, tick: up.0, late_ms: *late_ms, cause: *cause };
                 if let Some(receipt) = self.live_mut(*id) {
-                    receipt.lateness.counts = *counts;
-                    list(&mut receipt.lateness.strokes, stroke);
+                    receipt.counts.lateness.counts = *counts;
+                    list(&mut receipt.counts.lateness.strokes, stroke);
                 }
                 Some(Event::Late { id: *id, stroke })
             }
@@ -193,7 +187,7 @@ impl Receipts {
                 let reason = refusal_text(*reason).to_owned();
                 let stroke = RefusedStroke { motor: *motor, tick: up.0, reason };
                 if let Some(receipt) = self.live_mut(*id) {
-                    list(&mut receipt.refusals, stroke.clone());
+                    list(&mut receipt.counts.refusals, stroke.clone());
                 }
                 Some(Event::Refused { id: *id, stroke })
             }
@@ -202,7 +196,7 @@ impl Receipts {
                 let pins = pins.flat_map(|(of, reason)| of.iter().map(move |motor| (motor, reason)));
                 if let Some(receipt) = self.live_mut(*id) {
                     for (motor, reason) in pins {
-                        receipt.lowered.add(LoweredPin { motor, tick: tick.0, reason });
+                        receipt.counts.lowered.add(LoweredPin { motor, tick: tick.0, reason });
                     }
                 }
                 None
@@ -211,7 +205,7 @@ impl Receipts {
                 if *effect == EdgeEffect::Start
                     && let Some(receipt) = play.and_then(|id| self.live_mut(id))
                 {
-                    receipt.start_edge = Some((*edge).into());
+                    receipt.edges.start = Some((*edge).into());
                 }
                 Some(Event::Edge { edge: (*edge).into(), play: *play, effect: *effect })
             }
@@ -242,10 +236,11 @@ impl Receipts {
             *live = account.record();
         }
         self.totals.add(outcome);
-        let event = Event::Ended { receipt: Box::new(receipt.clone()) };
-        // Only the receipt gets the items, because an event must be short.
-        receipt.items =
-            self.planned.remove(&id).map(|planned| items::records(&planned, &outcome.play.items, rate));
+        let planned = self.planned.remove(&id).unwrap_or_default();
+        receipt.items = Some(items::records(&planned, &outcome.play.items, rate));
+        // An event must be short.
+        let items = receipt.items.clone().filter(|items| items.len() <= 1);
+        let event = Event::Ended { receipt: Box::new(Receipt { items, ..receipt.clone() }) };
         let count = |receipt: &Receipt| receipt.items.as_ref().map_or(0, |items| items.len());
         let mut kept = count(&receipt) + self.finished.iter().map(count).sum::<usize>();
         while self.finished.len() >= KEPT || kept > KEPT_ITEMS {
@@ -259,7 +254,7 @@ impl Receipts {
     /// Sets the ordered counts of an endless play at its end.
     pub fn set_ordered(&mut self, id: u64, counts: Option<OrderedCounts>) {
         if let Some(receipt) = self.live_mut(id) {
-            receipt.ordered = counts;
+            receipt.counts.ordered = counts;
         }
     }
 
@@ -331,7 +326,7 @@ impl Receipts {
         let receipt = self.live.iter().find(|receipt| receipt.state == PlayState::Running)?;
         let played = self.snapshot.as_ref().and_then(|snapshot| snapshot.play);
         let played_s = played.filter(|(id, _)| *id == receipt.id).map_or(0.0, |(_, played_s)| played_s);
-        Some(RunningPlay { id: receipt.id, pattern: receipt.pattern.clone(), played_s })
+        Some(RunningPlay { id: receipt.id, name: receipt.name.clone(), played_s })
     }
 
     /// The state as an event.
@@ -351,7 +346,6 @@ impl Receipts {
 fn began(receipt: &mut Receipt, onset: Onset) {
     receipt.state = PlayState::Running;
     receipt.onset = Some(onset.into());
-    receipt.onset_latency_ms = Some(ns_to_ms(onset.latency_ns));
 }
 
 /// Adds a stroke to a receipt's list while there is room.
@@ -367,17 +361,17 @@ fn complete(receipt: &mut Receipt, outcome: &Outcome, rate: TickRate) {
     }
     receipt.state = outcome.end.into();
     receipt.cause = outcome.cause.clone();
-    receipt.bursts = Some(outcome.bursts);
-    receipt.pulses = Some(outcome.pulses);
-    receipt.estimated = outcome.estimated;
-    receipt.trigger = outcome.play.items.first().and_then(|item| items::trigger(item, rate));
-    receipt.lateness.counts = outcome.lateness;
-    receipt.wire = Some(LinkTraffic::new(outcome.wire_bytes, outcome.bursts.planned));
-    receipt.board = outcome.board.map(convert::board_record);
-    receipt.start_edge = outcome.started_by.map(Into::into);
-    receipt.stop_edge = outcome.stopped_by.map(Into::into);
+    let counts = &mut receipt.counts;
+    counts.bursts = Some(outcome.bursts);
+    counts.pulses = Some(outcome.pulses);
+    counts.estimated = outcome.estimated;
+    counts.lateness.counts = outcome.lateness;
+    receipt.device.wire = Some(LinkTraffic::new(outcome.wire_bytes, outcome.bursts.planned));
+    receipt.device.board = outcome.board.map(convert::board_record);
+    receipt.edges =
+        PlayEdges { start: outcome.started_by.map(Into::into), stop: outcome.stopped_by.map(Into::into) };
     receipt.offset = outcome.offset.map(Into::into);
-    receipt.cut_after_ms = outcome.cut_after.map(|ticks| rate.ticks_to_ms(ticks));
+    receipt.duration_ms.cut_after = outcome.cut_after.map(|ticks| rate.ticks_to_ms(ticks));
     receipt.duration_ms.played =
         outcome.offset.zip(outcome.onset).map(|(offset, onset)| rate.ticks_to_ms(offset.tick - onset.actual));
     let pins = (0..).zip(outcome.play.pins);
@@ -385,9 +379,7 @@ fn complete(receipt: &mut Receipt, outcome: &Outcome, rate: TickRate) {
         let [first, offset] = moved?;
         Some(MovedPin { motor, first_pulse_tick: first.0, offset_tick: offset.0 })
     });
-    receipt.pins = outcome.onset.is_some().then(|| pins.collect());
     let (onset, end) = (&outcome.rest_at_onset, &outcome.rest_at_end);
-    receipt.rest_error_um = Some(end.um.to_vec());
     let driven = (0..).zip(end.um).zip(end.source);
     let driven = driven.filter(|((motor, _), _)| outcome.play.strokes.drives(*motor));
     let rest_errors = driven.map(|((motor, offset_um), offset_source)| MotorRestError {
@@ -397,7 +389,11 @@ fn complete(receipt: &mut Receipt, outcome: &Outcome, rate: TickRate) {
         offset_um,
         offset_source,
     });
-    receipt.rest_errors = Some(rest_errors.collect());
+    receipt.pins = Some(PlayPins {
+        rest_error_um: end.um.to_vec(),
+        rest_errors: rest_errors.collect(),
+        moved: pins.collect(),
+    });
 }
 
 impl Totals {
@@ -424,4 +420,4 @@ impl Totals {
 }
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;

@@ -6,7 +6,7 @@
 
 use firmware_protocol::tick::Tick;
 use meissner_api::{
-    DurationRecord, Fit, FollowedMotion, MAX_DRIVES_LISTED, MAX_LISTED, MAX_WARNINGS_LISTED, OrderedCounts,
+    DurationRecord, FollowedMotion, MAX_DRIVES_LISTED, MAX_LISTED, MAX_WARNINGS_LISTED, OrderedCounts,
     ReachedDrive, Receipt,
 };
 use meissner_array::pattern::Pattern;
@@ -75,13 +75,13 @@ impl Outline {
     }
 
     /// Puts the order into the receipt of its play.
-    pub fn enter(&self, receipt: &mut Receipt, fit: Fit, counts: Option<OrderedCounts>) {
+    pub fn enter(&self, receipt: &mut Receipt, counts: Option<OrderedCounts>) {
         let Self { ordered_ms, compiled_ms, drives, warnings, .. } = self;
-        receipt.fit = fit;
-        receipt.duration_ms = DurationRecord { ordered: *ordered_ms, compiled: *compiled_ms, played: None };
-        receipt.ordered = counts;
-        receipt.drives = drives.iter().take(MAX_DRIVES_LISTED).copied().collect();
-        receipt.warnings = first(warnings, MAX_WARNINGS_LISTED);
+        receipt.duration_ms =
+            DurationRecord { ordered: *ordered_ms, compiled: *compiled_ms, ..DurationRecord::default() };
+        receipt.counts.ordered = counts;
+        receipt.reach.drives = drives.iter().take(MAX_DRIVES_LISTED).copied().collect();
+        receipt.reach.warnings = first(warnings, MAX_WARNINGS_LISTED);
     }
 }
 

@@ -4,7 +4,11 @@ use super::*;
 use firmware_protocol::array::MotorSet;
 use firmware_protocol::limits::Refusal;
 use firmware_protocol::message::Cause;
-use meissner_api::{EndCause, ErrorSource, LateCause, LoweredReason};
+use meissner_api::{
+    DurationRecord, EdgeRecord, EndCause, ErrorSource, FollowedMotion, InstantRecord, ItemRecord, ItemState,
+    LateCause, LatenessRecord, LiveRecord, LoweredReason, LoweredRecord, MAX_DRIVES_LISTED,
+    MAX_WARNINGS_LISTED, OnsetRecord, PlayCounts, PlayReach, ReachedDrive, Terms, TriggerRecord, UpdateTimes,
+};
 use meissner_array::pattern::Pattern;
 use meissner_array::per_motor::PerMotor;
 use meissner_array::spec::Array;
@@ -115,7 +119,7 @@ fn standing(receipts: &Receipts) -> (&str, String, &str) {
 }
 
 fn take(receipts: &mut Receipts, id: u64) {
-    receipts.add(Receipt::new(id, "edge-45", "00ff", Some(5.0)));
+    receipts.add(Receipt { id, ..Receipt::new("edge-45", "00ff", 1, &Terms::default()) }, Arc::default());
     assert!(matches!(receipts.settle(id, true), Some(Event::Queued { .. })));
 }
 
@@ -142,28 +146,31 @@ fn a_play_goes_from_queued_to_its_receipt() {
     }
     let Some(Event::Ended { receipt }) = receipts.apply(&ended(1, End::Stopped)) else { panic!() };
     let pins: Vec<_> =
-        receipt.lowered.pins[..3].iter().map(|pin| (pin.motor, pin.tick, pin.reason)).collect();
+        receipt.counts.lowered.pins[..3].iter().map(|pin| (pin.motor, pin.tick, pin.reason)).collect();
     assert_eq!(pins, [(3, 9, LoweredReason::Late), (4, 9, LoweredReason::Held), (5, 9, LoweredReason::Held)]);
-    assert_eq!((receipt.lowered.count, receipt.lowered.pins.len()), (30, 24));
+    assert_eq!((receipt.counts.lowered.count, receipt.counts.lowered.pins.len()), (30, 24));
     assert_eq!(Some(&*receipt), receipts.receipt(1));
     assert_eq!((receipt.state, receipt.cause.as_ref()), (PlayState::Stopped, Some(&EndCause::Stop)));
-    assert_eq!((receipt.lateness.strokes.len(), receipt.refusals.len()), (1, 1));
-    assert_eq!(receipt.wire.unwrap().bytes_per_burst, Some(5.5));
-    let board = receipt.board.unwrap();
+    assert_eq!((receipt.counts.lateness.strokes.len(), receipt.counts.refusals.len()), (1, 1));
+    assert_eq!(receipt.device.wire.unwrap().bytes_per_burst, Some(5.5));
+    let board = receipt.device.board.unwrap();
     assert_eq!((board.slack_ticks, board.stalls, board.usb_recoveries), (Some(29), Some(1), None));
-    assert_eq!(receipt.onset_latency_ms, Some(4.0));
+    assert_eq!(receipt.onset.map(|onset| onset.latency_ms), Some(4.0));
     assert_eq!(receipts.last().unwrap().id, 2);
     assert!(receipts.running().is_none());
     assert_eq!(receipts.totals().plays, [0, 1, 0]);
     let json = serde_json::to_value(&receipt).unwrap();
-    assert_eq!((&json["lateness"]["host"], &json["onset"]["actual_tick"]), (&1.into(), &2000.into()));
+    assert_eq!(
+        (&json["counts"]["lateness"]["host"], &json["onset"]["actual_tick"]),
+        (&1.into(), &2000.into())
+    );
     assert_eq!(serde_json::from_value::<Receipt>(json).unwrap(), *receipt);
 }
 
 #[test]
 fn a_play_that_was_not_accepted_leaves_nothing() {
     let mut receipts = Receipts::new(Array::paper());
-    receipts.add(Receipt::new(1, "a", "", None));
+    receipts.add(Receipt { id: 1, ..Receipt::new("a", "", 1, &Terms::default()) }, Arc::default());
     assert!(receipts.receipt(1).is_none(), "not before it is accepted");
     assert_eq!(receipts.settle(1, false), None);
     assert!(receipts.last().is_none());
@@ -185,12 +192,12 @@ fn receipts_and_lists_are_bounded() {
                 counts: LateCounts { link, ..LateCounts::default() },
             });
         }
-        assert_eq!(receipts.receipt(id).unwrap().lateness.counts.link, MAX_LISTED as u64 + 1);
+        assert_eq!(receipts.receipt(id).unwrap().counts.lateness.counts.link, MAX_LISTED as u64 + 1);
         receipts.apply(&ended(id, End::Done));
     }
     assert_eq!(receipts.finished.len(), KEPT);
     assert!(receipts.receipt(5).is_none());
-    assert_eq!(receipts.receipt(6).unwrap().lateness.strokes.len(), MAX_LISTED);
+    assert_eq!(receipts.receipt(6).unwrap().counts.lateness.strokes.len(), MAX_LISTED);
 }
 
 #[test]
@@ -234,16 +241,145 @@ fn every_events_name_is_its_json_tag() {
         receipts.state_event(HostInstant::from_ns(0)),
         Event::Connected { device: device_info("mock", &hello()) },
         Event::Disconnected { reason: String::new().into() },
-        Event::Queued { id: 1, pattern: String::new(), seconds: None },
+        Event::Queued { id: 1, name: String::new(), ordered_ms: None },
         Event::Began { id: 1, onset: onset().into() },
         Event::Late { id: 1, stroke },
         Event::Refused { id: 1, stroke: refused },
-        Event::Ended { receipt: Box::new(Receipt::new(1, "a", "", None)) },
+        Event::Ended { receipt: Box::new(Receipt::new("a", "", 1, &Terms::default())) },
         Event::Lost { events: 1 },
         Event::Lagged { events: 1 },
     ] {
         let json = serde_json::to_value(&event).unwrap();
         assert_eq!(json["event"], event.name());
         assert_eq!(serde_json::from_value::<Event>(json).unwrap(), event);
+    }
+}
+
+/// A receipt of the most text.
+pub(crate) fn longest() -> Receipt {
+    let (most, number, motor) = (u64::MAX, -123.456_789_012_345_67, 23);
+    let times = Some(UpdateTimes { p50_ms: number, p99_ms: number, longest_ms: number });
+    let instant = InstantRecord { tick: most, monotonic_ns: most, uncertainty_ns: most };
+    let edge = EdgeRecord { number: u32::MAX, tick: most, monotonic_ns: most, uncertainty_ns: most };
+    let late = LateStroke { motor, tick: most, late_ms: number, cause: LateCause::Device };
+    let reason = "the motor's on-time limit: fewer pulses per second, please".to_owned();
+    let error = MotorRestError {
+        motor,
+        onset_um: Some(number as f32),
+        onset_source: Some(ErrorSource::DeadReckoning),
+        offset_um: number as f32,
+        offset_source: ErrorSource::DeadReckoning,
+    };
+    let drive = ReachedDrive {
+        drive: 4096,
+        motor,
+        ordered_um: 399.999,
+        reached_um: 399.999,
+        surplus_um: 119.999,
+        strokes: Some(most),
+    };
+    let motion = FollowedMotion {
+        motor,
+        highest_um: 399.999,
+        error_um: 399.999,
+        error_share: 10.123,
+        step_error_um: 399.999,
+        too_slow_from_s: Some(99_999_999.999),
+        moves_per_s: 999.999,
+        measured_s: 239.999,
+    };
+    Receipt {
+        id: most,
+        state: PlayState::Stopped,
+        cause: Some("x".repeat(64).into()),
+        edges: PlayEdges { start: Some(edge), stop: Some(edge) },
+        onset: Some(OnsetRecord {
+            requested_tick: most,
+            actual_tick: most,
+            monotonic_ns: most,
+            uncertainty_ns: most,
+            latency_ms: number,
+        }),
+        offset: Some(instant),
+        duration_ms: DurationRecord {
+            ordered: Some(number),
+            compiled: Some(number),
+            played: Some(number),
+            cut_after: Some(number),
+        },
+        items: Some([longest_item()].into()),
+        counts: PlayCounts {
+            ordered: Some(OrderedCounts { bursts: most, pulses: Some(most) }),
+            bursts: Some(BurstCounts {
+                planned: most,
+                played: most,
+                late: most,
+                dropped: most,
+                refused: most,
+                replaced: most,
+                amended: most,
+                shortened: most,
+            }),
+            pulses: Some(PulseCounts { planned: most, played: most }),
+            estimated: false,
+            lateness: LatenessRecord {
+                counts: LateCounts { host: most, link: most, device: most, worst_ms: number },
+                strokes: vec![late; MAX_LISTED],
+            },
+            refusals: vec![RefusedStroke { motor, tick: most, reason }; MAX_LISTED],
+            lowered: LoweredRecord {
+                count: most,
+                pins: vec![
+                    LoweredPin { motor, tick: most, reason: LoweredReason::Late };
+                    LoweredRecord::MAX_PINS
+                ],
+            },
+        },
+        reach: PlayReach {
+            drives: vec![drive; MAX_DRIVES_LISTED],
+            motions: vec![motion; 24],
+            warnings: vec!["x".repeat(160); MAX_WARNINGS_LISTED + 2],
+        },
+        live: Some(LiveRecord {
+            updates: most,
+            applied: most,
+            merged: most,
+            repeats: most,
+            decided: times,
+            first_motor: times,
+            last_motor: times,
+        }),
+        pins: Some(PlayPins {
+            rest_error_um: vec![number as f32; 24],
+            rest_errors: vec![error; 24],
+            moved: vec![MovedPin { motor, first_pulse_tick: most, offset_tick: most }; 24],
+        }),
+        device: PlayDevice {
+            wire: Some(LinkTraffic { bytes_to_device: most, bytes_per_burst: Some(number) }),
+            ..PlayDevice::default()
+        },
+        ..Receipt::new(&"x".repeat(64), &"0".repeat(64), 4096, &Terms::default())
+    }
+}
+
+/// An item of the most text.
+pub(crate) fn longest_item() -> ItemRecord {
+    let instant = Some(InstantRecord { tick: u64::MAX, monotonic_ns: u64::MAX, uncertainty_ns: u64::MAX });
+    ItemRecord {
+        item: 4095,
+        pattern: "x".repeat(64).into(),
+        pattern_sha256: "0".repeat(64).into(),
+        scale: 0.123_456_789_012_345_6,
+        ordered_um: Some(399.999),
+        reached_um: Some(399.999),
+        planned_onset_ticks: u64::MAX,
+        ordered_ms: Some(12_345_678_901.234_56),
+        state: ItemState::Incomplete,
+        onset: instant,
+        first_pulse_tick: Some(u64::MAX),
+        offset: instant,
+        trigger: Some(TriggerRecord { tick: u64::MAX, width_ms: 123.456_789_012_345_6, code: Some(255) }),
+        late_strokes: u32::MAX,
+        refused_strokes: u32::MAX,
     }
 }

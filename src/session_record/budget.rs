@@ -208,11 +208,7 @@ fn take(reserves: &mut [&mut Reserve], bytes: u64, now: HostInstant) -> bool {
 mod tests {
     use super::*;
     use crate::session_record::{CommandEntry, Peer};
-    use meissner_api::{
-        BurstCounts, ErrorSource, Event, InstantRecord, ItemRecord, ItemState, LateCause, LateStroke,
-        MAX_DRIVES_LISTED, MAX_ITEMS, MAX_ITEMS_LISTED, MAX_LISTED, MAX_WARNINGS_LISTED, MotorRestError,
-        OnsetRecord, ReachedDrive, Receipt, RefusedStroke, TriggerRecord,
-    };
+    use meissner_api::{BurstCounts, Event, MAX_ITEMS, MAX_ITEMS_LISTED, OnsetRecord, Receipt, Terms};
     use serde_json::{Value, json};
 
     fn command(name: &'static str, uid: u32, asked: Value) -> CommandEntry {
@@ -276,16 +272,17 @@ mod tests {
 
     fn play(id: u64, receipt: Receipt) -> [Entry; 4] {
         let mut accepted =
-            command("play", 1000, json!({"pattern": receipt.pattern, "seconds": 1.0, "late": "drop"}));
+            command("play", 1000, json!({"pattern": receipt.name, "seconds": 1.0, "late": "drop"}));
         accepted.play = Some(id);
         let onset = OnsetRecord {
             requested_tick: 1 << 33,
             actual_tick: 1 << 33,
             monotonic_ns: 1 << 45,
             uncertainty_ns: 9600,
+            latency_ms: 4.25,
         };
         let events = [
-            Event::Queued { id, pattern: receipt.pattern.clone(), seconds: Some(1.0) },
+            Event::Queued { id, name: receipt.name.clone(), ordered_ms: Some(1000.0) },
             Event::Began { id, onset },
             Event::Ended { receipt: Box::new(receipt) },
         ];
@@ -299,8 +296,8 @@ mod tests {
     fn day(load: impl Fn(u32) -> Entry) -> Day {
         let mut budget = Budget::new(at(0.0));
         let mut day = Day::default();
-        let mut receipt = Receipt::new(3, "edge-45", &"0".repeat(64), Some(1.0));
-        receipt.bursts = Some(BurstCounts { planned: 1200, played: 1200, ..BurstCounts::default() });
+        let mut receipt = Receipt::new("edge-45", &"0".repeat(64), 1, &Terms::default());
+        receipt.counts.bursts = Some(BurstCounts { planned: 1200, played: 1200, ..BurstCounts::default() });
         let loads = [1, 2, 3, 4, 5].map(|uid| counted(load(uid)));
         let play = play(3, receipt).map(counted);
         let estop = counted(Note::Command(command("estop", 6, Value::Null)).into());
@@ -343,55 +340,12 @@ mod tests {
         }
         let pulses = Note::Command(command("calibrate", 1, json!({"pulses": vec![200; 8000]}))).into();
         assert!(Entry::bytes(&pulses) <= MAX_ENTRY);
-        let mut receipt = Receipt::new(u64::MAX, &"x".repeat(64), &"0".repeat(64), Some(1e8));
-        let (motor, tick) = (23, u64::MAX);
-        receipt.lateness.strokes =
-            vec![LateStroke { motor, tick, late_ms: 0.123_456_789, cause: LateCause::Device }; MAX_LISTED];
-        let reason = "x".repeat(64);
-        receipt.refusals = vec![RefusedStroke { motor, tick, reason }; MAX_LISTED];
-        receipt.rest_error_um = Some(vec![0.123_456_79; 24]);
-        let um = Some(0.123_456_79);
-        let source = ErrorSource::DeadReckoning;
-        let error = MotorRestError {
-            motor,
-            onset_um: um,
-            onset_source: Some(source),
-            offset_um: 0.123_456_79,
-            offset_source: source,
-        };
-        receipt.rest_errors = Some(vec![error; 24]);
-        let drive = ReachedDrive {
-            drive: 4096,
-            motor,
-            ordered_um: 399.999,
-            reached_um: 399.999,
-            surplus_um: 119.999,
-            strokes: Some(u64::MAX),
-        };
-        receipt.drives = vec![drive; MAX_DRIVES_LISTED];
-        receipt.warnings = vec!["x".repeat(160); MAX_WARNINGS_LISTED + 2];
+        let receipt = crate::receipts::tests::longest();
         let bytes: u64 = play(1, receipt).iter().map(Entry::bytes).sum();
-        let instant = InstantRecord { tick: u64::MAX, monotonic_ns: u64::MAX, uncertainty_ns: u64::MAX };
-        let item = ItemRecord {
-            pattern: "x".repeat(64).into(),
-            pattern_sha256: "0".repeat(64).into(),
-            scale: 0.123_456_789_012_345_6,
-            ordered_um: 399.999,
-            reached_um: 399.999,
-            planned_onset_ticks: u64::MAX,
-            ordered_ms: 12_345_678_901.234_56,
-            state: ItemState::Incomplete,
-            onset: Some(instant),
-            first_pulse_tick: Some(u64::MAX),
-            offset: Some(instant),
-            trigger: Some(TriggerRecord { tick: u64::MAX, width_ms: 123.456_789_012_345_6, code: Some(255) }),
-            late_strokes: u32::MAX,
-            refused_strokes: u32::MAX,
-        };
+        let item = crate::receipts::tests::longest_item();
         let items = Event::Items {
             id: u64::MAX,
             session: Some("x".repeat(100)),
-            first: usize::MAX,
             items: vec![item; MAX_ITEMS_LISTED],
         };
         let items = Entry::of(&items, None).unwrap();
@@ -405,7 +359,7 @@ mod tests {
     #[test]
     fn plays_are_refused_while_their_reserve_is_empty_and_never_left_out() {
         let mut budget = Budget::new(at(0.0));
-        let entries = play(1, Receipt::new(3, "edge-45", &"0".repeat(64), Some(1.0))).map(counted);
+        let entries = play(1, Receipt::new("edge-45", &"0".repeat(64), 1, &Terms::default())).map(counted);
         let mut plays = 0;
         while budget.takes_plays(at(0.0)) {
             assert!(entries.iter().all(|(entry, bytes)| budget.takes(entry, *bytes, at(0.0))));

@@ -53,7 +53,7 @@ impl Formatter for Plain {
 mod tests {
     use super::*;
     use crate::session_record::{CommandEntry, Entry, Note, Peer};
-    use meissner_api::{DeviceInfo, Event, Receipt};
+    use meissner_api::{DeviceInfo, Event, Receipt, Terms};
     use serde_json::{Value, json};
 
     const ODD: &str = "µm \"\\ x\n\u{1b}[2J\u{7f}\u{9b}\u{2028}\u{202e}\u{feff}\u{e0041}";
@@ -92,12 +92,12 @@ mod tests {
             telemetry,
             trigger_input: false,
         };
-        let mut receipt = Receipt::new(3, ODD, ODD, None);
+        let mut receipt = Receipt::new(ODD, ODD, 1, &Terms::default());
         receipt.cause = Some(odd().into());
         let events = [
             (Event::Connected { device }, 3),
             (Event::Disconnected { reason: odd().into() }, 1),
-            (Event::Queued { id: 1, pattern: odd(), seconds: None }, 1),
+            (Event::Queued { id: 1, name: odd(), ordered_ms: None }, 1),
             (Event::Ended { receipt: Box::new(receipt) }, 3),
             (Event::Calibrated { id: 1, motors: vec![1], problem: Some(odd()) }, 1),
         ];

@@ -121,8 +121,8 @@ impl Ledger {
             }
             Event::SessionEnded { session } => {
                 if let Some(known) = self.of(&session.id) {
-                    let Session { lost, plays_lost, .. } = known.session;
-                    known.session = Session { lost, plays_lost, ..(**session).clone() };
+                    let lost = known.session.lost;
+                    known.session = Session { lost, ..(**session).clone() };
                     known.numbers.1 = number;
                 }
             }
@@ -143,8 +143,8 @@ impl Ledger {
     pub(super) fn lose(&mut self, tag: &Tag) {
         self.lost += 1;
         if let Some(known) = tag.session.as_deref().and_then(|id| self.of(id)) {
-            known.session.lost += 1;
-            known.session.plays_lost += u64::from(tag.name == END_OF_PLAY);
+            known.session.lost.entries += 1;
+            known.session.lost.plays += u64::from(tag.name == END_OF_PLAY);
         }
         self.pend(tag, 1);
     }
@@ -160,7 +160,7 @@ impl Ledger {
             let (start, end) = known.numbers;
             let lines = (last.min(end) + 1).saturating_sub(first.max(start));
             if lines > 0 {
-                known.session.lost += (last.min(end) + 1).saturating_sub(new.max(start));
+                known.session.lost.entries += (last.min(end) + 1).saturating_sub(new.max(start));
                 counts.add(Tag { session: Some(known.session.id.as_str().into()), name: OTHERS }, lines);
                 rest = rest.saturating_sub(lines);
             }
@@ -223,7 +223,7 @@ mod tests {
         }
         ledger.see(&event(Event::SessionEnded { session: session(5, Some("request")) }), 9);
         let known = ledger.sessions().next().unwrap();
-        let told = (known.session.plays, known.session.lost, known.session.plays_lost, known.pending);
+        let told = (known.session.plays, known.session.lost.entries, known.session.lost.plays, known.pending);
         assert_eq!((told, ledger.lost()), ((5, 3, 2, 3), 4));
         let rows: Vec<_> = counts.rows().into_iter().map(|row| (row.session, row.kinds)).collect();
         let of = |kinds: &[(&'static str, u64)]| kinds.iter().copied().collect::<BTreeMap<_, _>>();
@@ -233,7 +233,7 @@ mod tests {
         );
         assert!(ledger.report(&counts).is_empty(), "its start and end have lines");
         let pending = |ledger: &Ledger| ledger.sessions().next().unwrap().pending;
-        assert_eq!((pending(&ledger), ledger.sessions().next().unwrap().session.lost), (0, 3));
+        assert_eq!((pending(&ledger), ledger.sessions().next().unwrap().session.lost.entries), (0, 3));
         ledger.take_back(&counts);
         assert_eq!(pending(&ledger), 3);
         ledger.lose(&tag("session-ended"));

@@ -36,6 +36,7 @@ use budget::{Budget, MAX_ENTRY, REPORT_AFTER};
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, bounded};
 use entry::Kind;
 use ledger::{Counts, Ledger, Tag};
+use meissner_api::Losses;
 use meissner_stream::time::{HostInstant, is_virtual};
 use std::io;
 use std::path::PathBuf;
@@ -346,12 +347,12 @@ impl SessionRecord {
 
     /// The entries of this session that the record lost, and the ends of plays among them.
     #[must_use]
-    pub fn lost_of(&self, session: &str) -> (u64, u64) {
-        let of = |known: &SessionLosses| (known.session.lost, known.session.plays_lost);
+    pub fn lost_of(&self, session: &str) -> Losses {
         let queue = self.lock();
-        let Some(queue) = queue.as_ref() else { return (0, 0) };
+        let Some(queue) = queue.as_ref() else { return Losses::default() };
         let ledger = queue.lock_ledger();
-        ledger.sessions().find(|known| known.session.id == session).map_or((0, 0), of)
+        let known = ledger.sessions().find(|known| known.session.id == session);
+        known.map(|known| known.session.lost).unwrap_or_default()
     }
 
     /// Adds an entry with the current time. Never waits for the disk.

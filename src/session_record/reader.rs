@@ -1,20 +1,18 @@
 //! Reads the session record: the sessions, their plays, and what is missing of them.
 //!
 //! [`sessions`] goes through all lines, in the order of their numbers (`lines`), and counts the ends of plays and the gaps of
-//! each session. [`plays`] reads the rows of one. A line or file that cannot be read is counted and named, and reading goes on.
+//! each session. [`plays`] reads those of one. A line or file that cannot be read is counted and named, and reading goes on.
 //!
 //! Bounds: `MAX_SESSIONS`, and those of `lines`.
 
 use super::ledger::SessionLosses;
 use super::lines::{self, Head, RecordError, Seen, Source};
 use super::numbers;
-use crate::receipts::largest_um;
 use jiff::Timestamp;
 use meissner_api::{
-    ItemRecord, ItemState, MAX_ITEMS, MAX_LISTED, MAX_ROWS, PlayAnswer, Receipt, RecordedPlay, Session,
-    SessionPlays,
+    ItemRecord, Losses, MAX_ITEMS, MAX_LISTED, PlayAnswer, PlayState, Receipt, RecordedPlay, Session,
+    SessionPlays, Terms,
 };
-use meissner_array::units::TickRate;
 use serde::Deserialize;
 use serde_json::Value;
 use std::collections::{BTreeMap, VecDeque};
@@ -43,11 +41,12 @@ impl Sessions {
     /// What is missing, in one line; none if nothing.
     #[must_use]
     pub fn missing(&self) -> Option<String> {
-        let lacks = |recorded: &&Recorded| recorded.session.lost > 0 || recorded.session.plays_lost > 0;
+        let lacks = |recorded: &&Recorded| recorded.session.lost.any();
         let lacking = || {
-            let Session { id, lost, plays_lost, .. } = &self.recorded.iter().rfind(lacks)?.session;
+            let Session { id, lost: Losses { entries, plays }, .. } =
+                &self.recorded.iter().rfind(lacks)?.session;
             Some(format!(
-                "session {id} lacks {lost} entries in the session record, and the ends of {plays_lost} plays"
+                "session {id} lacks {entries} entries in the session record, and the ends of {plays} plays"
             ))
         };
         let first = self.problems.first().cloned().or_else(lacking)?;
@@ -94,9 +93,9 @@ impl Recorded {
 
     /// Adds the counts of missing entries to the session.
     fn finish(&mut self) {
-        self.session.lost = self.lost;
+        self.session.lost.entries = self.lost;
         if self.session.reason.is_some() {
-            self.session.plays_lost = self.session.plays.saturating_sub(self.ends);
+            self.session.lost.plays = self.session.plays.saturating_sub(self.ends);
         }
     }
 }
@@ -169,7 +168,7 @@ impl Scan {
         if is_start && !recorded.is_started {
             (recorded.is_started, recorded.first) = (true, Some(number));
         }
-        recorded.session = Session { lost: 0, plays_lost: 0, release_in_s: None, ..session };
+        recorded.session = Session { lost: Losses::default(), release_in_s: None, ..session };
     }
 
     /// Follows the numbers: all up to `covered` are accounted for, and the next is `first`.
@@ -329,16 +328,16 @@ pub fn sessions(
 /// The most ended plays whose command line may still follow: far more than ever occur.
 const UNDER_WAY: usize = 64;
 
-/// The plays of a session from number `from` on, at most [`MAX_ROWS`], in the order of their ends; each sequence is followed by its
-/// items. A play whose end is missing comes last, with the state `unknown`.
+/// The plays of a session from number `from` on, as many as [`MAX_BYTES`] have, in the order of their ends. A play whose end is missing
+/// comes last.
 ///
 /// # Errors
 /// If the record's directory cannot be read.
 pub fn plays(dir: &Path, recorded: Recorded, from: usize) -> Result<SessionPlays, RecordError> {
     let id = recorded.session.id.clone();
-    let mut rows = Rows { from, ..Rows::default() };
+    let mut answer = Answer { from, ..Answer::default() };
     let (mut open, mut ended) = (BTreeMap::<u64, RecordedPlay>::new(), VecDeque::new());
-    let mut items: (u64, Vec<(u64, ItemRecord)>) = (0, Vec::new());
+    let mut items: (u64, Vec<ItemRecord>, usize) = (0, Vec::new(), 0);
     let mut answers = BTreeMap::<u64, PlayAnswer>::new();
     let mut read = |event: &str, line: &[u8]| {
         if !(matches!(event, "command" | "items" | "ended" | "answered") && has(line, &id)) {
@@ -350,20 +349,19 @@ pub fn plays(dir: &Path, recorded: Recorded, from: usize) -> Result<SessionPlays
                 let is_play = entry["command"] == "play";
                 let play =
                     Some(&entry).filter(|entry| is_play && entry["asked"]["session"] == *id).and_then(asked);
-                if let Some(play) = play.filter(|play| !ended.contains(&play.play)) {
-                    open.insert(play.play, play);
+                if let Some(play) = play.filter(|play| !ended.contains(&play.receipt.id)) {
+                    open.insert(play.receipt.id, play);
                 }
             }
             "items" if entry["session"] == *id => {
-                let (id, first) = (entry["id"].as_u64(), entry["first"].as_u64());
                 let part = serde_json::from_value::<Vec<ItemRecord>>(entry["items"].take());
-                let (Some(id), Some(first), Ok(part)) = (id, first, part) else { return false };
+                let (Some(id), Ok(part)) = (entry["id"].as_u64(), part) else { return false };
                 if items.0 != id {
-                    items = (id, Vec::new());
+                    items = (id, Vec::new(), 0);
                 }
-                // Earlier lines may be lost, but items keep their numbers.
                 let room = MAX_ITEMS.saturating_sub(items.1.len());
-                items.1.extend((first..).zip(part).take(room));
+                items.1.extend(part.into_iter().take(room));
+                items.2 += line.len();
             }
             "answered" if entry["session"] == *id => {
                 let answer = serde_json::from_value::<PlayAnswer>(entry["answer"].take());
@@ -371,23 +369,21 @@ pub fn plays(dir: &Path, recorded: Recorded, from: usize) -> Result<SessionPlays
                 answers.entry(play).or_insert(answer);
             }
             "ended" => {
-                let Ok(receipt) = serde_json::from_value::<Receipt>(entry["receipt"].take()) else {
+                let Ok(mut receipt) = serde_json::from_value::<Receipt>(entry["receipt"].take()) else {
                     return false;
                 };
-                if receipt.session.as_ref() == Some(&id) {
+                if receipt.session() == Some(id.as_str()) {
                     open.remove(&receipt.id);
                     ended.push_back(receipt.id);
                     if ended.len() > UNDER_WAY {
                         ended.pop_front();
                     }
-                    let (of, items) = std::mem::take(&mut items);
-                    let items = if of == receipt.id { items } else { Vec::new() };
-                    let whole = RecordedPlay { items: items.len() as u64, ..played(&entry, receipt) };
-                    let parts: Vec<_> =
-                        items.iter().map(|(number, item)| part(&whole, *number, item)).collect();
-                    rows.ends += 1;
-                    rows.add(whole);
-                    parts.into_iter().for_each(|part| rows.add(part));
+                    let (of, listed, bytes) = std::mem::take(&mut items);
+                    if receipt.items.is_none() && of == receipt.id {
+                        receipt.items = Some(listed.into());
+                    }
+                    answer.ends += 1;
+                    answer.add(played(&entry, receipt), bytes + line.len());
                 }
             }
             _ => {}
@@ -399,23 +395,23 @@ pub fn plays(dir: &Path, recorded: Recorded, from: usize) -> Result<SessionPlays
         Seen::Line(head, line) => read(&head.event, line),
         Seen::Unreadable => true,
     })?;
-    let (unknown, ends) = (open.len() as u64, rows.ends);
+    let (unknown, ends) = (open.len() as u64, answer.ends);
     // The running daemon may still be playing these.
     if !recorded.is_open() {
-        open.into_values().for_each(|play| rows.add(play));
+        open.into_values().for_each(|play| answer.add(play, 0));
     }
     // An answer comes after the end of its play, or before.
-    for row in &mut rows.plays {
-        row.answer = answers.get(&row.play).cloned();
+    for play in &mut answer.plays {
+        play.answer = answers.get(&play.receipt.id).cloned();
     }
-    let more = rows.seen > rows.from + rows.plays.len();
+    let more = answer.seen > answer.from + answer.plays.len();
     let plays = recorded.session.plays.max(ends + unknown);
     let plays_missing = plays - ends;
-    let missing = missing(&recorded, plays, plays_missing, rows.short);
+    let missing = missing(&recorded, plays, plays_missing, answer.short);
     Ok(SessionPlays {
         complete: missing.is_empty(),
         missing,
-        plays: rows.plays,
+        plays: answer.plays,
         more,
         plays_missing,
         lost: recorded.lost,
@@ -460,154 +456,72 @@ fn missing(recorded: &Recorded, plays: u64, plays_missing: u64, short: Vec<Strin
     missing
 }
 
-/// The rows of an answer.
+/// Bytes of the record's lines whose plays fit into one answer, at most, unless one play alone has more.
+const MAX_BYTES: usize = 4 << 20;
+
+/// The plays of an answer.
 #[derive(Default)]
-struct Rows {
+struct Answer {
     from: usize,
     seen: usize,
+    bytes: usize,
     plays: Vec<RecordedPlay>,
     /// Ends of plays.
     ends: u64,
-    /// The sequences that lack items, one line each.
+    /// The plays that lack items, one line each.
     short: Vec<String>,
 }
 
-impl Rows {
-    fn add(&mut self, play: RecordedPlay) {
-        let items = play.items_planned.filter(|_| play.state == "done" && play.item.is_none());
-        if let Some(planned) = items.filter(|planned| *planned > play.items && self.short.len() < MAX_LISTED)
-        {
-            let missing = planned - play.items;
-            self.short.push(format!("play {}: {missing} of its {planned} items are missing", play.play));
+impl Answer {
+    /// Adds a play whose lines have so many bytes.
+    fn add(&mut self, play: RecordedPlay, bytes: usize) {
+        let Receipt { id, order, state, items, .. } = &play.receipt;
+        let found = items.as_ref().map_or(0, |items| items.len()) as u64;
+        if *state == PlayState::Done && order.items > found && self.short.len() < MAX_LISTED {
+            let (planned, missing) = (order.items, order.items - found);
+            self.short.push(format!("play {id}: {missing} of its {planned} items are missing"));
         }
-        if self.seen >= self.from && self.plays.len() < MAX_ROWS {
+        if self.seen >= self.from && (self.plays.is_empty() || self.bytes + bytes <= MAX_BYTES) {
+            self.bytes += bytes;
             self.plays.push(play);
+        } else if self.seen >= self.from {
+            // Those after it come in the next answer, too.
+            self.bytes = MAX_BYTES;
         }
         self.seen += 1;
     }
 }
 
-/// The name of a sequence without one, as in its receipt.
+/// What a play without a name of its own is called, if it has several items.
 const UNNAMED: &str = "sequence";
 
-/// The row of a play, or of a sequence as a whole, from its recorded command.
+/// A play whose end is missing, from its recorded command.
 fn asked(entry: &Value) -> Option<RecordedPlay> {
     let asked = &entry["asked"];
-    Some(RecordedPlay {
-        play: entry["play"].as_u64()?,
-        user: entry["user"].as_str().map(str::to_owned),
-        trial: asked["trial"].as_u64(),
-        labels: serde_json::from_value(asked["labels"].clone()).unwrap_or_default(),
-        pattern: asked["pattern"].as_str().or(asked["name"].as_str()).unwrap_or(UNNAMED).to_owned(),
-        seconds: asked["seconds"].as_f64(),
-        state: "unknown".to_owned(),
-        ..RecordedPlay::default()
-    })
+    let name = asked["pattern"].as_str().or(asked["name"].as_str()).unwrap_or(UNNAMED);
+    let mut receipt = Receipt::new(name, "", 1, &Terms::default());
+    receipt.id = entry["play"].as_u64()?;
+    receipt.state = PlayState::Unknown;
+    receipt.order.items = asked["items"].as_u64().unwrap_or(1);
+    let terms = &mut receipt.order.terms;
+    terms.session = asked["session"].as_str().map(str::to_owned);
+    terms.trial = asked["trial"].as_u64();
+    terms.labels = serde_json::from_value(asked["labels"].clone()).unwrap_or_default();
+    let user = entry["user"].as_str().map(str::to_owned);
+    Some(RecordedPlay { receipt, user, ..RecordedPlay::default() })
 }
 
-/// The row of a play from its recorded end.
+/// A play from its recorded end.
 fn played(entry: &Value, receipt: Receipt) -> RecordedPlay {
-    let onset = receipt.onset;
-    let after_ns = onset.and_then(|onset| entry["monotonic_ns"].as_u64()?.checked_sub(onset.monotonic_ns));
+    let after_ns =
+        receipt.onset.and_then(|onset| entry["monotonic_ns"].as_u64()?.checked_sub(onset.monotonic_ns));
     let wall = entry["time"].as_str().and_then(|time| time.parse::<Timestamp>().ok());
     let wall_ns = wall.and_then(|wall| i64::try_from(wall.as_nanosecond()).ok());
-    let errors = receipt.rest_error_um.iter().flatten();
-    let [ordered_um, reached_um] =
-        largest_um(&receipt.drives).map(|um| (!receipt.drives.is_empty()).then_some(um));
-    let ordered_um =
-        receipt.motions.iter().map(|motion| motion.highest_um).chain(ordered_um).reduce(f64::max);
-    let late = receipt.lateness.counts;
     RecordedPlay {
-        play: receipt.id,
         user: entry["user"].as_str().map(str::to_owned),
-        trial: receipt.trial,
-        labels: receipt.labels,
-        pattern: receipt.pattern,
-        pattern_sha256: Some(receipt.pattern_sha256),
-        array: receipt.array,
-        tick_hz: receipt.tick_hz,
-        seconds: receipt.seconds,
-        state: receipt.state.name().to_owned(),
-        cause: receipt.cause,
-        onset_tick: onset.map(|onset| onset.actual_tick),
-        onset_monotonic_ns: onset.map(|onset| onset.monotonic_ns),
-        onset_uncertainty_ns: onset.map(|onset| onset.uncertainty_ns),
         onset_wall_ns: wall_ns.zip(after_ns).and_then(|(wall, after)| wall.checked_sub_unsigned(after)),
         reported_after_s: after_ns.map(|after| after as f64 / 1e9),
-        bursts: receipt.bursts,
-        pulses: receipt.pulses,
-        estimated: receipt.estimated,
-        worst_late_ms: Some(late.worst_ms),
-        rest_error_max_um: errors.map(|error| error.abs()).reduce(f32::max),
-        item: None,
-        items: 0,
-        items_planned: receipt.items_planned,
-        ordered_um,
-        reached_um,
-        scale: receipt.scale,
-        fit: receipt.fit,
-        late_policy: receipt.late_policy,
-        open_loop: receipt.open_loop,
-        ordered_ms: receipt.duration_ms.ordered,
-        played_ms: receipt.duration_ms.played,
-        cut_after_ms: receipt.cut_after_ms,
-        offset_tick: receipt.offset.map(|offset| offset.tick),
-        offset_monotonic_ns: receipt.offset.map(|offset| offset.monotonic_ns),
-        trigger: receipt.trigger,
-        ordered: receipt.ordered,
-        planned_onset_ticks: None,
-        late_strokes: Some(late.host + late.link + late.device),
-        refused_strokes: None,
-        boot: receipt.boot,
-        pattern_kept: false,
-        first_pulse_tick: receipt.pins.iter().flatten().map(|pin| pin.first_pulse_tick).min(),
-        start_edge: receipt.start_edge,
-        stop_edge: receipt.stop_edge,
-        live: receipt.live,
-        answer: None,
-    }
-}
-
-/// The row of an item of a sequence. Figures that are not counted by item are only in the sequence's row.
-fn part(whole: &RecordedPlay, number: u64, item: &ItemRecord) -> RecordedPlay {
-    let (onset, offset) = (item.onset, item.offset);
-    let later_ns = onset.zip(whole.onset_monotonic_ns).and_then(|(onset, whole)| {
-        i64::try_from(onset.monotonic_ns).ok()?.checked_sub(i64::try_from(whole).ok()?)
-    });
-    let played = onset.zip(offset).and_then(|(onset, offset)| offset.tick.checked_sub(onset.tick));
-    RecordedPlay {
-        pattern: item.pattern.to_string(),
-        pattern_sha256: Some(item.pattern_sha256.to_string()),
-        seconds: Some(item.ordered_ms / 1e3),
-        state: item.state.name().to_owned(),
-        cause: whole.cause.clone().filter(|_| item.state == ItemState::Cut),
-        onset_tick: onset.map(|onset| onset.tick),
-        onset_monotonic_ns: onset.map(|onset| onset.monotonic_ns),
-        onset_uncertainty_ns: onset.map(|onset| onset.uncertainty_ns),
-        onset_wall_ns: whole.onset_wall_ns.zip(later_ns).and_then(|(wall, later)| wall.checked_add(later)),
-        reported_after_s: None,
-        bursts: None,
-        pulses: None,
-        estimated: whole.estimated,
-        worst_late_ms: None,
-        rest_error_max_um: None,
-        item: Some(number),
-        items: 0,
-        items_planned: None,
-        ordered_um: Some(item.ordered_um),
-        reached_um: Some(item.reached_um),
-        scale: Some(item.scale),
-        ordered_ms: Some(item.ordered_ms),
-        played_ms: played.map(|ticks| TickRate::new(whole.tick_hz).ticks_to_ms(ticks)),
-        cut_after_ms: None,
-        offset_tick: offset.map(|offset| offset.tick),
-        offset_monotonic_ns: offset.map(|offset| offset.monotonic_ns),
-        trigger: item.trigger,
-        ordered: None,
-        planned_onset_ticks: Some(item.planned_onset_ticks),
-        late_strokes: Some(item.late_strokes.into()),
-        refused_strokes: Some(item.refused_strokes.into()),
-        first_pulse_tick: item.first_pulse_tick,
-        ..whole.clone()
+        receipt,
+        ..RecordedPlay::default()
     }
 }

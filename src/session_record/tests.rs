@@ -3,7 +3,7 @@
 use super::writer::Disk;
 use super::*;
 use jiff::tz::{TimeZone, offset};
-use meissner_api::{DeviceInfo, Event, Receipt};
+use meissner_api::{DeviceInfo, Event, PlayState, Receipt, Terms};
 use meissner_stream::time::HostInstant;
 use serde_json::{Value, json};
 use std::cell::Cell;
@@ -115,7 +115,7 @@ fn a_line_says_when_who_and_what() {
         Event::Connected { device: hello },
         Event::Lagged { events: 1 },
         Event::Drifted { um: f32::NAN },
-        Event::Ended { receipt: Box::new(Receipt::new(3, "edge-45", "0", Some(1.0))) },
+        Event::Ended { receipt: Box::new(Receipt::new("edge-45", "0", 1, &Terms::default())) },
     ] {
         if let Some(entry) = Entry::of(&event, None) {
             log.add(entry);
@@ -139,7 +139,7 @@ fn a_line_says_when_who_and_what() {
         (&stop["uid"], &stop["user"], &stop["answer"]),
         (&Value::Null, &Value::Null, &json!("hung-up"))
     );
-    assert_eq!(lines[5]["receipt"]["pattern"], "edge-45");
+    assert_eq!(lines[5]["receipt"]["name"], "edge-45");
     let times: Vec<_> = lines.iter().map(|line| line["monotonic_ns"].as_u64().unwrap()).collect();
     assert!(times.is_sorted());
     let time = lines[0]["time"].as_str().unwrap();
@@ -376,7 +376,7 @@ fn no_line_has_a_key_twice() {
         let examples = parts.into_iter().flatten().chain([variant]).find_map(|part| part.get("examples"));
         serde_json::from_value::<Event>(examples?[0].clone()).ok()
     };
-    let ended = Event::Ended { receipt: Box::new(Receipt::new(3, "edge-45", "0", Some(1.0))) };
+    let ended = Event::Ended { receipt: Box::new(Receipt::new("edge-45", "0", 1, &Terms::default())) };
     let events: Vec<_> = variants.iter().filter_map(example).chain([ended]).collect();
     let mut entries: Vec<_> =
         events.iter().filter_map(|event| Entry::of(event, Some(Peer::local(7, 0)))).collect();
@@ -489,7 +489,7 @@ fn session_of(lines: &[Value]) -> (tempfile::TempDir, meissner_api::Session) {
     let session = json!({
         "id": "20261122T083000Z-9f3c", "participant": "P07", "experiment": null, "labels": {}, "seed": null, "exclusive": false,
         "owner": null, "started": "2026-11-22T09:30:00+01:00", "ended": null, "reason": "unknown", "plays": 1, "vibration_s": 0.0,
-        "released": false, "release_in_s": null, "lost": 0, "plays_lost": 0
+        "released": false, "release_in_s": null, "lost": {"entries": 0, "plays": 0}
     });
     let mut text = String::new();
     let started = json!({"event": "session-started", "session": session});
@@ -510,7 +510,7 @@ fn plays(dir: &Path, id: &str) -> meissner_api::SessionPlays {
 }
 
 #[test]
-fn a_sequence_whose_end_is_missing_has_a_row() {
+fn a_play_whose_end_is_missing_is_told() {
     let id = "20261122T083000Z-9f3c";
     let command = |play: u64, name: Value| {
         let asked = json!({"name": name, "items": 40, "session": id, "trial": 4, "labels": {"block": "1"}});
@@ -519,32 +519,40 @@ fn a_sequence_whose_end_is_missing_has_a_row() {
     let mut refused = command(3, Value::Null);
     refused.as_object_mut().unwrap().remove("play");
     let (dir, session) = session_of(&[command(1, json!("taps")), command(2, Value::Null), refused]);
-    let rows = plays(dir.path(), &session.id).plays;
-    let told: Vec<_> = rows.iter().map(|row| (row.play, &*row.pattern, &*row.state, row.trial)).collect();
-    assert_eq!(told, [(1, "taps", "unknown", Some(4)), (2, "sequence", "unknown", Some(4))]);
-    assert_eq!(rows[0].labels["block"], "1");
+    let found: Vec<_> = plays(dir.path(), &session.id).plays.into_iter().map(|play| play.receipt).collect();
+    let told: Vec<_> = found
+        .iter()
+        .map(|receipt| {
+            (receipt.id, &*receipt.name, receipt.state, receipt.order.items, receipt.order.terms.trial)
+        })
+        .collect();
+    assert_eq!(
+        told,
+        [(1, "taps", PlayState::Unknown, 40, Some(4)), (2, "sequence", PlayState::Unknown, 40, Some(4))]
+    );
+    assert_eq!(found[0].order.terms.labels["block"], "1");
 }
 
 #[test]
 fn items_keep_their_numbers_if_lines_are_lost_and_a_play_tells_its_boot() {
-    let item = |tick: u64| {
+    let item = |number: u64| {
         json!({
-            "pattern": "pin-60", "pattern_sha256": "0", "scale": 1.0, "ordered_um": 80.0, "reached_um": 69.2,
-            "planned_onset_ticks": tick, "ordered_ms": 20.0, "state": "played", "onset": null, "first_pulse_tick": null,
+            "item": number, "pattern": "pin-60", "pattern_sha256": "0", "scale": 1.0, "ordered_um": 80.0, "reached_um": 69.2,
+            "planned_onset_ticks": number * 850, "ordered_ms": 20.0, "state": "played", "onset": null, "first_pulse_tick": null,
             "offset": null, "trigger": null, "late_strokes": 0, "refused_strokes": 0
         })
     };
-    let mut receipt = Receipt::new(1, "taps", "0", None);
-    receipt.session = Some("20261122T083000Z-9f3c".to_owned());
-    (receipt.items_planned, receipt.boot) = (Some(4), Some(7));
+    let mut receipt = Receipt { id: 1, ..Receipt::new("taps", "0", 4, &Terms::default()) };
+    receipt.order.terms.session = Some("20261122T083000Z-9f3c".to_owned());
+    receipt.device.boot = Some(7);
     let part = |first: u64| {
-        let items = [item(first * 850), item((first + 1) * 850)];
-        json!({"event": "items", "id": 1, "session": receipt.session, "first": first, "items": items})
+        let items = [item(first), item(first + 1)];
+        json!({"event": "items", "id": 1, "session": receipt.session(), "items": items})
     };
     // The first line of items is lost.
     let (dir, session) = session_of(&[part(2), json!({"event": "ended", "receipt": receipt})]);
-    let rows = plays(dir.path(), &session.id).plays;
-    assert_eq!((rows[0].items, rows[0].items_planned, rows[0].boot), (2, Some(4), Some(7)));
-    let told: Vec<_> = rows[1..].iter().map(|row| (row.item, row.planned_onset_ticks, row.boot)).collect();
-    assert_eq!(told, [(Some(2), Some(1700), Some(7)), (Some(3), Some(2550), Some(7))]);
+    let [play] = &plays(dir.path(), &session.id).plays[..] else { panic!() };
+    assert_eq!((play.receipt.order.items, play.receipt.device.boot), (4, Some(7)));
+    let items = play.receipt.items.iter().flat_map(|items| items.iter());
+    assert_eq!(items.map(|item| item.item).collect::<Vec<_>>(), [2, 3]);
 }

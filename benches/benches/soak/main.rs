@@ -335,7 +335,7 @@ fn count(counts: &Mutex<Counts>, board: Option<&Board>, receipt: &Receipt, cut: 
         counts.broken += 1;
         println!("  play {} has ended, {:?}: {:?}", receipt.id, receipt.state, receipt.cause);
     }
-    if let Some(bursts) = &receipt.bursts {
+    if let Some(bursts) = &receipt.counts.bursts {
         counts.planned += bursts.planned;
         counts.late += bursts.late;
         counts.lost += if cut { 0 } else { bursts.dropped + bursts.refused };

@@ -178,7 +178,7 @@ pub enum Event {
         "event": "session-started", "session": {
             "id": "20261122T083000Z-9f3c", "participant": "P07", "experiment": "edges", "labels": {}, "seed": 42,
             "exclusive": true, "owner": "ada", "started": "2026-11-22T09:30:00.123456+01:00", "ended": null, "reason": null,
-            "plays": 0, "vibration_s": 0.0, "released": false, "release_in_s": 120.0, "lost": 0, "plays_lost": 0
+            "plays": 0, "vibration_s": 0.0, "released": false, "release_in_s": 120.0, "lost": {"entries": 0, "plays": 0}
         }
     })))]
     SessionStarted {
@@ -218,7 +218,7 @@ pub enum Event {
             "id": "20261122T083000Z-9f3c", "participant": "P07", "experiment": "edges", "labels": {}, "seed": 42,
             "exclusive": true, "owner": "ada", "started": "2026-11-22T09:30:00.123456+01:00",
             "ended": "2026-11-22T10:30:00.123456+01:00", "reason": "request", "plays": 12, "vibration_s": 24.0,
-            "released": false, "release_in_s": null, "lost": 0, "plays_lost": 0
+            "released": false, "release_in_s": null, "lost": {"entries": 0, "plays": 0}
         }
     })))]
     SessionEnded {

@@ -59,10 +59,11 @@ pub struct ItemRecord {
     /// The factor of the amplitudes.
     #[schema(minimum = 0.0, maximum = 1.0)]
     pub scale: f64,
-    /// The largest amplitude of its drives or level of its motions as ordered, µm.
-    pub ordered_um: f64,
-    /// The largest amplitude that they reach in whole pulses, µm.
-    pub reached_um: f64,
+    /// The largest amplitude of its drives or level of its motions as ordered, µm; null for a live play, whose
+    /// drives change.
+    pub ordered_um: Option<f64>,
+    /// The largest amplitude that they reach in whole pulses, µm; null for a live play.
+    pub reached_um: Option<f64>,
     /// When it was to begin, ticks from the play's onset.
     pub planned_onset_ticks: u64,
     /// How long it was to last, ms: a whole number of ticks; null: without end.

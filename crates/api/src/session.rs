@@ -111,7 +111,7 @@ pub struct Session {
     /// When others may act unless the owner sends a request, s from now; null: they may, or the session is over.
     pub release_in_s: Option<f64>,
     /// What the record is known to have lost of it.
-    pub lost: SessionLosses,
+    pub lost: Losses,
     /// In the status: whether the client that asks shows the token of this session. Missing elsewhere.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub mine: Option<bool>,
@@ -119,11 +119,19 @@ pub struct Session {
 
 /// What the session record is known to have lost of a session: the disk did not take it, or it was removed. Without a record nothing.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
-pub struct SessionLosses {
+pub struct Losses {
     /// Number of entries.
     pub entries: u64,
     /// Number of plays whose ends are lost.
     pub plays: u64,
+}
+
+impl Losses {
+    /// Whether anything is lost.
+    #[must_use]
+    pub const fn any(self) -> bool {
+        self.entries > 0 || self.plays > 0
+    }
 }
 
 impl Session {

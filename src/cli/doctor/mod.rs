@@ -50,7 +50,7 @@ pub(super) fn run(
     let root = Path::new("/");
     let (realtime, wake_up) = timers::measure(time);
     let status: Result<Status, ClientError> = options.client()?.get("/v1/status");
-    let granted = status.as_ref().ok().map(|status| status.realtime);
+    let granted = status.as_ref().ok().map(|status| status.daemon.realtime);
     let units = service::units(root);
     let mut findings = Vec::from(rights::of_user(realtime, granted, units.is_installed()));
     findings.push(timers::finding(&wake_up));

@@ -11,13 +11,14 @@ use meissner_api::{
 
 pub(in crate::cli) fn receipt(receipt: &Receipt) -> String {
     let mut lines = vec![
-        ("play", format!("{} of {}", receipt.id, receipt.pattern)),
-        ("state", end_text(receipt.state.name(), receipt.cause.as_ref(), receipt.cut_after_ms)),
+        ("play", format!("{} of {}", receipt.id, receipt.name)),
+        ("state", end_text(receipt.state.name(), receipt.cause.as_ref(), receipt.duration_ms.cut_after)),
     ];
-    if let (Some(onset), Some(ms)) = (&receipt.onset, receipt.onset_latency_ms) {
-        lines.push(("onset", format!("tick {}, {ms:.2} ms after the request", onset.actual_tick)));
+    if let Some(onset) = &receipt.onset {
+        let text = format!("tick {}, {:.2} ms after the request", onset.actual_tick, onset.latency_ms);
+        lines.push(("onset", text));
     }
-    for (edge, does) in [(&receipt.start_edge, "started"), (&receipt.stop_edge, "stopped")] {
+    for (edge, does) in [(&receipt.edges.start, "started"), (&receipt.edges.stop, "stopped")] {
         lines.extend(edge.map(|edge| ("edge", format!("{} at tick {} {does} it", edge.number, edge.tick))));
     }
     if let Some(offset) = &receipt.offset {
@@ -26,22 +27,22 @@ pub(in crate::cli) fn receipt(receipt: &Receipt) -> String {
     if receipt.duration_ms != DurationRecord::default() {
         lines.push(("duration", duration(&receipt.duration_ms)));
     }
-    if !receipt.drives.is_empty() {
-        lines.push(("amplitude", amplitudes(&receipt.drives)));
+    if !receipt.reach.drives.is_empty() {
+        lines.push(("amplitude", amplitudes(&receipt.reach.drives)));
     }
-    if let Some(bursts) = &receipt.bursts {
-        lines.push(("bursts", burst_counts(receipt.ordered.as_ref(), bursts)));
+    if let Some(bursts) = &receipt.counts.bursts {
+        lines.push(("bursts", burst_counts(receipt.counts.ordered.as_ref(), bursts)));
     }
-    if let Some(pulses) = &receipt.pulses {
-        lines.push(("pulses", pulse_counts(receipt.ordered.as_ref(), pulses)));
+    if let Some(pulses) = &receipt.counts.pulses {
+        lines.push(("pulses", pulse_counts(receipt.counts.ordered.as_ref(), pulses)));
     }
-    if receipt.estimated {
+    if receipt.counts.estimated {
         lines.push((
             "estimated",
             "what was played, because the link was lost before the device said it".to_owned(),
         ));
     }
-    let late = &receipt.lateness.counts;
+    let late = &receipt.counts.lateness.counts;
     if late.host + late.link + late.device > 0 {
         let text = format!(
             "{} by the host, {} by the link, {} by the device; by {:.1} ms at most",
@@ -52,7 +53,8 @@ pub(in crate::cli) fn receipt(receipt: &Receipt) -> String {
     if let Some(live) = &receipt.live {
         lines.push(("updates", updates(live)));
     }
-    if let Some(items) = &receipt.items {
+    let items = receipt.items.as_deref().unwrap_or_default();
+    if items.len() > 1 {
         let count = |state| items.iter().filter(|item| item.state == state).count();
         let [played, incomplete, cut, not_begun] =
             [ItemState::Played, ItemState::Incomplete, ItemState::Cut, ItemState::NotBegun].map(count);
@@ -62,22 +64,22 @@ pub(in crate::cli) fn receipt(receipt: &Receipt) -> String {
         );
         lines.push(("items", text));
     }
-    if let Some(trigger) = &receipt.trigger {
+    if let Some(trigger) = items.first().and_then(|item| item.trigger) {
         let code = trigger.code.map_or_else(|| "pulse".to_owned(), |code| format!("code {code}"));
         lines.push(("trigger", format!("{code} of {:.2} ms at tick {}", trigger.width_ms, trigger.tick)));
     }
-    if let Some(wire) = &receipt.wire {
+    if let Some(wire) = &receipt.device.wire {
         let per_burst =
             wire.bytes_per_burst.map_or_else(String::new, |bytes| format!(", {bytes:.2} per burst"));
         lines.push(("wire", format!("{} bytes to the device{per_burst}", wire.bytes_to_device)));
     }
-    if let Some(board) = receipt.board.and_then(board) {
+    if let Some(board) = receipt.device.board.and_then(board) {
         lines.push(("board", board));
     }
-    if let Some(errors) = &receipt.rest_errors {
-        lines.extend(rest_error(errors).map(|text| ("rest error", text)));
+    if let Some(pins) = &receipt.pins {
+        lines.extend(rest_error(&pins.rest_errors).map(|text| ("rest error", text)));
     }
-    lines.extend(receipt.warnings.iter().map(|warning| ("warning", warning.clone())));
+    lines.extend(receipt.reach.warnings.iter().map(|warning| ("warning", warning.clone())));
     pairs(&lines)
 }
 
@@ -117,7 +119,7 @@ fn rest_error(errors: &[MotorRestError]) -> Option<String> {
 /// A duration as ordered, in whole strokes, and as played.
 pub(in crate::cli) fn duration(duration: &DurationRecord) -> String {
     let ms = |ms: Option<f64>| ms.map_or_else(|| "endless".to_owned(), |ms| format!("{ms:.1} ms"));
-    let DurationRecord { ordered, compiled, played } = duration;
+    let DurationRecord { ordered, compiled, played, .. } = duration;
     let played = played.map_or_else(String::new, |played| format!(", {played:.1} ms played"));
     format!("{} ordered, {} in whole strokes{played}", ms(*ordered), ms(*compiled))
 }
@@ -168,7 +170,8 @@ pub(in crate::cli) fn pulse_counts(ordered: Option<&OrderedCounts>, pulses: &Pul
 /// A play that was queued, with its duration in whole strokes.
 pub(in crate::cli) fn accepted(accepted: &PlayAccepted, pattern: &str) -> String {
     let PlayAccepted { id, ordered_ms, compiled_ms, .. } = accepted;
-    let duration = DurationRecord { ordered: *ordered_ms, compiled: *compiled_ms, played: None };
+    let duration =
+        DurationRecord { ordered: *ordered_ms, compiled: *compiled_ms, ..DurationRecord::default() };
     // An endless play has none.
     let told = ordered_ms.map_or_else(String::new, |_| format!(", {}", self::duration(&duration)));
     format!("play {id}: {pattern}{told}")
@@ -177,10 +180,11 @@ pub(in crate::cli) fn accepted(accepted: &PlayAccepted, pattern: &str) -> String
 #[cfg(test)]
 mod tests {
     use super::*;
+    use meissner_api::Terms;
 
     #[test]
     fn a_receipt_that_has_not_begun_shows_no_figures() {
-        let text = receipt(&Receipt::new(3, "edge-45", "", None));
+        let text = receipt(&Receipt { id: 3, ..Receipt::new("edge-45", "", 1, &Terms::default()) });
         assert_eq!(text, "play   3 of edge-45\nstate  queued");
     }
 

@@ -62,8 +62,7 @@ impl Engine {
     fn log_play(&self, receipt: &Receipt) {
         let client = self.take_client(receipt.id);
         let user = client.map_or_else(|| "the daemon".to_owned(), |client| self.names.user(client.uid));
-        let (id, pattern, cause) =
-            (receipt.id, &*receipt.pattern, receipt.cause.as_ref().map(EndCause::text));
+        let (id, pattern, cause) = (receipt.id, &*receipt.name, receipt.cause.as_ref().map(EndCause::text));
         let (uid, tick) = (client.map(|client| client.uid), receipt.onset.map(|onset| onset.actual_tick));
         let wall = Timestamp::now().to_zoned(self.names.zone.clone());
         let outcome = outcome(receipt, HostInstant::now(), &wall);
@@ -75,7 +74,7 @@ impl Engine {
 
 /// The outcome of a play that has just ended, in words.
 fn outcome(receipt: &Receipt, now: HostInstant, wall: &Zoned) -> String {
-    let mut text = end_text(receipt.state.name(), receipt.cause.as_ref(), receipt.cut_after_ms);
+    let mut text = end_text(receipt.state.name(), receipt.cause.as_ref(), receipt.duration_ms.cut_after);
     let Some(onset) = receipt.onset else { return text + ", it did not begin" };
     let began = HostInstant::from_ns(onset.monotonic_ns);
     let (since, until) = (now.since(began), began.since(now));
@@ -86,10 +85,10 @@ fn outcome(receipt: &Receipt, now: HostInstant, wall: &Zoned) -> String {
     let (tick, us) = (onset.actual_tick, onset.uncertainty_ns.div_ceil(1000));
     // Writing to a string cannot fail.
     let _ = write!(text, ", began {at} (tick {tick}, ±{us} us)");
-    let asked = receipt.seconds.filter(|_| receipt.state == PlayState::Done);
-    let seconds = since.as_secs_f64().max(0.0).min(asked.unwrap_or(f64::INFINITY));
+    let ordered_ms = receipt.duration_ms.ordered.filter(|_| receipt.state == PlayState::Done);
+    let seconds = since.as_secs_f64().max(0.0).min(ordered_ms.map_or(f64::INFINITY, |ms| ms / 1e3));
     let _ = write!(text, ", {seconds:.1} s");
-    let Some(bursts) = receipt.bursts else { return text };
+    let Some(bursts) = receipt.counts.bursts else { return text };
     let _ = if bursts.played == bursts.planned {
         write!(text, ", {} bursts", bursts.planned)
     } else {
@@ -107,7 +106,7 @@ fn outcome(receipt: &Receipt, now: HostInstant, wall: &Zoned) -> String {
 mod tests {
     use super::*;
     use crate::log::tests::logged;
-    use meissner_api::{BurstCounts, DeviceInfo, OnsetRecord};
+    use meissner_api::{BurstCounts, DeviceInfo, OnsetRecord, Terms};
     use meissner_input::message::is_plain;
     use meissner_stream::Settings;
     use meissner_stream::queues::queues;
@@ -116,14 +115,17 @@ mod tests {
     fn a_play_is_a_line_that_reads_alone() {
         let wall: Zoned = "2026-11-22T14:03:27.250000+01:00[+01:00]".parse().unwrap();
         let now = HostInstant::from_ns(20_126_544_000);
-        let mut receipt = Receipt::new(3, "edge-45", "0", Some(5.0));
+        let mut receipt = Receipt::new("edge-45", "0", 1, &Terms::default());
+        receipt.duration_ms.ordered = Some(5000.0);
         receipt.state = PlayState::Stopped;
         receipt.cause = Some(EndCause::Stop);
         assert_eq!(outcome(&receipt, now, &wall), "stopped (stop), it did not begin");
         let (requested_tick, actual_tick, monotonic_ns, uncertainty_ns) =
             (0, 123_456, 15_000_000_000, 11_001);
-        receipt.onset = Some(OnsetRecord { requested_tick, actual_tick, monotonic_ns, uncertainty_ns });
-        receipt.bursts =
+        let latency_ms = 4.0;
+        receipt.onset =
+            Some(OnsetRecord { requested_tick, actual_tick, monotonic_ns, uncertainty_ns, latency_ms });
+        receipt.counts.bursts =
             Some(BurstCounts { planned: 1200, played: 1190, late: 3, dropped: 7, ..BurstCounts::default() });
         let began = "began 14:03:22.123456 (tick 123456, ±12 us)";
         assert_eq!(
@@ -131,7 +133,7 @@ mod tests {
             format!("stopped (stop), {began}, 5.1 s, 1190 of 1200 bursts, 3 late, 7 dropped")
         );
         (receipt.state, receipt.cause) = (PlayState::Done, None);
-        receipt.bursts = Some(BurstCounts { planned: 1200, played: 1200, ..BurstCounts::default() });
+        receipt.counts.bursts = Some(BurstCounts { planned: 1200, played: 1200, ..BurstCounts::default() });
         assert_eq!(outcome(&receipt, now, &wall), format!("done, {began}, 5.0 s, 1200 bursts"));
     }
 
@@ -151,7 +153,7 @@ mod tests {
             telemetry,
             trigger_input: false,
         };
-        let mut receipt = Receipt::new(3, &odd(), &odd(), None);
+        let mut receipt = Receipt::new(&odd(), &odd(), 1, &Terms::default());
         receipt.cause = Some(odd().into());
         let events = [
             Event::Connected { device },

@@ -5,7 +5,10 @@
 use crate::daemon::engine::Engine;
 use crate::exposure::Now;
 use crate::receipts::{DeviceState, board_status};
-use meissner_api::{ClockSample, MotorStatus, PinMovement, QueuedPlay, Session, StandingPins, Status};
+use meissner_api::{
+    ClockSample, DaemonStatus, EStopStatus, LinkStatus, MotorStatus, Newest, PinMovement, QueuedPlay,
+    Session, StandingPins, Status,
+};
 use meissner_stream::queues::Snapshot;
 use meissner_stream::time::HostInstant;
 use std::fmt::Write as _;
@@ -17,7 +20,6 @@ impl Engine {
         let receipts = &daemon.plays.receipts;
         let DeviceState { state, cause, position } = receipts.device_state();
         let (now, wall_ns) = HostInstant::now_with_wall();
-        let clock = receipts.clock(now);
         let snapshot = receipts.snapshot();
         let used = daemon.calibration.in_use().map(|stored| &stored.calibration);
         let is_calibrated = |motor: u8| used.is_some_and(|calibration| calibration.motor(motor).is_some());
@@ -32,69 +34,73 @@ impl Engine {
                 now: movement(at, motor),
             }
         };
+        let settings = &daemon.settings;
+        let at_link = snapshot.filter(|at| at.connected);
+        let record = &daemon.publisher.session_record;
         Status {
             state: state.to_owned(),
             cause,
-            armed: daemon.armed.status(),
-            estops: self.estops.switch.newest(),
-            estop_off_ms: self.estops.switch.confirmed_after().map(|after| after.as_secs_f64() * 1e3),
             position: position.to_owned(),
+            armed: daemon.armed.status(),
             standing: snapshot.and_then(|at| standing(at, now)),
+            estop: EStopStatus {
+                orders: self.estops.switch.newest(),
+                off_ms: self.estops.switch.confirmed_after().map(|after| after.as_secs_f64() * 1e3),
+            },
             device: receipts.device(),
-            array: daemon.settings.array.name().to_owned(),
-            device_identity: daemon.calibration.identity.clone(),
-            requested_device: self.wanted.clone(),
-            no_device_reason: daemon.connection.missing.clone(),
+            link: LinkStatus {
+                wanted: self.wanted.clone(),
+                missing: daemon.connection.missing.clone(),
+                identity: daemon.calibration.identity.clone(),
+                bytes_per_s: at_link.and_then(|at| at.line_bytes_per_s),
+                contradictions: snapshot.map_or(0, |at| at.traffic.contradictions.total()),
+                board: at_link.and_then(|at| at.board).map(|board| board_status(&board)),
+            },
             play: receipts.running(),
             queued: receipts
                 .queued()
                 .map(|receipt| QueuedPlay {
                     id: receipt.id,
-                    pattern: receipt.pattern.clone(),
-                    waits_for_edge: receipt.on_edge_ms.is_some() && receipt.start_edge.is_none(),
+                    name: receipt.name.clone(),
+                    waits_for_edge: receipt.order.terms.on_edge_ms.is_some() && receipt.edges.start.is_none(),
                 })
                 .collect(),
-            last_play: receipts.last().map(|receipt| receipt.id),
-            last_rendering: daemon.renderings.last_id(),
-            tick: clock.map(|(tick, _)| tick.0),
-            clock_uncertainty_us: clock.map(|(_, uncertainty_us)| uncertainty_us),
-            clock: clock.map(|(tick, uncertainty_us)| ClockSample {
+            newest: Newest {
+                play: receipts.last().map(|receipt| receipt.id),
+                rendering: daemon.renderings.last_id(),
+            },
+            clock: receipts.clock(now).map(|(tick, uncertainty_us)| ClockSample {
                 tick: tick.0,
-                tick_hz: daemon.settings.array.rate().hz(),
+                tick_hz: settings.array.rate().hz(),
                 monotonic_ns: now.as_ns(),
                 wall_ns,
                 uncertainty_us,
             }),
-            lead_ms: snapshot.map_or(daemon.settings.lead_ms, |snapshot| snapshot.lead_ms),
-            lease_ms: daemon.settings.lease_ms,
-            line_bytes_per_s: snapshot.filter(|at| at.connected).and_then(|at| at.line_bytes_per_s),
-            drift_limit_um: daemon.settings.drift_limit_um,
-            board: snapshot
-                .filter(|at| at.connected)
-                .and_then(|at| at.board)
-                .map(|board| board_status(&board)),
-            contradictions: snapshot.map_or(0, |at| at.traffic.contradictions.total()),
             motors: snapshot
                 .map(|at| at.settings.array.numbers().map(|number| motor(at, number)).collect())
                 .unwrap_or_default(),
-            calibrated: used.map(|calibration| {
-                calibration.provenance().date.clone().unwrap_or_else(|| "without a date".to_owned())
-            }),
             session: daemon.session().map(|session| Session { mine: Some(mine), ..session }),
-            role,
             participant: daemon.exposure.status(Now::read()),
-            realtime: self.realtime,
-            logbook_problem: daemon
-                .publisher
-                .session_record
-                .problem()
-                .or_else(|| daemon.exposure.problem())
-                .or_else(|| daemon.publisher.session_record.gaps()),
-            logbook_lost: daemon.publisher.session_record.lost(),
-            socket: self.socket.display().to_string(),
-            network: self.gate.status(),
-            version: env!("CARGO_PKG_VERSION").to_owned(),
-            pid: std::process::id(),
+            daemon: DaemonStatus {
+                version: env!("CARGO_PKG_VERSION").to_owned(),
+                pid: std::process::id(),
+                socket: self.socket.display().to_string(),
+                network: self.gate.status(),
+                role,
+                realtime: self.realtime,
+                array: settings.array.name().to_owned(),
+                calibrated: used.map(|calibration| {
+                    calibration.provenance().date.clone().unwrap_or_else(|| "without a date".to_owned())
+                }),
+                drift_limit_um: settings.drift_limit_um,
+                lead_ms: snapshot.map_or(settings.lead_ms, |snapshot| snapshot.lead_ms),
+                lease_ms: settings.lease_ms,
+                logbook_problem: record
+                    .problem()
+                    .or_else(|| daemon.exposure.problem())
+                    .or_else(|| record.gaps()),
+                logbook_lost: record.lost(),
+            },
         }
     }
 
@@ -114,7 +120,7 @@ impl Engine {
             let _ = write!(line, "; {}", standing.text());
         }
         if let Some(play) = receipts.running() {
-            let _ = write!(line, "; plays {} (play {})", play.pattern, play.id);
+            let _ = write!(line, "; plays {} (play {})", play.name, play.id);
         }
         match receipts.queued().count() {
             0 => {}

@@ -14,7 +14,7 @@ use crate::exposure::{Now, Vibration};
 use meissner_api::{Code, PlayAccepted, Problem, Terms};
 use meissner_array::per_motor::PerMotor;
 use meissner_array::strokes::Surplus;
-use meissner_stream::queues::{At, Command, Item, Play};
+use meissner_stream::queues::{Command, Item, Play};
 use meissner_stream::{Bandwidth, Settings, Source};
 use std::sync::Arc;
 use std::time::Duration;
@@ -111,12 +111,8 @@ impl Engine {
         sent: impl FnOnce(&mut State, u64) + Send,
     ) -> Result<PlayAccepted, Problem> {
         let held = self.hold(terms, &compiled, &check).await?;
-        let Compiled { strokes, items, live, bandwidth, hold, settings, memory, mut new, texts, .. } =
-            compiled;
+        let Compiled { strokes, items, live, bandwidth, hold, settings, memory, new, texts, .. } = compiled;
         let (at, &Terms { late, replace, open_loop, stop_on_edge, .. }) = (onset(terms), terms);
-        if let At::Edge(delay_ns) = at {
-            new.receipt.on_edge_ms = Some(delay_ns as f64 / 1e6);
-        }
         let play = Play {
             items,
             at,
@@ -129,7 +125,7 @@ impl Engine {
             hold,
             ..Play::new(0, strokes)
         };
-        let (duration, motions) = (new.receipt.duration_ms, new.receipt.motions.clone());
+        let (duration, motions) = (new.receipt.duration_ms, new.receipt.reach.motions.clone());
         let (id, reply) = {
             let mut state = self.lock();
             held.check(&state)?;

@@ -34,7 +34,7 @@ impl Engine {
         let drift = CHECKS.computing(move || forecast_drift(*strokes, &settings, &gains)).await?;
         let Drift { um, motor, stopped_at, followed_until } =
             drift.map_err(|error| Problem::new(Code::BadRequest, error.to_string()))?;
-        let planned = compiled.new.items.unwrap_or_default();
+        let planned = compiled.new.items;
         let stopped_at = stopped_at.map(|at| {
             let item = planned.partition_point(|item| item.span.0 <= at).saturating_sub(1);
             let pattern = planned.get(item).map(|item| item.pattern.to_string()).unwrap_or_default();

@@ -7,10 +7,11 @@
 use crate::daemon::engine::Engine;
 use crate::daemon::engine::right::Right;
 use crate::daemon::plays::begin::Compiled;
-use crate::daemon::plays::terms::{receipt, trigger};
+use crate::daemon::plays::terms::trigger;
 use crate::daemon::state::{LivePlay, NewPlay, State};
 use crate::daemon::system::runtime::PLAYS;
 use crate::exposure::Vibration;
+use crate::receipts::PlannedItem;
 use crate::session_record::Peer;
 use crate::store::hash;
 use meissner_api::{
@@ -65,8 +66,15 @@ impl Engine {
         let terms = &request.terms;
         // Plain data can be written.
         let sha256 = hash(&serde_json::to_vec(request).unwrap_or_default());
-        let receipt = receipt(terms, LIVE, &sha256, None);
-        let receipt = Receipt { scale: request.scale, live: Some(LiveRecord::default()), ..receipt };
+        let receipt = Receipt::new(LIVE, &sha256, 1, terms);
+        let receipt = Receipt { live: Some(LiveRecord::default()), ..receipt };
+        let item = PlannedItem {
+            pattern: LIVE.into(),
+            sha256: sha256.into(),
+            scale: request.scale.unwrap_or(1.0),
+            amplitude_um: None,
+            span: (0, None),
+        };
         let compiled = Compiled {
             strokes: Source::Live(Box::new(LiveStrokes::new(waves))),
             items: vec![Item::new(trigger(request.trigger, settings.array.rate()))],
@@ -79,7 +87,7 @@ impl Engine {
             reach,
             memory: Vec::new(),
             largest: (live.largest_um(&reach), "the live play".to_owned()),
-            new: NewPlay { receipt, items: None, endless: None, client },
+            new: NewPlay { receipt, items: [item].into(), endless: None, client },
             texts: Vec::new(),
         };
         let path = format!("/v1/live/{}", live.key());

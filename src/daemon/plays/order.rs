@@ -6,7 +6,7 @@
 
 use crate::daemon::engine::Engine;
 use crate::daemon::plays::begin::{Basis, Compiled};
-use crate::daemon::plays::terms::{receipt, trigger};
+use crate::daemon::plays::terms::trigger;
 use crate::daemon::state::limits::check_limits;
 use crate::daemon::state::{NewPlay, check_samples};
 use crate::daemon::system::runtime::Lane;
@@ -177,7 +177,13 @@ impl Compiled {
             followed.push((number, Arc::clone(&of.motions)));
             required.push(*bandwidth);
             let (pattern, sha256) = (Arc::clone(name), Arc::clone(sha256));
-            planned.push(PlannedItem { pattern, sha256, scale, amplitude_um: of.amplitude_um, span: (0, 0) });
+            planned.push(PlannedItem {
+                pattern,
+                sha256,
+                scale,
+                amplitude_um: Some(of.amplitude_um),
+                span: (0, None),
+            });
         }
         let (items, hold_ms) = (asked.clone(), terms.hold_ms);
         let (preparing, placed) = lane
@@ -193,29 +199,23 @@ impl Compiled {
         let Placed { strokes, items, spans, bandwidth, hold, unchecked, vibration, counts } = placed;
         let rate = settings.array.rate();
         for (item, span) in planned.iter_mut().zip(&spans) {
-            item.span = *span;
+            item.span = (span.0, Some(span.1).filter(|_| strokes.end().is_some()));
         }
         let mut receipt = match (one, planned.first()) {
-            (Some(item), Some(of)) => {
-                let receipt = receipt(terms, &of.pattern, &of.sha256, item.seconds);
-                Receipt { scale: Some(of.scale), ..receipt }
-            }
-            _ => {
-                let seconds = strokes.end().map(|end| rate.ticks_to_seconds(end));
-                receipt(terms, name.as_deref().unwrap_or(NAME), &sha256(asked), seconds)
-            }
+            (Some(_), Some(of)) => Receipt::new(&of.pattern, &of.sha256, 1, terms),
+            _ => Receipt::new(name.as_deref().unwrap_or(NAME), &sha256(asked), asked.len(), terms),
         };
         let of_items = followed.iter().map(|(number, motions)| {
             (rate.ticks_to_seconds(spans.get(*number).map_or(0, |span| span.0)), &**motions)
         });
-        receipt.motions = motions_of_items(of_items);
+        receipt.reach.motions = motions_of_items(of_items);
         let whole = || {
             let length_ms = strokes.end().map(|end| rate.ticks_to_ms(end));
             Outline { ordered_ms: length_ms, compiled_ms: length_ms, ..Outline::default() }
         };
         let outline = prepared.as_ref().map_or_else(whole, |one| one.outline.clone());
-        Outline { warnings, ..outline }.enter(&mut receipt, terms.fit, counts);
-        receipt.warnings.splice(0..0, unchecked.into_iter().chain(slow.into_iter().take(MAX_LINES)));
+        Outline { warnings, ..outline }.enter(&mut receipt, counts);
+        receipt.reach.warnings.splice(0..0, unchecked.into_iter().chain(slow.into_iter().take(MAX_LINES)));
         let endless = prepared.filter(|_| strokes.end().is_none()).map(|one| (one.pattern, one.options));
         Ok(Self {
             strokes: strokes.into(),
@@ -229,7 +229,7 @@ impl Compiled {
             reach,
             largest,
             memory,
-            new: NewPlay { receipt, items: one.is_none().then(|| planned.into()), endless, client },
+            new: NewPlay { receipt, items: planned.into(), endless, client },
             texts,
         })
     }

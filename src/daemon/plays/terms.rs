@@ -2,7 +2,7 @@
 
 use firmware_protocol::message::Trigger;
 use firmware_protocol::tick::Tick;
-use meissner_api::{EdgeRequest, Receipt, Terms, TriggerRequest, TriggerShape};
+use meissner_api::{EdgeRequest, Terms, TriggerRequest, TriggerShape};
 use meissner_array::units::TickRate;
 use meissner_stream::queues::At;
 use meissner_stream::time::HostInstant;
@@ -16,13 +16,6 @@ pub(super) fn onset(terms: &Terms) -> At {
         (.., Some(ms)) => At::Edge(nanoseconds(ms)),
         (None, None, None, None) => At::Next,
     }
-}
-
-/// The receipt of a play of this pattern, which has no id yet.
-pub(super) fn receipt(terms: &Terms, pattern: &str, sha256: &str, seconds: Option<f64>) -> Receipt {
-    let &Terms { late: late_policy, open_loop, trial, .. } = terms;
-    let (session, labels) = (terms.session.clone(), terms.labels.clone());
-    Receipt { session, trial, labels, late_policy, open_loop, ..Receipt::new(0, pattern, sha256, seconds) }
 }
 
 /// When an edge of the simulated array comes.

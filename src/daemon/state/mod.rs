@@ -125,7 +125,7 @@ impl State {
         if let Some(event) = &mut event {
             if let Event::Ended { receipt } = event {
                 let warning = self.record_warning(receipt);
-                receipt.warnings.extend(warning);
+                receipt.reach.warnings.extend(warning);
             }
             self.publish_items(event);
             self.publish(event);
@@ -148,16 +148,18 @@ impl State {
         (event, !expected)
     }
 
-    /// Publishes the items that have begun of an ended sequence.
+    /// Publishes the items that have begun of an ended play, unless the event has them.
     fn publish_items(&self, event: &Event) {
         let Event::Ended { receipt: ended } = event else { return };
         let receipt = self.plays.receipts.receipt(ended.id);
         let Some(items) = receipt.and_then(|receipt| receipt.items.clone()) else { return };
+        if ended.items.is_some() {
+            return;
+        }
         let begun = items.iter().rposition(|item| item.state != ItemState::NotBegun).map_or(0, |at| at + 1);
-        for (part, items) in items[..begun].chunks(MAX_ITEMS_LISTED).enumerate() {
-            let (first, items) = (part * MAX_ITEMS_LISTED, items.to_vec());
-            let items = Event::Items { id: ended.id, session: ended.session.clone(), first, items };
-            self.publisher.publish(&items, None);
+        for items in items[..begun].chunks(MAX_ITEMS_LISTED) {
+            let session = ended.session().map(str::to_owned);
+            self.publisher.publish(&Event::Items { id: ended.id, session, items: items.to_vec() }, None);
         }
     }
 
@@ -182,7 +184,7 @@ impl State {
         if accepted {
             self.moves(self.rights.of_play(id).cloned());
             // Count it here, not where the client is answered: the answer may come after the client's timeout.
-            let session = self.plays.receipts.receipt(id).and_then(|receipt| receipt.session.as_deref());
+            let session = self.plays.receipts.receipt(id).and_then(|receipt| receipt.session());
             self.sessions.count_play(session);
         }
         event

@@ -16,8 +16,7 @@ use std::sync::Arc;
 pub(in crate::daemon) struct NewPlay {
     /// Its receipt, which gets its id here.
     pub(in crate::daemon) receipt: Receipt,
-    /// The items of a sequence.
-    pub(in crate::daemon) items: Option<Arc<[PlannedItem]>>,
+    pub(in crate::daemon) items: Arc<[PlannedItem]>,
     /// The pattern of an endless play, whose strokes are counted at its end, and how the play differs from it.
     pub(in crate::daemon) endless: Option<(Arc<Pattern>, StrokeOptions)>,
     pub(in crate::daemon) client: Peer,
@@ -66,10 +65,7 @@ impl Plays {
         let NewPlay { receipt, items, endless, client } = play;
         self.last_id += 1;
         let id = self.last_id;
-        self.receipts.add(Receipt { id, ..receipt });
-        if let Some(items) = items {
-            self.receipts.plan(id, items);
-        }
+        self.receipts.add(Receipt { id, ..receipt }, items);
         if let Some(endless) = endless {
             self.endless.insert(id, endless);
         }

@@ -237,7 +237,7 @@ impl State {
     /// What the session record lacks that concerns a play: entries of its session, or all that comes now.
     pub(in crate::daemon) fn record_warning(&self, receipt: &Receipt) -> Option<String> {
         let record = &self.publisher.session_record;
-        let lost = receipt.session.as_ref().map_or(0, |session| record.lost_of(session).0);
+        let lost = receipt.order.terms.session.as_ref().map_or(0, |session| record.lost_of(session).entries);
         let told = (lost > 0).then(|| format!("the session record has lost {lost} entries of this session"));
         Some(message::cut(&record.problem().or(told)?, MAX_WARNING))
     }
@@ -262,7 +262,8 @@ impl State {
         self.check_asker()?;
         let receipt = self.plays.receipts.receipt(play).ok_or_else(|| no_play(&play.to_string()))?;
         let running = self.sessions.running.as_mut();
-        let Some(running) = running.filter(|running| receipt.session.as_ref() == Some(&running.session.id))
+        let Some(running) =
+            running.filter(|running| receipt.order.terms.session.as_ref() == Some(&running.session.id))
         else {
             let detail = format!(
                 "play {play} is not of a session that runs: answers are kept in the session of their play"
@@ -304,10 +305,9 @@ impl State {
     pub(in crate::daemon) fn session(&self) -> Option<Session> {
         let Running { session, .. } = self.sessions.running.as_ref()?;
         let left = self.sessions.until_release(&session.id).filter(|_| session.is_closed_to_others());
-        let (lost, plays_lost) = self.publisher.session_record.lost_of(&session.id);
+        let lost = self.publisher.session_record.lost_of(&session.id);
         Some(Session {
             lost,
-            plays_lost,
             vibration_s: self.exposure.session_s(),
             release_in_s: left.map(|left| left.as_secs_f64()),
             ..session.clone()

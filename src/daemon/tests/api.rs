@@ -59,7 +59,7 @@ fn plays_queue_and_the_queue_is_bounded() {
     let waiting: Vec<u64> = (0..16).map(|_| play(&mut client, &long)).collect();
     assert_eq!(refusal(client.post("/v1/play", &long)), ("queue-full".into(), 429));
     let receipt: Value = client.get(&format!("/v1/plays/{}", waiting[15])).unwrap();
-    assert!(receipt["state"] == "queued" && receipt["bursts"].is_null());
+    assert!(receipt["state"] == "queued" && receipt["counts"]["bursts"].is_null());
     let mut events = client.events();
     let instead = play(&mut client, &json!({"pattern": "pin-60", "endless": true, "replace": true}));
     wait_for(&mut events, |event| matches!(event, Event::Began { id, .. } if *id == instead));
@@ -121,7 +121,7 @@ fn an_onset_can_be_asked_for_by_tick_and_by_delay() {
     let daemon = Bench::start();
     let mut client = daemon.armed();
     let mut events = client.events();
-    let tick = client.get::<Value>("/v1/status").unwrap()["tick"].as_u64().unwrap() + 255_000;
+    let tick = client.get::<Value>("/v1/status").unwrap()["clock"]["tick"].as_u64().unwrap() + 255_000;
     let id = play(&mut client, &json!({"pattern": "edge-45", "seconds": 0.2, "at_tick": tick}));
     assert_eq!(ended(&mut events).id, id);
     let receipt: Value = client.get(&format!("/v1/plays/{id}")).unwrap();
@@ -144,7 +144,7 @@ fn one_sample_of_the_status_pairs_the_clocks() {
     let mut client = daemon.armed();
     let status: Status = client.get("/v1/status").unwrap();
     let clock = status.clock.unwrap();
-    assert_eq!((clock.tick_hz, Some(clock.tick)), (85_000, status.tick));
+    assert_eq!(clock.tick_hz, 85_000);
     let mut events = client.events();
     let at_monotonic_ns = clock.monotonic_ns + 2_000_000_000;
     play(&mut client, &json!({"pattern": "edge-45", "seconds": 0.2, "at_monotonic_ns": at_monotonic_ns}));

@@ -41,26 +41,29 @@ fn an_inline_pattern_is_played_told_and_kept_like_a_stored_one() {
     let client = bench.armed();
     let request = json!({"pattern": press(), "labels": {"what": "press"}});
     let (accepted, receipt) = client.played(&request);
-    assert_eq!((receipt.pattern.as_str(), receipt.state), ("inline", PlayState::Done), "{receipt:?}");
-    assert!(receipt.all_played() && receipt.ordered.unwrap().bursts == receipt.bursts.unwrap().planned);
+    assert_eq!((receipt.name.as_str(), receipt.state), ("inline", PlayState::Done), "{receipt:?}");
+    assert!(
+        receipt.all_played()
+            && receipt.counts.ordered.unwrap().bursts == receipt.counts.bursts.unwrap().planned
+    );
     // Told before: an ideal motor follows a slow press to some um.
-    let [motion] = receipt.motions[..] else { panic!("{:?}", receipt.motions) };
+    let [motion] = receipt.reach.motions[..] else { panic!("{:?}", receipt.reach.motions) };
     assert_eq!(accepted.motions, [motion]);
     assert_eq!((motion.motor, motion.highest_um, motion.too_slow_from_s), (9, 100.0, None));
     // Told after: one pin moved, at the onset or a little later, and came to rest within the play.
-    let [pin] = receipt.pins.clone().unwrap()[..] else { panic!("{:?}", receipt.pins) };
+    let [pin] = receipt.pins.clone().unwrap().moved[..] else { panic!("{:?}", receipt.pins) };
     let onset = receipt.onset.unwrap().actual_tick;
     assert!((onset..onset + 85 * 20).contains(&pin.first_pulse_tick), "{pin:?} after {onset}");
     assert!((25_000..27_000).contains(&(pin.offset_tick - onset)), "{pin:?} after {onset}");
     // The hash is that of the text that the session record keeps, and it is the same for the same content.
-    let path = bench.path(&format!("logbook/patterns/{}.toml", receipt.pattern_sha256));
+    let path = bench.path(&format!("logbook/patterns/{}.toml", receipt.sha256));
     bench.advance(Duration::from_secs(1));
     let text = fs::read_to_string(path).unwrap();
     assert!(text.contains("[[ramp]]") && text.contains("name = \"inline\""), "{text}");
-    let again = json!({"pattern": "inline", "pattern_sha256": receipt.pattern_sha256});
-    assert_eq!(client.played(&again).1.pattern_sha256, receipt.pattern_sha256);
+    let again = json!({"pattern": "inline", "pattern_sha256": receipt.sha256});
+    assert_eq!(client.played(&again).1.sha256, receipt.sha256);
     let (_, same) = client.played(&json!({"pattern": press()}));
-    assert_eq!(same.pattern_sha256, receipt.pattern_sha256);
+    assert_eq!(same.sha256, receipt.sha256);
 }
 
 #[test]
@@ -106,9 +109,12 @@ fn plays_and_sequences_tell_their_motions_and_strict_ones_refuse_slow_ones() {
     assert!(refused.code == "too-slow" && refused.detail.starts_with(says), "{refused:?}");
     let (accepted, receipt) = client.played(&json!({"pattern": jump}));
     assert_eq!(accepted.motions[0].too_slow_from_s, Some(0.05));
-    assert!(receipt.warnings[0].starts_with("motor 9 is too slow") && receipt.all_played(), "{receipt:?}");
+    assert!(
+        receipt.reach.warnings[0].starts_with("motor 9 is too slow") && receipt.all_played(),
+        "{receipt:?}"
+    );
     let (_, slow) = client.played(&json!({"pattern": press(), "strict": true}));
-    assert!(slow.all_played() && slow.warnings.is_empty(), "{slow:?}");
+    assert!(slow.all_played() && slow.reach.warnings.is_empty(), "{slow:?}");
 
     let items = json!([{"pattern": press()}, {"pattern": jump, "gap_ms": 100}]);
     let refused = problem(client.post("/v1/play", &json!({"items": items, "strict": true})));
@@ -118,7 +124,7 @@ fn plays_and_sequences_tell_their_motions_and_strict_ones_refuse_slow_ones() {
     assert!(short.code == "bad-request" && short.detail.contains("above rest for"), "{short:?}");
     let (accepted, receipt) = client.played(&json!({"items": items, "hold_ms": 400}));
     // The press of 0.3 s, 0.1 s, and 0.05 s of the second item.
-    let [motion] = receipt.motions[..] else { panic!("{:?}", receipt.motions) };
+    let [motion] = receipt.reach.motions[..] else { panic!("{:?}", receipt.reach.motions) };
     assert_eq!((accepted.motions, motion.motor, motion.highest_um), (vec![motion], 9, 200.0));
     assert!(
         motion.too_slow_from_s.is_some_and(|s| (0.44..0.48).contains(&s)) && receipt.all_played(),
@@ -149,7 +155,7 @@ fn items_of_other_motors_overlap_and_blank_items_play_nothing() {
     assert_eq!(codes, [Some(1), Some(2), Some(3), Some(4)]);
     let blank = &records[2];
     assert_eq!((&*blank.pattern, &*blank.pattern_sha256, blank.first_pulse_tick), ("blank", "", None));
-    let moved: Vec<_> = receipt.pins.unwrap().iter().map(|pin| pin.motor).collect();
+    let moved: Vec<_> = receipt.pins.unwrap().moved.iter().map(|pin| pin.motor).collect();
     assert_eq!(moved, [3, 7, 9]);
     // The same motor twice at once.
     let twice =

@@ -181,7 +181,7 @@ fn judge(daemon: &Bench, model: &mut Model) {
     assert_eq!(of("answered", "/play").into_iter().collect::<BTreeSet<_>>(), model.answered);
     for &id in &model.accepted {
         let receipt: Receipt = client.get(&format!("/v1/plays/{id}")).unwrap();
-        let bursts = receipt.bursts.unwrap();
+        let bursts = receipt.counts.bursts.unwrap();
         let sum = bursts.played + bursts.late + bursts.dropped + bursts.refused + bursts.replaced;
         assert_eq!(bursts.planned, sum, "{receipt:?}");
         assert!(receipt.state.is_over() && bursts.late == 0 && bursts.refused == 0, "{receipt:?}");
@@ -191,7 +191,7 @@ fn judge(daemon: &Bench, model: &mut Model) {
     }
     for (id, plays) in &model.ended {
         let recorded: SessionPlays = client.get(&format!("/v1/sessions/{id}/plays")).unwrap();
-        let told: BTreeSet<u64> = recorded.plays.iter().map(|play| play.play).collect();
+        let told: BTreeSet<u64> = recorded.plays.iter().map(|play| play.receipt.id).collect();
         assert_eq!(&told, plays, "session {id}");
         let session: Session = client.get(&format!("/v1/sessions/{id}")).unwrap();
         assert_eq!((session.reason.as_deref(), session.plays), (Some("request"), plays.len() as u64));

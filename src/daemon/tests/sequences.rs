@@ -17,7 +17,7 @@ fn a_sequence_has_one_receipt_with_every_onset_and_offset() {
         })
         .collect();
     let (_, receipt) = client.played(&json!({"items": items, "name": "block-1", "at_ms": 100.0}));
-    assert_eq!((receipt.pattern.as_str(), receipt.state.name()), ("block-1", "done"));
+    assert_eq!((receipt.name.as_str(), receipt.state.name()), ("block-1", "done"));
     assert!(receipt.all_played(), "{receipt:?}");
     let records = receipt.items.unwrap();
     let onset = receipt.onset.unwrap().actual_tick;

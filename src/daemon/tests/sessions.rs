@@ -27,11 +27,14 @@ fn a_play_carries_its_session_trial_and_labels() {
     let play = json!({"pattern": "pin-60", "seconds": 0.2, "trial": 3, "labels": {"condition": "a"}});
     let _: Value = client.post("/v1/play", &play).unwrap();
     let receipt = ended(&mut events);
-    assert_eq!((receipt.session.as_deref(), receipt.trial), (Some(&*started.id), Some(3)));
-    assert_eq!(receipt.labels["condition"], "a");
+    assert_eq!(
+        (receipt.order.terms.session.as_deref(), receipt.order.terms.trial),
+        (Some(&*started.id), Some(3))
+    );
+    assert_eq!(receipt.order.terms.labels["condition"], "a");
     // Plays of all clients belong to it; a play for another session is refused.
     let _: Value = daemon.client().post("/v1/play", &json!({"pattern": "pin-60", "seconds": 0.1})).unwrap();
-    assert_eq!(ended(&mut events).session, Some(started.id.clone()));
+    assert_eq!(ended(&mut events).order.terms.session, Some(started.id.clone()));
     let other = json!({"pattern": "pin-60", "seconds": 0.1, "session": "20260101T000000Z-000000"});
     assert_eq!(refusal(client.post("/v1/play", &other)), ("session-running".into(), 409));
     let long = json!({"pattern": "pin-60", "seconds": 9, "session": started.id});
@@ -111,7 +114,7 @@ fn an_owner_that_dies_in_mid_play_locks_nobody_out() {
     let receipt = ended(&mut events);
     assert_eq!((receipt.id, receipt.state), (id, PlayState::Done));
     let _: Value = other.post("/v1/play", &json!({"pattern": "pin-60", "seconds": 0.1})).unwrap();
-    assert_eq!(ended(&mut events).session, Some(started.id.clone()));
+    assert_eq!(ended(&mut events).order.terms.session, Some(started.id.clone()));
     // The owner's next request closes it again.
     let back: Status = mine.get("/v1/status").unwrap();
     assert!(back.session.unwrap().is_closed_to_others());

@@ -34,8 +34,11 @@ fn what_would_be_silent_is_refused_and_what_is_weak_is_said() {
     let mut events = client.events();
     let _: Value = client.post("/v1/play", &json!({"pattern": "blip"})).unwrap();
     let receipt = ended(&mut events);
-    assert_eq!((json!(receipt.warnings), json!(receipt.drives)), (json!([warning]), shown["drives"].clone()));
-    assert_eq!(receipt.rest_errors.unwrap().iter().map(|error| error.motor).collect::<Vec<_>>(), [3, 9]);
+    assert_eq!(
+        (json!(receipt.reach.warnings), json!(receipt.reach.drives)),
+        (json!([warning]), shown["drives"].clone())
+    );
+    assert_eq!(receipt.pins.unwrap().rest_errors.iter().map(|error| error.motor).collect::<Vec<_>>(), [3, 9]);
 }
 
 #[test]
@@ -51,8 +54,11 @@ fn a_duration_becomes_whole_strokes_within_it_or_beyond() {
         let receipt = ended(&mut events);
         assert_eq!(receipt.duration_ms.ordered, accepted["ordered_ms"].as_f64());
         assert_eq!(receipt.duration_ms.compiled, accepted["compiled_ms"].as_f64());
-        let (ordered, bursts) = (receipt.ordered.unwrap(), receipt.bursts.unwrap());
-        assert_eq!((ordered.bursts, ordered.pulses), (bursts.planned, Some(receipt.pulses.unwrap().planned)));
+        let (ordered, bursts) = (receipt.counts.ordered.unwrap(), receipt.counts.bursts.unwrap());
+        assert_eq!(
+            (ordered.bursts, ordered.pulses),
+            (bursts.planned, Some(receipt.counts.pulses.unwrap().planned))
+        );
         let played = receipt.duration_ms.played;
         // Feedback changes the last burst a little.
         let near = |played: f64| (played - receipt.duration_ms.compiled.unwrap()).abs() < 2.5;
@@ -80,10 +86,7 @@ fn a_removed_pattern_plays_on() {
     assert_eq!(removed, json!({"name": "blip", "sha256": stored["sha256"]}));
     for _ in 0..2 {
         let receipt = ended(&mut events);
-        assert_eq!(
-            (receipt.state, json!(receipt.pattern_sha256)),
-            (PlayState::Done, stored["sha256"].clone())
-        );
+        assert_eq!((receipt.state, json!(receipt.sha256)), (PlayState::Done, stored["sha256"].clone()));
     }
     assert_eq!(refusal(client.post("/v1/play", &json!({"pattern": "blip"}))), ("not-found".into(), 404));
 }
@@ -101,8 +104,8 @@ fn a_stopped_play_says_how_much_of_it_was_ordered() {
     });
     let _: Value = client.post("/v1/stop", &json!({})).unwrap();
     let receipt = ended(&mut events);
-    let (ordered, bursts) = (receipt.ordered.unwrap(), receipt.bursts.unwrap());
+    let (ordered, bursts) = (receipt.counts.ordered.unwrap(), receipt.counts.bursts.unwrap());
     assert!(ordered.bursts == 1200 && bursts.planned < ordered.bursts, "{receipt:?}");
-    let (cut, played) = (receipt.cut_after_ms.unwrap(), receipt.duration_ms.played.unwrap());
+    let (cut, played) = (receipt.duration_ms.cut_after.unwrap(), receipt.duration_ms.played.unwrap());
     assert!(cut > 200.0 && played >= cut - 20.0 && played < cut + 20.0, "{receipt:?}");
 }

@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::session_record::ledger::SessionLosses;
-use meissner_api::{Session, SessionPlays};
+use meissner_api::{Losses, Session, SessionPlays, Terms};
 use std::path::PathBuf;
 
 const ID: &str = "20261122T083000Z-9f3c";
@@ -25,8 +25,8 @@ fn ends(plays: u64) -> Entry {
 }
 
 fn play(id: u64) -> Entry {
-    let mut receipt = Receipt::new(id, "edge-45", "0", Some(1.0));
-    (receipt.session, receipt.boot) = (Some(ID.to_owned()), Some(1));
+    let mut receipt = Receipt { id, ..Receipt::new("edge-45", "0", 1, &Terms::default()) };
+    (receipt.order.terms.session, receipt.device.boot) = (Some(ID.to_owned()), Some(1));
     entry(Event::Ended { receipt: Box::new(receipt) })
 }
 
@@ -49,7 +49,7 @@ fn all(dir: &Path) -> Vec<Value> {
 }
 
 fn order(read: &SessionPlays) -> Vec<u64> {
-    read.plays.iter().map(|play| play.play).collect()
+    read.plays.iter().map(|play| play.receipt.id).collect()
 }
 
 fn day(dir: &Path, day: &str) -> PathBuf {
@@ -153,7 +153,7 @@ fn a_full_disk_is_told_from_memory_then_in_a_line_and_after_a_restart() {
     let known: Vec<_> = ledger.lock().unwrap().sessions().cloned().collect();
     let whole = read(dir.path(), &known);
     assert_eq!(
-        (whole.session.plays, whole.session.plays_lost, whole.plays_missing, whole.lost),
+        (whole.session.plays, whole.session.lost.plays, whole.plays_missing, whole.lost),
         (8, 8, 8, 10)
     );
     assert_eq!(whole.session.reason.as_deref(), Some("request"));
@@ -174,7 +174,7 @@ fn a_full_disk_is_told_from_memory_then_in_a_line_and_after_a_restart() {
     let known: Vec<_> = ledger.lock().unwrap().sessions().cloned().collect();
     for known in [&known[..], &[]] {
         let after = read(dir.path(), known);
-        assert_eq!((after.session.plays, after.session.plays_lost, after.lost), (8, 8, 10));
+        assert_eq!((after.session.plays, after.session.lost.plays, after.lost), (8, 8, 10));
         assert_eq!(after.missing, whole.missing);
     }
     // The disk gets full again, and the daemon ends in this state, so there is a gap before the next one's lines.
@@ -296,7 +296,7 @@ fn requests_that_find_the_queue_full_count_against_no_session() {
     log.add(play(1));
     log.add(ends(1));
     assert!(log.lost() >= 90, "{}", log.lost());
-    assert_eq!(log.lost_of(ID), (0, 0));
+    assert_eq!(log.lost_of(ID), Losses::default());
     drop(held);
     log.close(Duration::from_secs(300));
     let read = read(dir.path(), &[]);

@@ -11,11 +11,12 @@ use firmware_protocol::board::Board;
 use firmware_protocol::message::{Cause, State};
 use firmware_protocol::tick::Tick;
 use meissner_api::{
-    BurstCounts, EdgeRecord, EndCause, ErrorSource, LateCounts, OffsetRecord, OnsetRecord, PlayState,
+    BurstCounts, EdgeRecord, EndCause, ErrorSource, InstantRecord, LateCounts, OnsetRecord, PlayState,
     PulseCounts, SensorFault,
 };
 use meissner_array::per_motor::PerMotor;
 use meissner_array::spec::Array;
+use meissner_array::units::ns_to_ms;
 
 /// How a play ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
@@ -71,6 +72,7 @@ impl From<Onset> for OnsetRecord {
             actual_tick: onset.actual.0,
             monotonic_ns: onset.at.as_ns(),
             uncertainty_ns: onset.uncertainty_ns,
+            latency_ms: ns_to_ms(onset.latency_ns),
         }
     }
 }
@@ -81,7 +83,7 @@ impl From<Edge> for EdgeRecord {
     }
 }
 
-impl From<Stamp> for OffsetRecord {
+impl From<Stamp> for InstantRecord {
     fn from(offset: Stamp) -> Self {
         Self { tick: offset.tick.0, monotonic_ns: offset.at.as_ns(), uncertainty_ns: offset.uncertainty_ns }
     }

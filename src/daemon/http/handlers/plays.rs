@@ -220,6 +220,6 @@ fn find_receipt(engine: &Engine, id: &str) -> Answer<Receipt> {
     };
     let mut found = found.cloned().ok_or_else(none)?;
     let warning = state.record_warning(&found);
-    found.warnings.extend(warning);
+    found.reach.warnings.extend(warning);
     Ok(found)
 }

@@ -17,8 +17,8 @@ use axum::extract::State;
 use axum::http::{StatusCode, Uri};
 use axum::response::Response;
 use meissner_api::{
-    Code, MAX_LISTED, Problem, RecordedPlay, Session, SessionList, SessionRequest, SessionStarted,
-    parse_empty,
+    Code, ItemRecord, MAX_LISTED, Problem, RecordedPlay, Session, SessionList, SessionRequest,
+    SessionStarted, parse_empty,
 };
 use std::collections::HashMap;
 use std::path::Path as FilePath;
@@ -95,7 +95,7 @@ pub(in crate::daemon::http) async fn end(
             let _ = record.wait_until_written(WRITTEN_AT_END);
             record.lost_of(&id)
         });
-        (ended.lost, ended.plays_lost) = lost.await?;
+        ended.lost = lost.await?;
         Ok(Json(ended))
     }
     .await;
@@ -207,19 +207,20 @@ fn slow_disk() -> String {
     format!("the disk has not taken the newest entries within {} s: ask again", WRITTEN.as_secs())
 }
 
-/// Marks the plays whose pattern text is stored, or kept in the record.
+/// Marks the plays whose patterns' texts are stored, or kept in the record.
 fn mark_kept(plays: &mut [RecordedPlay], store: &Store, record: &FilePath) {
     let mut known = HashMap::<String, bool>::new();
+    let mut is_kept = |item: &ItemRecord| {
+        *known.entry(item.pattern_sha256.to_string()).or_insert_with_key(|sha256| {
+            // A blank item has no text.
+            sha256.is_empty()
+                || keeps_text(record, sha256)
+                || store.get(&item.pattern).is_ok_and(|stored| stored.sha256 == *sha256)
+        })
+    };
     for play in plays {
-        let is_blank = play.pattern_sha256.as_deref() == Some("");
-        let Some(sha256) = play.pattern_sha256.clone().filter(|_| play.items == 0 && !is_blank) else {
-            play.pattern_kept = play.items > 0 || is_blank;
-            continue;
-        };
-        play.pattern_kept = *known.entry(sha256).or_insert_with_key(|sha256| {
-            keeps_text(record, sha256)
-                || store.get(&play.pattern).is_ok_and(|stored| stored.sha256 == *sha256)
-        });
+        let items = play.receipt.items.as_deref().unwrap_or_default();
+        play.patterns_kept = !items.is_empty() && items.iter().all(&mut is_kept);
     }
 }
 
