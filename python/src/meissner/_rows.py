@@ -33,10 +33,7 @@ def rows(play: Mapping[str, Any]) -> list[dict[str, Any]]:
         "pattern": receipt["name"],
         "pattern_sha256": receipt["sha256"],
         "onset": onset and {**onset, "tick": onset["actual_tick"]},
-        **dict.fromkeys(("scale", "ordered_um", "reached_um", "trigger")),
-        "first_pulse_tick": min(
-            (pin["first_pulse_tick"] for pin in (receipt["pins"] or {}).get("moved", ())), default=None
-        ),
+        **dict.fromkeys(("scale", "ordered_um", "reached_um", "first_pulse_tick", "trigger")),
         **{key: known for key, known in (items[0] if items else {}).items() if known is not None},
         "item": None,
         "state": receipt["state"],
