@@ -354,7 +354,7 @@ test("a play of the page belongs to the session that the page shows, or is refus
     await page.type("#seconds", "1");
     await press(page, play);
     await shows(page, "receipt-summary", "pin-60: done");
-    assert.equal((await (await fetch(`${daemon.url}/v1/plays/last`)).json()).session, first);
+    assert.equal((await (await fetch(`${daemon.url}/v1/plays/last`)).json()).order.session, first);
     shown = (await daemon.status()).session;
     await end(first);
     await start("P08");
