@@ -15,7 +15,6 @@ const OTHERS: &[(&str, &str, &str)] = &[
     ("crates/api/src/array.rs", "85000", "as above"),
     ("crates/api/src/array.rs", "4.3", "as above"),
     ("crates/api/src/array.rs", "11.5", "as above"),
-    ("crates/api/src/session.rs", "85000", "the example of a recorded play"),
     ("crates/api/src/status.rs", "85000", "the example of a status"),
     ("crates/api/src/receipt.rs", "85000", "the example of a receipt, and a new one"),
     ("crates/api/src/receipt.rs", "11.5", "bytes per burst in the example"),
