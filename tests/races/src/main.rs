@@ -25,7 +25,7 @@ pub(crate) use meissner_stream::sync;
 
 // The files themselves, of the library and of the program; the models use a part of each.
 #[cfg(loom)]
-#[path = "../../../src/daemon/engine/estop.rs"]
+#[path = "../../../src/daemon/arm/estop.rs"]
 mod estop;
 #[cfg(loom)]
 #[expect(dead_code, reason = "the models use a part")]
