@@ -2,12 +2,14 @@
 //!
 //! Each test plays a [`MotorRun`] and looks at its periods.
 
-use crate::arrays::other;
+use super::bound::rest_bound_um;
+use super::motor_run::{MotorRun, Period};
+use crate::control::Gains;
 use firmware_protocol::limits::within_correction;
 use firmware_protocol::tick::Tick;
 use meissner_api::SensorFault;
 use meissner_array::spec::Array;
-use meissner_stream::{Gains, MotorRun, Period, rest_bound_um};
+use meissner_test_support::arrays::{array, other};
 use meissner_test_support::paper::UM_PER_PULSE;
 use meissner_test_support::random::Random;
 use meissner_test_support::statistics::{mean, rms, standard_error};
@@ -134,7 +136,7 @@ fn left(motor_run: MotorRun, seconds: f64) -> Vec<f64> {
     rests(&motor_run).into_iter().zip(calm).map(|(off, calm)| off - calm).collect()
 }
 
-/// The poles of `stream::control::burst_controller`: z^N = -δ. The rest that a wrong gain leaves of an error is corrected N bursts later.
+/// The poles of `control::burst_controller`: z^N = -δ. The rest that a wrong gain leaves of an error is corrected N bursts later.
 #[test]
 fn an_error_dies_out_as_the_poles_say() {
     let certain = |gain: f64| Gains { mean: [gain; 2], sd: [1e-9; 2], scatter: 0.1 };
@@ -278,5 +280,29 @@ fn corrections_without_effect_are_a_sensor_fault() {
         let drift = |tick: Tick, y: i32| Some(y + ((tick - Tick::BOOT) as f64 / 85_000.0 * 20_000.0) as i32);
         let fault = motor_run.run(30.0, drift, |_| ()).unwrap();
         assert!(fault.is_some(), "{frequency_hz} Hz");
+    }
+}
+
+/// A motor that settles slowly has more bursts under way than the estimator holds if it is driven fast: then no sample is compared
+/// with them, so a good sensor is not taken for a bad one, and open loop is played as planned. With a slow drive the loop closes.
+#[test]
+fn a_slow_motor_is_played_open_loop_where_its_bursts_overlap() {
+    for (name, window_ms) in [("slow-20", 20.0), ("slow-50", 50.0)] {
+        let motor =
+            format!("step_um = 0.1357\nwindow_ms = {window_ms:?}\ntravel_um = 400.0\nmost_pulses = 3000");
+        let array = array(name, &motor);
+        let played = |frequency_hz, amplitude_um| {
+            let run = MotorRun { frequency_hz, amplitude_um, ..MotorRun::of(array) };
+            let mut periods = Vec::new();
+            let fault = run.run(20.0, |_, y| Some(y), |period| periods.push(*period)).unwrap();
+            assert_eq!(fault, None, "{name}: {frequency_hz} Hz");
+            periods
+        };
+        // Here samples between two bursts show no more of them than the estimator holds, if at all.
+        played(150.0, 20.0);
+        let corrected = |period: &Period| period.pulses[0] != period.pulses[1];
+        assert!(!played(299.0, 20.0)[20..].iter().any(corrected), "{name}");
+        let rest_um = played(4.0, 80.0).iter().map(|period| period.rest_um.abs()).fold(0.0, f64::max);
+        assert!(rest_um < 60.0, "{name}: {rest_um} um");
     }
 }

@@ -1,6 +1,6 @@
 //! The lower bound on the rest error of any position control, because telemetry shows scatter late.
 //!
-//! [`rest_bound_um`] computes it; reports and tests compare the loop with it.
+//! [`rest_bound_um`] computes it; tests compare the loop with it.
 //!
 //! A burst's error is normal with variance q² = s²A²/(1 - s²): s is the scatter and A the mean travel, whose
 //! corrections scatter too. Telemetry is delayed, sampled and quantised, and shows a burst through the moving average.
@@ -25,8 +25,7 @@ const PHASES: u64 = 8;
 /// Bursts travel `travel_um` at `frequency_hz`; their gain has the standard deviation `scatter`. Telemetry samples
 /// `telemetry_hz` times a second; the count of a burst can use samples taken at least `delay_ms` before it. The
 /// bound includes the rounding to whole pulses.
-#[must_use]
-pub fn rest_bound_um(
+pub(super) fn rest_bound_um(
     array: Array,
     frequency_hz: f64,
     travel_um: f64,
@@ -104,24 +103,19 @@ fn solve(mut matrix: Vec<Vec<f64>>, mut right: Vec<f64>) -> Vec<f64> {
     right
 }
 
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_bound_is_the_scatter_of_the_unseen_bursts() {
-        // 80 um, 10 % scatter, 60 Hz, as computed by hand: q = 8.04 um, and 1, 2.4 to 3, 12 to 13 bursts.
-        for (delay_ms, um) in [(5.0, 8.0), (20.0, 13.9), (100.0, 28.8)] {
-            let bound = rest_bound_um(Array::paper(), 60.0, 80.0, 0.1, delay_ms, 1000.0);
-            assert!((bound - um).abs() < 0.35, "{delay_ms} ms: {bound}");
-        }
-        // Without scatter the rounding is left: a pulse over the root of 12.
-        assert!((rest_bound_um(Array::paper(), 60.0, 80.0, 0.0, 5.0, 1000.0) - 0.0392).abs() < 1e-4);
+#[test]
+fn the_bound_is_the_scatter_of_the_unseen_bursts() {
+    // 80 um, 10 % scatter, 60 Hz, as computed by hand: q = 8.04 um, and 1, 2.4 to 3, 12 to 13 bursts.
+    for (delay_ms, um) in [(5.0, 8.0), (20.0, 13.9), (100.0, 28.8)] {
+        let bound = rest_bound_um(Array::paper(), 60.0, 80.0, 0.1, delay_ms, 1000.0);
+        assert!((bound - um).abs() < 0.35, "{delay_ms} ms: {bound}");
     }
+    // Without scatter the rounding is left: a pulse over the root of 12.
+    assert!((rest_bound_um(Array::paper(), 60.0, 80.0, 0.0, 5.0, 1000.0) - 0.0392).abs() < 1e-4);
+}
 
-    #[test]
-    fn rare_telemetry_raises_the_bound() {
-        let at = |hz| rest_bound_um(Array::paper(), 60.0, 80.0, 0.1, 5.0, hz);
-        assert!(at(1000.0) < at(100.0) && at(100.0) < at(20.0));
-    }
+#[test]
+fn rare_telemetry_raises_the_bound() {
+    let at = |hz| rest_bound_um(Array::paper(), 60.0, 80.0, 0.1, 5.0, hz);
+    assert!(at(1000.0) < at(100.0) && at(100.0) < at(20.0));
 }

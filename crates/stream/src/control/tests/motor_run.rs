@@ -1,10 +1,11 @@
 //! Simulated run of one motor and its burst controller: a pin, delayed telemetry and wake-ups, without a link.
 //!
-//! [`MotorRun::run`] plays a square wave and reports each period. Reports and tests judge the position control with it over
+//! [`MotorRun::run`] plays a square wave and reports each period. Tests judge the position control with it over
 //! thousands of settings: a day of device time takes seconds. Controller and pin are those of a real play; the
 //! deadline for corrections includes the delay of the link.
 
-use crate::control::{BurstController, Gains, Times};
+use crate::control::Gains;
+use crate::control::burst_controller::{BurstController, Times};
 use firmware_protocol::stroke::Direction;
 use firmware_protocol::tick::Tick;
 use meissner_api::SensorFault;
@@ -12,52 +13,43 @@ use meissner_array::motor::{Excursion, MotorError};
 use meissner_array::pattern::Drive;
 use meissner_array::simulated::{Pin, SimulatedMotorsConfig};
 use meissner_array::spec::Array;
-use meissner_array::strokes::DriveStrokes;
-use meissner_array::strokes::{Burst, Stroke};
-use serde::Serialize;
+use meissner_array::strokes::{Burst, DriveStrokes, Stroke};
 use std::collections::VecDeque;
 
-/// The settings of a run. Documents hold those that a grid varies.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct MotorRun {
+/// The settings of a run.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct MotorRun {
     /// The array of the motor.
-    #[serde(skip)]
-    pub array: Array,
+    pub(super) array: Array,
     /// Of the square wave.
-    pub frequency_hz: f64,
+    pub(super) frequency_hz: f64,
     /// Of the square wave, peak to peak.
-    pub amplitude_um: f64,
+    pub(super) amplitude_um: f64,
     /// How far ahead strokes are sent, ms.
-    pub lead_ms: f64,
+    pub(super) lead_ms: f64,
     /// Age of telemetry at its arrival, ms.
-    pub age_ms: f64,
+    pub(super) age_ms: f64,
     /// Telemetry samples per second.
-    pub telemetry_hz: f64,
+    pub(super) telemetry_hz: f64,
     /// Standard deviation of a burst's gain.
-    pub scatter: f64,
+    pub(super) scatter: f64,
     /// Gain up minus gain down; their mean is 1.
-    pub asymmetry: f64,
+    pub(super) asymmetry: f64,
     /// Mean gain of a burst after a rest.
-    #[serde(skip)]
-    pub transient_gain: f64,
+    pub(super) transient_gain: f64,
     /// Position of the pin at the beginning, µm.
-    #[serde(skip)]
-    pub offset_um: f64,
+    pub(super) offset_um: f64,
     /// Seed of the random draws.
-    #[serde(skip)]
-    pub seed: u64,
+    pub(super) seed: u64,
     /// Correct bursts.
-    #[serde(skip)]
-    pub closed: bool,
+    pub(super) closed: bool,
     /// The controller's initial gains.
-    #[serde(skip)]
-    pub gains: Gains,
+    pub(super) gains: Gains,
 }
 
 impl MotorRun {
     /// A motor of this array at 60 Hz and 80 µm, with the mock's telemetry.
-    #[must_use]
-    pub fn of(array: Array) -> Self {
+    pub(super) fn of(array: Array) -> Self {
         Self {
             array,
             frequency_hz: 60.0,
@@ -78,23 +70,22 @@ impl MotorRun {
 
 /// One period as played.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Period {
+pub(super) struct Period {
     /// When its stroke went up, ticks from the beginning.
-    pub up: u64,
+    pub(super) up: u64,
     /// Ideal travel of either burst as planned, µm.
-    pub planned_um: f64,
+    pub(super) planned_um: f64,
     /// True position after the up burst, µm.
-    pub top_um: f64,
+    pub(super) top_um: f64,
     /// True position after the down burst: the rest error, µm.
-    pub rest_um: f64,
+    pub(super) rest_um: f64,
     /// Pulses of both bursts.
-    pub pulses: [u16; 2],
+    pub(super) pulses: [u16; 2],
 }
 
 impl MotorRun {
     /// Least time from the newest sample that a burst's count can use to the burst, ms.
-    #[must_use]
-    pub fn delay_ms(&self) -> f64 {
+    pub(super) fn delay_ms(&self) -> f64 {
         self.age_ms + self.array.rate().ticks_to_ms(Times::of(self.array).finalise_at)
     }
 
@@ -103,7 +94,7 @@ impl MotorRun {
     ///
     /// # Errors
     /// If the frequency or amplitude is out of range.
-    pub fn run(
+    pub(super) fn run(
         &self,
         seconds: f64,
         mut alter: impl FnMut(Tick, i32) -> Option<i32>,
