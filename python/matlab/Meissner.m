@@ -186,7 +186,7 @@ classdef Meissner < handle
       self.status();  % a fresh comparison of the clocks for the times
       receipt = self.receipt_of(raw);
       if ~strcmp(raw.state, 'done')
-        error('meissner:play_stopped', 'play %d (%s) was %s: %s; do not count the trial', play.id, raw.pattern, raw.state, raw.cause);
+        error('meissner:play_stopped', 'play %d (%s) was %s: %s; do not count the trial', play.id, raw.name, raw.state, raw.cause);
       end
     end
 
@@ -314,19 +314,20 @@ classdef Meissner < handle
     end
 
     function receipt = receipt_of(self, raw)
-      receipt = struct('id', raw.id, 'pattern', raw.pattern, 'state', raw.state, 'cause', raw.cause, 'onset', [], 'offset', [], ...
-        'late', raw.lateness.host + raw.lateness.link + raw.lateness.device, 'raw', raw);
-      receipt.onset = self.instant(raw.onset, raw, 'actual_tick');
-      receipt.offset = self.instant(raw.offset, raw, 'tick');
+      late = raw.counts.lateness;
+      receipt = struct('id', raw.id, 'pattern', raw.name, 'state', raw.state, 'cause', raw.cause, 'onset', [], 'offset', [], ...
+        'late', late.host + late.link + late.device, 'raw', raw);
+      receipt.onset = self.instant(raw.onset, raw.device, 'actual_tick');
+      receipt.offset = self.instant(raw.offset, raw.device, 'tick');
     end
 
-    function made = instant(self, record, raw, tick)
+    function made = instant(self, record, device, tick)
       % A moment of a play: the device's tick, and the time on our clock.
       made = [];
       if isempty(record), return, end
       host = record.monotonic_ns / 1e9;
       [offset, uncertainty] = self.offset_at(host);
-      made = struct('tick', record.(tick), 'boot', raw.boot, 'tick_hz', raw.tick_hz, 'time', host + offset, ...
+      made = struct('tick', record.(tick), 'boot', device.boot, 'tick_hz', device.tick_hz, 'time', host + offset, ...
         'uncertainty', uncertainty + record.uncertainty_ns / 1e9, 'host', host);
     end
 

@@ -13,30 +13,29 @@ import meissner
 from meissner import _exports, bids, errors
 from meissner._labels import Labels, exact
 
+SHA256 = 64 * "0"
+
 
 def stimulus(play: int = 1, labels: dict[str, str] | None = None) -> dict[str, Any]:
-    """A row of the session record."""
-    return {
-        "play": play,
-        "item": None,
-        "items_planned": None,
-        "pattern": "pin",
-        "pattern_sha256": None,
-        "trial": None,
-        "labels": labels or {},
-        "scale": 1.0,
+    """A play of the session record."""
+    instant = {"tick": 85_000 * play, "monotonic_ns": 10**9 * play, "uncertainty_ns": 10_000}
+    item = {"item": 0, "pattern": "pin", "pattern_sha256": SHA256, "scale": 1.0, "state": "played", "late_strokes": 0}
+    item |= {"ordered_um": 50.0, "reached_um": 40.0, "onset": instant, "offset": instant}
+    receipt = {
+        "id": play,
+        "name": "pin",
+        "sha256": SHA256,
+        "order": {"items": 1, "labels": labels or {}},
         "state": "done",
-        "played_ms": 100.0,
-        "reached_um": 40.0,
-        "late_strokes": 0,
-        "trigger": None,
-        "onset_tick": 85_000 * play,
-        "onset_monotonic_ns": 10**9 * play,
-        "onset_uncertainty_ns": 10_000,
-        **dict.fromkeys(("mapped_from", "first_pulse_tick", "start_edge", "stop_edge", "live", "answer")),
-        "array": "tula35-6x4",
-        "tick_hz": 85_000,
+        "edges": {"start": None, "stop": None},
+        "onset": {**instant, "actual_tick": instant["tick"]},
+        "offset": {**instant, "tick": instant["tick"] + 8500},
+        "items": [{**item, "trigger": None, "first_pulse_tick": None}],
+        "counts": {"lateness": {"host": 0, "link": 0, "device": 0}},
+        "device": {"array": "tula35-6x4", "tick_hz": 85_000},
+        **dict.fromkeys(("live", "pins")),
     }
+    return {"receipt": receipt, "answer": None}
 
 
 def recorded(

@@ -59,9 +59,10 @@ class World:
                 "position": "known",
                 "play": None,
                 "queued": [],
-                "missing": None,
+                "link": {"missing": None},
+                "daemon": {"pid": 1, "version": "0"},
             }
-            return {**fixed, "pid": 1, "version": "0", "clock": clock, "device": {"boot": 7, "simulated": True}}
+            return {**fixed, "clock": clock, "device": {"boot": 7, "simulated": True}}
         if request.path == "/v1/play":
             body = json.loads(request.content or b"")
             onset_ns = body["at_monotonic_ns"]
@@ -76,22 +77,16 @@ class World:
         self.time = max(self.time, play["truth_ns"] / NS + 0.1)
         record = {"monotonic_ns": play["reported_ns"], "uncertainty_ns": 10_000}
         onset, offset = {"actual_tick": play["tick"], **record}, {"tick": play["tick"], **record}
-        lateness = {"host": 0, "link": 0, "device": 0}
         done: dict[str, Any] = {
             "id": 1,
-            "pattern": "p",
+            "name": "p",
             "state": "done",
             "cause": None,
+            "edges": {"start": None, "stop": None},
             "items": None,
-            "items_planned": None,
-            "warnings": [],
-            "array": "tula35-6x4",
-            "tick_hz": HZ,
-            "mapped_from": None,
-            "start_edge": None,
-            "stop_edge": None,
-            "boot": 7,
-            "lateness": lateness,
+            "counts": {"lateness": {"host": 0, "link": 0, "device": 0}},
+            "reach": {"drives": [], "warnings": []},
+            "device": {"array": "tula35-6x4", "tick_hz": HZ, "boot": 7},
         }
         return {**done, "onset": onset, "offset": offset}
 
@@ -162,10 +157,10 @@ def test_what_is_not_known_is_said() -> None:
     answer = world.answer
 
     def without_device(request: Request) -> dict[str, Any]:
-        return {**answer(request), "clock": None, "device": None, "missing": "no device"}
+        return {**answer(request), "clock": None, "device": None, "link": {"missing": "no device"}}
 
     world.answer = without_device  # type: ignore[method-assign]
-    assert ops.begin(world.core).raw["missing"] == "no device"
+    assert ops.begin(world.core).raw["link"]["missing"] == "no device"
     assert ops.synchronise(world.core) == float("inf")
 
 

@@ -7,7 +7,7 @@ import time
 import pytest
 
 import meissner
-from meissner import bids, errors
+from meissner import _rows, errors
 from patience import kept
 
 DELAY_S = 2.0
@@ -28,7 +28,7 @@ def test_a_play_begins_its_delay_after_an_edge(m: meissner.Client) -> None:
     assert receipt.onset is not None
     assert receipt.onset.tick - receipt.start_edge.tick == round(DELAY_S * receipt.tick_hz)
     assert receipt.stop_edge is None
-    assert receipt.raw["start_edge"]["number"] >= 1
+    assert receipt.raw["edges"]["start"]["number"] >= 1
 
 
 def test_an_edge_stops_a_play(m: meissner.Client) -> None:
@@ -69,5 +69,4 @@ def test_mistakes_are_named(m: meissner.Client) -> None:
 def test_exports_name_the_edges() -> None:
     edge = {"number": 3, "tick": 99, "monotonic_ns": 1, "uncertainty_ns": 1}
     none = {"start_edge": None, "start_edge_tick": None, "stop_edge": None, "stop_edge_tick": None}
-    assert bids.edge_cells({"start_edge": edge, "stop_edge": None}) == {**none, "start_edge": 3, "start_edge_tick": 99}
-    assert bids.edge_cells({"start_edge": None, "stop_edge": None}) == none
+    assert _rows._edge_cells({"start": edge, "stop": None}) == {**none, "start_edge": 3, "start_edge_tick": 99}

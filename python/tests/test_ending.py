@@ -186,7 +186,7 @@ def test_a_signal_ends_a_shell_as_before_with_the_motors_off(daemon: meissner.Da
 
 
 def test_a_signal_ends_the_programs_own_daemon() -> None:
-    code = "m = meissner.demo()\nready()\nprint(m.status().raw['pid'], m.status().raw['socket'], flush=True)\ntime.sleep(600)"
+    code = "m = meissner.demo()\nready()\nat = m.status().raw['daemon']\nprint(at['pid'], at['socket'], flush=True)\ntime.sleep(600)"
     with script(code) as child:
         assert child.stdout is not None
         pid, socket = child.stdout.readline().split()
@@ -268,7 +268,7 @@ def job():
     time.sleep(600)
 if __name__ == "__main__":
     own_daemon = meissner.demo()
-    folder = os.path.dirname(own_daemon.status().raw["socket"])
+    folder = os.path.dirname(own_daemon.status().raw["daemon"]["socket"])
     with armed() as m, m.session("P07") as session:
         child = os.fork()
         if child == 0:

@@ -134,10 +134,10 @@ def test_replay_keeps_gaps_to_the_tick_and_patterns_as_they_were(tmp_path: Path)
         ticks = [[receipt.onset.tick for receipt in of if receipt.onset] for of in (recorded, again)]
         assert [tick - ticks[0][0] for tick in ticks[0]] == [tick - ticks[1][0] for tick in ticks[1]]
         for one, two in zip(recorded[:2], again, strict=False):
-            assert one.raw["ordered"] == two.raw["ordered"]
-            assert one.raw["trial"] == two.raw["trial"]
+            assert one.raw["counts"]["ordered"] == two.raw["counts"]["ordered"]
+            assert one.raw["order"]["trial"] == two.raw["order"]["trial"]
         first = again[0].raw["items"][0]
-        assert first["pattern_sha256"] == recorded[0].raw["pattern_sha256"]
+        assert first["pattern_sha256"] == recorded[0].raw["items"][0]["pattern_sha256"]
         assert first["trigger"]["code"] == 7
         triggers = [[item["trigger"] is None for item in of.raw["items"]] for of in (recorded[1], again[1])]
         assert triggers[0] == triggers[1] == [False, False, True]
@@ -170,7 +170,7 @@ def test_detection_threshold(tmp_path: Path) -> None:
 
 
 def answered(daemon: meissner.Daemon) -> list[dict[str, Any]]:
-    """The recorded trials of the only session: the rows of the plays, and of their items below each."""
+    """The recorded plays of the only session."""
     with meissner.connect(daemon.socket) as watcher:
         (session,) = watcher.sessions()
         plays: list[dict[str, Any]] = watcher.session_plays(session["id"])["plays"]
@@ -208,15 +208,14 @@ def test_two_afc_is_short_exact_and_complete(tmp_path: Path) -> None:
             "XDG_RUNTIME_DIR": str(tmp_path),
         }
         run("two_afc.py", tmp_path, **environment)
-        rows = answered(daemon)
-    trials = [row for row in rows if row["item"] is None]
-    assert [row["trial"] for row in trials] == list(range(1, 41))
-    for trial in trials:
-        first, second = (row for row in rows if row["play"] == trial["play"] and row["item"] is not None)
-        assert second["onset_tick"] - first["onset_tick"] == 85_000 // 5
+        plays = answered(daemon)
+    assert [play["receipt"]["order"]["trial"] for play in plays] == list(range(1, 41))
+    for play in plays:
+        first, second = play["receipt"]["items"]
+        assert second["onset"]["tick"] - first["onset"]["tick"] == 85_000 // 5
         stronger = 1 if first["scale"] > second["scale"] else 2
-        assert (str(stronger), trial["state"]) == (trial["answer"]["factors"]["interval"], "done")
-    assert 20 < sum(trial["answer"]["correct"] for trial in trials) <= 40
+        assert (str(stronger), play["receipt"]["state"]) == (play["answer"]["factors"]["interval"], "done")
+    assert 20 < sum(play["answer"]["correct"] for play in plays) <= 40
 
 
 def test_two_afc_killed_in_the_middle_loses_no_answer_and_goes_on(tmp_path: Path) -> None:
@@ -239,10 +238,10 @@ def test_two_afc_killed_in_the_middle_loses_no_answer_and_goes_on(tmp_path: Path
             os.kill(experiment.pid, signal.SIGKILL)
             experiment.wait()
         # The answer to a play is in before the next play begins.
-        found = {row["trial"] for row in answered(daemon) if row["answer"]}
+        found = {play["receipt"]["order"]["trial"] for play in answered(daemon) if play["answer"]}
         assert found in (set(range(1, last.id)), set(range(1, last.id + 1)))
         run("two_afc.py", tmp_path, **environment)
-        trials = [row["trial"] for row in answered(daemon) if row["answer"] and row["item"] is None]
+        trials = [play["receipt"]["order"]["trial"] for play in answered(daemon) if play["answer"]]
     assert sorted(trials) == list(range(1, 41))
 
 

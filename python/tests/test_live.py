@@ -61,9 +61,9 @@ def test_a_play_has_its_times_on_every_clock(m: meissner.Client) -> None:
     assert 0 < onset.monotonic_uncertainty <= onset.wall_uncertainty
     assert onset.tick_hz == HZ
     assert offset.tick - onset.tick == round(receipt.raw["duration_ms"]["played"] * HZ / 1000)
-    assert receipt.raw["scale"] == 0.8
-    assert (receipt.raw["trial"], receipt.raw["labels"]) == (3, {"block": "1"})
-    assert receipt.raw["trigger"]["code"] == 5
+    (item,) = receipt.items
+    assert (item.scale, item.raw["trigger"]["code"]) == (0.8, 5)
+    assert (receipt.raw["order"]["trial"], receipt.raw["order"]["labels"]) == (3, {"block": "1"})
     assert play.ordered_s == 0.3
     assert repr(play) == f"<play {play.id}: edge-45, done>"
     assert m.receipt().id == play.id
@@ -213,10 +213,10 @@ def test_a_session_belongs_to_its_owner(m: meissner.Client, daemon: meissner.Dae
             m.session("P08")
         # The block waits for this play before it ends the session.
     assert play.refresh().state == "done"
-    assert play.receipt.raw["session"] == session.id
+    assert play.receipt.raw["order"]["session"] == session.id
     assert session.heartbeat_problem is None
     recorded = m.session_plays(session.id)
-    assert [row["play"] for row in recorded["plays"]] == [play.id]
+    assert [each["receipt"]["id"] for each in recorded["plays"]] == [play.id]
     assert session.id in [each["id"] for each in m.sessions()]
     with pytest.raises(ZeroDivisionError), m.session("P09"):
         endless = m.play("pin-60", endless=True)
@@ -232,7 +232,10 @@ def test_an_owner_in_a_rest_break_stays_the_owner() -> None:
 
     A machine that stands still is silent, too: one round of three without that is enough, and without signs of life there is none.
     """
-    with meissner.demo(config="session_silence_s = 2\n") as m, meissner.connect(m.status().raw["socket"]) as other:
+    with (
+        meissner.demo(config="session_silence_s = 2\n") as m,
+        meissner.connect(m.status().raw["daemon"]["socket"]) as other,
+    ):
         m.play("pin-60", 0.1).wait()
         assert m.home().state == "armed"
         released = threading.Event()
@@ -438,7 +441,7 @@ def test_a_daemon_that_was_restarted_is_noticed(tmp_path: Path) -> None:
             network.cut()
             with pytest.raises(errors.DaemonRestarted, match="arm again"):
                 play.wait()
-            assert m.status().raw["pid"] == second.pid
+            assert m.status().raw["daemon"]["pid"] == second.pid
             with meissner.connect(second.socket) as other:
                 other.arm(assume_rest=True, checked="a test")
                 repeated = other.play("pin-60", 0.05)
@@ -459,13 +462,14 @@ def test_numbers_may_be_those_of_numpy(m: meissner.Client) -> None:
         "hold": numpy.float32(0.5),
     }
     receipt = kept(lambda: m.play("pin-60", at=numpy.float64(m.now() + 2.0), **given).wait())
-    assert (receipt.raw["trial"], receipt.raw["scale"], receipt.raw["trigger"]["code"]) == (3, 0.5, 5)
+    (item_of,) = receipt.raw["items"]
+    assert (receipt.raw["order"]["trial"], item_of["scale"], item_of["trigger"]["code"]) == (3, 0.5, 5)
     item: meissner.SequenceItem = {"pattern": "pin-60", "scale": numpy.float32(0.5), "trigger": numpy.uint8(2)}
     items = m.sequence([item, item], seconds=numpy.float32(0.05), isi=numpy.float64(0.1)).wait().items
     assert [of.scale for of in items] == [0.5, 0.5]
     drives = [{"motor": numpy.int64(9), "frequency_hz": numpy.float32(60), "amplitude_um": numpy.int16(40)}]
     given = {"drives": drives, "seconds": numpy.float64(0.1), "trigger": numpy.False_}
-    assert m.play(**given).wait().raw["trigger"] is None
+    assert m.play(**given).wait().items[0].raw["trigger"] is None
     with pytest.raises(TypeError, match="`seconds` is 1j: must be a number"):
         m.play("pin-60", 1j)  # type: ignore[arg-type]
 
@@ -521,7 +525,7 @@ def test_a_daemon_that_goes_leaves_a_warning_and_no_wrong_error() -> None:
 def test_over_tcp_with_tokens() -> None:
     with meissner.Daemon('listen = "127.0.0.1:0"\nlisten_token = "always"\n') as daemon:
         with meissner.connect(daemon.socket) as watcher:
-            url = watcher.status().raw["network"]["address"]
+            url = watcher.status().raw["daemon"]["network"]["address"]
 
         def token(role: str) -> str:
             command = [

@@ -64,7 +64,7 @@ def test_pins_follow_an_object(m: meissner.Client) -> None:
         assert play.pose(y_mm=0.8, depth_um=0).wait(PATIENT).state == "applied"
     assert play.receipt is not None
     assert play.receipt.raw["live"]["applied"] == 2
-    assert len(play.receipt.raw["pins"]) > 3
+    assert len(play.receipt.raw["pins"]["moved"]) > 3
 
 
 def test_drives_follow_and_say_when(m: meissner.Client) -> None:
@@ -92,7 +92,7 @@ def late_strokes_of_drives_that_follow(m: meissner.Client) -> int:
     receipt = play.receipt
     assert (receipt.state, receipt.cause) == ("stopped", "stop")
     assert (receipt.raw["live"]["updates"], receipt.raw["live"]["applied"]) == (5, 5)
-    assert (receipt.raw["trial"], receipt.raw["labels"]) == (4, {"what": "knob"})
+    assert (receipt.raw["order"]["trial"], receipt.raw["order"]["labels"]) == (4, {"what": "knob"})
     assert play.wait() == receipt
     # The tick of an update and that of the onset become times by different ways.
     apart = (first.onset.tick - play.onset.tick) / HZ
@@ -268,7 +268,7 @@ def test_in_a_session(m: meissner.Client) -> None:
     with m.session("P07", exclusive=True) as session:
         with m.live(drives=DRIVES, timeout=PATIENT) as play:
             assert play.keep().wait(PATIENT).state == "applied"
-    assert play.receipt.raw["session"] == session.id
+    assert play.receipt.raw["order"]["session"] == session.id
 
 
 def certificate(folder: Path) -> tuple[ssl.SSLContext, Path]:

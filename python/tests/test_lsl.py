@@ -85,7 +85,7 @@ def test_markers_bear_the_true_times(m: meissner.Client) -> None:
         check_times(received, bridge, instants)
         about = inlet.info()
         assert (about.type(), about.channel_count(), about.nominal_srate()) == ("Markers", 1, 0.0)
-        assert about.source_id() == f"{NAME}/{m.status().raw['device_identity']}/markers"
+        assert about.source_id() == f"{NAME}/{m.status().raw['link']['identity']}/markers"
         description = about.desc()
         assert description.child_value("manufacturer") == "meissner"
         assert description.child_value("array") == m.array.name

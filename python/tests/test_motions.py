@@ -19,16 +19,16 @@ def test_samples_and_drives_are_played_and_told(m: meissner.Client) -> None:
     (motion,) = play.motions
     assert (motion["motor"], motion["highest_um"], motion["too_slow_from_s"]) == (9, 100.0, None)
     receipt = play.wait()
-    assert (receipt.pattern, receipt.late, receipt.raw["motions"]) == ("inline", 0, [motion])
-    (pin,) = receipt.raw["pins"]
+    assert (receipt.pattern, receipt.late, receipt.raw["reach"]["motions"]) == ("inline", 0, [motion])
+    (pin,) = receipt.raw["pins"]["moved"]
     assert pin["motor"] == 9
     assert play.onset.tick <= pin["first_pulse_tick"] < pin["offset_tick"]
     # Corrections shift the end by some ticks.
     assert abs(pin["offset_tick"] - play.offset.tick) < 850
     drives = [{"motor": 14, "frequency_hz": 60.0, "amplitude_um": 40.0}]
     both = m.play(samples={9: PRESS}, rate=1000, drives=drives, seconds=0.3)
-    assert [pin["motor"] for pin in both.wait().raw["pins"]] == [9, 14]
-    assert m.play(drives=drives, seconds=0.1).wait().raw["motions"] == []
+    assert [pin["motor"] for pin in both.wait().raw["pins"]["moved"]] == [9, 14]
+    assert m.play(drives=drives, seconds=0.1).wait().raw["reach"]["motions"] == []
 
 
 def test_an_array_of_all_motors_is_played(m: meissner.Client) -> None:
@@ -74,7 +74,7 @@ def test_what_a_motor_is_too_slow_for_is_refused(m: meissner.Client) -> None:
     with pytest.warns(UserWarning, match="`inline`: motor 9 is too slow for its motion, first after"):
         play = m.play(samples=jump, rate=100)
     assert play.motions[0]["too_slow_from_s"] > 0
-    assert "too slow" in play.wait().raw["warnings"][0]
+    assert "too slow" in play.wait().raw["reach"]["warnings"][0]
     item = {"samples": jump, "rate": 100}
     with pytest.raises(errors.TooSlow, match=r"`items\[1\]`"):
         m.sequence([{"samples": {9: PRESS}, "rate": 1000}, item], isi=0.1, strict=True)

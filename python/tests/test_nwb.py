@@ -130,7 +130,7 @@ def test_a_live_play_is_said_to_have_no_moves_in_the_record(m: meissner.Client, 
         play = m.play("pin-60", 0.05, trial=2)
         play.wait()
     recorded = m.session_plays(session.id)["plays"]
-    assert [row["live"] and row["live"]["updates"] for row in recorded] == [1, None]
+    assert [each["receipt"]["live"] and each["receipt"]["live"]["updates"] for each in recorded] == [1, None]
     said = f"play {live.id} was live: the record has the number of its updates (1), not its moves"
     export = m.export_nwb(session.id, tmp_path / "live.nwb", subject={"age": "P30Y", "sex": "F"})
     assert [line for line in export.left_out if "late strokes" not in line] == [said]

@@ -59,7 +59,7 @@ end
 second = m.wait(m.play('pin-60', 'seconds', 0.05, 'at', m.later(r.onset, 3), 'trigger', false));
 m.close();
 state = m.status();
-out = struct('plays', {answers}, 'apart', second.onset.tick - r.onset.tick, 'trigger', second.raw.trigger, 'state', state.state, ...
+out = struct('plays', {answers}, 'apart', second.onset.tick - r.onset.tick, 'trigger', second.raw.items(1).trigger, 'state', state.state, ...
   'array', {{m.array.name, size(m.array.positions_mm, 1), m.array.tick_hz}});
 disp(jsonencode(out));
 """
@@ -75,12 +75,9 @@ def test_onsets_err_by_less_than_stated_and_are_exact_to_the_tick(
     with meissner.connect(daemon.socket) as m:
         for number, play in enumerate(told["plays"], 1):
             receipt = m.receipt(play["id"])
-            assert (receipt.raw["scale"], receipt.raw["trial"], receipt.raw["labels"]) == (
-                0.5,
-                number,
-                {"n": str(number)},
-            )
-            assert receipt.raw["trigger"]["code"] == number
+            order, (item,) = receipt.raw["order"], receipt.raw["items"]
+            assert (order["trial"], order["labels"]) == (number, {"n": str(number)})
+            assert (item["scale"], item["trigger"]["code"]) == (0.5, number)
             for name, instant in (("onset", receipt.onset), ("offset", receipt.offset)):
                 assert instant is not None
                 assert play[name]["tick"] == instant.tick
@@ -162,7 +159,7 @@ second = m.wait(m.play('pin-60', 'seconds', 0.05));
 m.session_end();
 m.close();
 out = struct('over', over, 'next', next, 'again', again, 'told', told, 'still', still.session.id, 'ended', isempty(ended.session), ...
-  'first', first.raw.session, 'second', second.raw.session);
+  'first', first.raw.order.session, 'second', second.raw.order.session);
 disp(jsonencode(out));
 """
 

@@ -83,7 +83,7 @@ def test_an_object_is_rendered_and_played(m: meissner.Client) -> None:
     assert (rendered.name, rendered.summary["method"], rendered.summary["object"]) == ("bar-rendered", "field", "bar")
     assert m.pattern("bar-rendered")["pattern"]["provenance"]["object"]["name"] == "bar"
     receipt = m.play("bar-rendered").wait()
-    moved = [pin["motor"] for pin in receipt.raw["pins"]]
+    moved = [pin["motor"] for pin in receipt.raw["pins"]["moved"]]
     assert len(moved) == rendered.summary["motors"] > 3
     m.remove_pattern("bar-rendered")
 
@@ -133,7 +133,7 @@ def test_the_end_of_python_ends_the_daemon_and_disarms(daemon: meissner.Daemon) 
     script = (
         "import meissner, sys\n"
         "m = meissner.connect(sys.argv[1]); m.arm(assume_rest=True, checked='a test'); m.play('pin-60', endless=True)\n"
-        "d = meissner.demo(); print(d.status().raw['pid'], d.status().raw['socket'])\n"
+        "d = meissner.demo(); at = d.status().raw['daemon']; print(at['pid'], at['socket'])\n"
     )
     ended = subprocess.run([sys.executable, "-c", script, daemon.socket], capture_output=True, text=True, check=True)
     pid, socket = ended.stdout.split()

@@ -35,8 +35,19 @@ def end(other: meissner.Client, session_id: str) -> None:
 
 
 def plays(m: meissner.Client, session_id: str) -> list[dict[str, Any]]:
-    rows: list[dict[str, Any]] = m.session_plays(session_id)["plays"]
-    return rows
+    recorded: list[dict[str, Any]] = m.session_plays(session_id)["plays"]
+    return recorded
+
+
+def session_of(play: meissner.Play) -> str | None:
+    """The session that a play belongs to, once it is over."""
+    session: str | None = play.wait().raw["order"].get("session")
+    return session
+
+
+def answers(played: list[dict[str, Any]], key: str) -> list[tuple[int, Any]]:
+    """The trials of recorded plays, and this key of their answers."""
+    return [(play["receipt"]["order"]["trial"], play["answer"][key]) for play in played]
 
 
 @pytest.fixture
@@ -84,7 +95,7 @@ def test_after_its_session_was_ended_nothing_plays(
         assert plays(other, following.id) == []
     # Left, it plays again: here outside of a session.
     session.end()
-    assert m.play("pin-60", 0.05).wait().raw["session"] is None
+    assert session_of(m.play("pin-60", 0.05)) is None
 
 
 @pytest.mark.parametrize("order", ORDERS)
@@ -100,7 +111,7 @@ def test_after_a_restart_of_the_daemon_nothing_plays_without_the_session(order: 
             ORDERS[order](m)
         assert other.status().raw["session"] is None
         with m.session("P07") as session:
-            assert m.play("pin-60", 0.05).wait().raw["session"] == session.id
+            assert session_of(m.play("pin-60", 0.05)) == session.id
         m.core.has_armed = False
 
 
@@ -111,7 +122,7 @@ def test_another_session_takes_the_place_of_one_that_is_over(m: meissner.Client,
         over.end()  # It is not this one.
         play = m.play("pin-60", 0.05)
         play.wait()
-    assert [row["play"] for row in plays(m, session.id)] == [play.id]
+    assert [each["receipt"]["id"] for each in plays(m, session.id)] == [play.id]
     assert plays(m, over.id) == []
 
 
@@ -151,7 +162,7 @@ with meissner.connect(sys.argv[1]) as m:
     print(session.id, flush=True)
     input()
     try:
-        print(m.play("pin-60", 0.05).wait().raw["session"])
+        print(m.play("pin-60", 0.05).wait().raw["order"])
     except meissner.errors.SessionOver as error:
         print("over")
 """
@@ -242,8 +253,7 @@ def test_a_study_that_was_killed_goes_on(
     assert list((tmp_path / "meissner").iterdir()) == []
     with meissner.connect(daemon.socket) as m:
         session = m.sessions()[-1] if m.sessions()[-1]["participant"] == "P07" else m.sessions()[0]
-        rows = plays(m, session["id"])
-        assert [(row["trial"], row["answer"]["response"]) for row in rows] == [(n, "felt") for n in (1, 2, 3, 4)]
+        assert answers(plays(m, session["id"]), "response") == [(n, "felt") for n in (1, 2, 3, 4)]
 
 
 def test_a_session_that_resumes_goes_on_after_an_error(
@@ -256,7 +266,7 @@ def test_a_session_that_resumes_goes_on_after_an_error(
         _ = 1 / 0
     with m.session("P07", resume=True) as again:
         assert (again.resumed, again.id) == (True, session.id)
-        assert [(row["trial"], row["answer"]["rt_ms"]) for row in again.plays] == [(7, 300.0)]
+        assert answers(again.plays, "rt_ms") == [(7, 300.0)]
         with pytest.raises(errors.MeissnerError, match="has played nothing in trial 8"):
             again.answer(8, "left")
     with m.session("P07", resume=True) as fresh:
@@ -299,7 +309,7 @@ def test_live_plays_take_answers(daemon: meissner.Daemon, m: meissner.Client) ->
         with m.live(drives=DRIVES, timeout=60.0, trial=2) as live:
             live.keep().wait(PATIENT)
         live.answer("weaker")
-        assert [(row["trial"], row["answer"]["response"]) for row in session.plays] == [(1, "as strong"), (2, "weaker")]
+        assert answers(session.plays, "response") == [(1, "as strong"), (2, "weaker")]
 
 
 def test_the_end_of_one_client_does_not_disarm_another(m: meissner.Client, daemon: meissner.Daemon) -> None:
@@ -351,7 +361,7 @@ def test_an_answer_that_is_not_recorded_is_an_error_and_so_is_the_end_of_its_ses
             with pytest.warns(UserWarning, match="the session record cannot be written"):
                 play.wait()
         assert m.status().raw["session"] is None
-        assert m.play("pin-60", 0.05).wait().raw["session"] is None
+        assert session_of(m.play("pin-60", 0.05)) is None
         # Now none starts.
         with (
             pytest.raises(errors.StoreError, match="no session was started: the session record cannot"),

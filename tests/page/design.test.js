@@ -81,7 +81,7 @@ test("a bar that is drawn is rendered, compared with the real thing, felt and sa
   await press(page, "#thing-feel");
   await view(page, "play");
   await shows(page, "receipt-summary", "drawn: done");
-  assert.equal((await get(daemon, "/v1/plays/last")).pattern_sha256, result.sha256);
+  assert.equal((await get(daemon, "/v1/plays/last")).sha256, result.sha256);
   await view(page, "design");
   await enter(page, "thing-name", "my-bar");
   await press(page, "#thing-save");
@@ -198,7 +198,7 @@ test("a thing plays as soon as the pen lifts, if a person wants that and the mot
   await view(page, "play");
   await shows(page, "receipt-summary", "drawn: done");
   const play = await get(daemon, "/v1/plays/last");
-  assert.deepEqual([id, play.id, play.pattern_sha256], [2, 1, sha256]);
+  assert.deepEqual([id, play.id, play.sha256], [2, 1, sha256]);
 });
 
 test("a drawing can be undone, and survives a reload with its result", async () => {
@@ -339,7 +339,7 @@ test("an emergency stop works while a play and a rendering run", async () => {
   await page.click("#estop");
   await shows(page, "estop-note", "All lines are off.");
   const status = await daemon.status();
-  assert.deepEqual([status.state, status.estops, status.play], ["faulted", 1, null]);
+  assert.deepEqual([status.state, status.estop.orders, status.play], ["faulted", 1, null]);
 });
 
 test("a window that may not change anything asks for no rendering, says so once, and asks when it may", async () => {

@@ -36,7 +36,7 @@ test("numbers take a comma or a point and no text, and whole ones take neither (
   await enter(page, "#pin-motor", "3");
   await press(page, "#pin-play");
   await shows(page, "receipt-summary", "Play 1, ");
-  const { duration_ms: ms, drives } = await get(daemon, "/v1/plays/1");
+  const { duration_ms: ms, reach: { drives } } = await get(daemon, "/v1/plays/1");
   assert.deepEqual([ms.ordered, drives.map((drive) => drive.ordered_um)], [400, [12.5]]);
   await choose(page, "edge-45");
   const preview = page.waitForRequest((request) => request.url().includes("/preview?from_s=0.2&"));
@@ -110,10 +110,10 @@ test("a pattern that another client has replaced is drawn before it plays, and n
   await line("up to 64 µm");
   await page.waitForFunction(() => /up to (6\d|7\d) µm/.test(document.querySelector(".preview")?.textContent), WAIT);
   await page.waitForSelector('li[data-name="own"] .map .thumbnail');
-  assert.equal((await daemon.status()).last_play ?? null, null, "nothing was played");
+  assert.equal((await daemon.status()).newest.play, null, "nothing was played");
   await press(page, button);
   await shows(page, "receipt-summary", "Play 1, own: done");
-  assert.deepEqual((await get(daemon, "/v1/plays/1")).drives.map((drive) => drive.ordered_um), [70]);
+  assert.deepEqual((await get(daemon, "/v1/plays/1")).reach.drives.map((drive) => drive.ordered_um), [70]);
   const before = await page.$("li[data-name='edge-45']");
   await fetch(`${daemon.url}/v1/patterns/gone`, { method: "DELETE" });
   await press(page, 'li[data-name="gone"] button');

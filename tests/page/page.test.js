@@ -29,7 +29,7 @@ test("a person arms, plays, stops in an emergency, and resets (smoke)", async ()
   await page.click("#estop");
   await shows(page, "estop-note", "All lines are off.");
   const first = await daemon.status();
-  assert.ok(first.state === "faulted" && first.estops >= 1 && first.estops <= stops.sent, JSON.stringify(first));
+  assert.ok(first.state === "faulted" && first.estop.orders >= 1 && first.estop.orders <= stops.sent, JSON.stringify(first));
   await shows(page, "state-text", "Stopped: estop");
   await shows(page, "receipt-summary", "edge-45: stopped (estop)");
   await page.waitForSelector("#reset:not([disabled])");
@@ -40,9 +40,9 @@ test("a person arms, plays, stops in an emergency, and resets (smoke)", async ()
   await press(page, '#reset-dialog button[value="reset"]');
   await answers(page, "#reset", "An emergency stop came after those that this reset knows of");
   await view(page, "device");
-  const { estops } = await daemon.status();
-  assert.ok(estops > first.estops && estops <= stops.sent);
-  await shows(page, "daemon-facts", `Emergency stops since the start${estops}`);
+  const { estop: { orders } } = await daemon.status();
+  assert.ok(orders > first.estop.orders && orders <= stops.sent);
+  await shows(page, "daemon-facts", `Emergency stops since the start${orders}`);
   await press(page, "#reset");
   await press(page, '#reset-dialog button[value="reset"]');
   await shows(page, "state-text", "Disarmed");
@@ -115,7 +115,7 @@ for (const name of ["tula35-6x4", "tula35-2x3", "ubi-pen-3x3", "simulated-8x8", 
     } else {
       await shows(page, "receipt-summary", "pin-60: done");
       const receipt = await get(daemon, "/v1/plays/last");
-      assert.deepEqual([receipt.id, receipt.array], [1, name]);
+      assert.deepEqual([receipt.id, receipt.device.array], [1, name]);
     }
     assert.deepEqual(page.complaints, []);
   });
@@ -186,7 +186,7 @@ test("an emergency stop waits for no other request of the browser's windows", as
     await pages[2].evaluate(() => document.getElementById("estop").dispatchEvent(new PointerEvent("pointerdown")));
     await shows(pages[2], "estop-note", "All lines are off.");
     assert.equal(stops, 1);
-    assert.equal((await daemon.status()).estops, 1);
+    assert.equal((await daemon.status()).estop.orders, 1);
     holds = false;
     for (const page of pages) await shows(page, "state-text", "Stopped: estop");
   });

@@ -129,7 +129,7 @@ test("the pin test plays one stroke or some seconds of one pin, and needs armed 
   await press(page, "#pin-play");
   await shows(page, "receipt-summary", "Play 1, pin-test: done");
   const stroke = await get(daemon, "/v1/plays/1");
-  assert.deepEqual([stroke.bursts.played, stroke.drives.map(({ motor, strokes }) => [motor, strokes])], [2, [[13, 1]]]);
+  assert.deepEqual([stroke.counts.bursts.played, stroke.reach.drives.map(({ motor, strokes }) => [motor, strokes])], [2, [[13, 1]]]);
   await page.select("#pin-what", "seconds");
   await set(page, "pin-motor", 5);
   await set(page, "pin-seconds", 0.5);
@@ -138,7 +138,7 @@ test("the pin test plays one stroke or some seconds of one pin, and needs armed 
   await press(page, "#pin-play");
   await shows(page, "receipt-summary", "Play 2, pin-test: done");
   const seconds = await get(daemon, "/v1/plays/2");
-  assert.deepEqual([seconds.duration_ms.ordered, seconds.drives.map(({ motor, strokes, ordered_um }) => [motor, strokes, ordered_um])], [500, [[5, 20, 50]]]);
+  assert.deepEqual([seconds.duration_ms.ordered, seconds.reach.drives.map(({ motor, strokes, ordered_um }) => [motor, strokes, ordered_um])], [500, [[5, 20, 50]]]);
   await set(page, "pin-motor", 24);
   await press(page, "#pin-play");
   assert.equal(await page.$eval("#pin-motor", (field) => field.parentElement.querySelector(".wrong").textContent), "Enter a whole number, 0 to 23.");

@@ -241,9 +241,9 @@ test("an emergency stop is sent again until the daemon says that the lines are o
     }
     // The page shows this without a second press.
     await shows(page, "estop-note", "All lines are off.");
-    const { state, estops } = await daemon.status();
+    const { state, estop: { orders } } = await daemon.status();
     // An order whose answer is late is sent again.
-    assert.ok(state === "faulted" && estops >= 1 && estops <= forwarded, `${state}, ${estops}`);
+    assert.ok(state === "faulted" && orders >= 1 && orders <= forwarded, `${state}, ${orders}`);
   });
 });
 
@@ -308,7 +308,7 @@ test("E-STOP needs no other script, and is off until it works", async () => {
   await proxied(daemon, through, async (url) => {
     const isFirst = (script) => script.endsWith("/estop.js");
     for (const others of ["held", "gone", "wrong"]) {
-      const { estops } = await daemon.status();
+      const { estop: { orders } } = await daemon.status();
       fate = (script) => (isFirst(script) ? "" : others);
       const page = await blank();
       const stops = stopsOf(page);
@@ -317,7 +317,7 @@ test("E-STOP needs no other script, and is off until it works", async () => {
       await page.click("#estop");
       await shows(page, "estop-note", "All lines are off.");
       await shows(page, "state-text", "Stopped: estop");
-      const got = (await daemon.status()).estops - estops;
+      const got = (await daemon.status()).estop.orders - orders;
       assert.ok(got >= 1 && got <= stops.sent);
       await page.close();
     }

@@ -147,13 +147,13 @@ test("a session of 5000 plays is shown in short tasks", async () => {
   const real = await get(daemon, `/v1/sessions/${id}/plays`);
   await proxied(daemon, (request, response, forward) => {
     const from = Number(/\/plays\?from=(\d+)/.exec(request.url)?.[1] ?? -1);
-    const plays = Array.from({ length: Math.max(0, Math.min(1000, 5000 - from)) }, (_, i) => ({ ...real.plays[0], play: from + i + 1 }));
+    const plays = Array.from({ length: Math.max(0, Math.min(1000, 5000 - from)) }, (_, i) => ({ ...real.plays[0], receipt: { ...real.plays[0].receipt, id: from + i + 1 } }));
     answering(from < 0 ? {} : { [request.url]: { ...real, plays, more: from + plays.length < 5000 } })(request, response, forward);
   }, async (url) => {
     const page = await counting(url, "record");
     await page.waitForSelector("#sessions button");
     await press(page, "#sessions button");
-    await shows(page, "plays-none", "Rows 1 to 100.");
+    await shows(page, "plays-none", "Plays 1 to 100.");
     await judge(page, "session");
     await page.close();
   });

@@ -71,10 +71,10 @@ const LONG = "a cause of many words that tells about all motors and rails of the
 const SESSION = { participant: "P".repeat(40), owner: "somebody with a long name on another machine", mine: false, exclusive: true, released: false };
 const STATES = [
   ["disarmed", { state: "disarmed", position: "known" }], ["nobody has looked", { state: "disarmed", position: "unknown" }], ["armed", { state: "armed" }],
-  ["armed by a long name", { state: "armed", armed: { by: LONG } }], ["playing", { state: "armed", play: { id: 1, pattern: "a".repeat(64), played_s: 12345.6 } }],
-  ["waiting", { state: "armed", play: { id: 1, pattern: "b", played_s: 1 }, queued: [{ id: 2, pattern: "c" }] }], ["returning", { state: "returning" }],
-  ["e-stopped", { state: "faulted", cause: "estop" }], ["a fault", { state: "faulted", cause: LONG }], ["no device", { state: "no-device", device: null, tick: null }],
-  ["pins that stand", { state: "disarmed", position: "known", standing: { height_um: 400, age_s: 123456 } }], ["a state of a newer daemon", { state: "novel" }], ["another's session", { state: "armed", session: SESSION }], ["an observer", { state: "armed", role: "observe" }],
+  ["armed by a long name", { state: "armed", armed: { by: LONG } }], ["playing", { state: "armed", play: { id: 1, name: "a".repeat(64), played_s: 12345.6 } }],
+  ["waiting", { state: "armed", play: { id: 1, name: "b", played_s: 1 }, queued: [{ id: 2, name: "c" }] }], ["returning", { state: "returning" }],
+  ["e-stopped", { state: "faulted", cause: "estop" }], ["a fault", { state: "faulted", cause: LONG }], ["no device", { state: "no-device", device: null, clock: null }],
+  ["pins that stand", { state: "disarmed", position: "known", standing: { height_um: 400, age_s: 123456 } }], ["a state of a newer daemon", { state: "novel" }], ["another's session", { state: "armed", session: SESSION }], ["an observer", { state: "armed", daemon: { role: "observe" } }],
 ];
 
 test("E-STOP is the same rectangle in all states, whatever stands beside it, and nothing lies over it (smoke)", async () => {
@@ -155,11 +155,11 @@ test("a dialog takes clicks and keys, but not those of E-STOP, and gives the foc
   }
   reached.delete("");
   assert.deepEqual([...reached].sort(), ["estop", "reset-dialog"]);
-  const { estops } = await daemon.status();
+  const { estop: { orders } } = await daemon.status();
   const stops = stopsOf(page);
   await page.click("#estop");
   await shows(page, "estop-note", "All lines are off.");
-  const got = (await daemon.status()).estops - estops;
+  const got = (await daemon.status()).estop.orders - orders;
   assert.ok(got >= 1 && got <= stops.sent);
   assert.equal(await page.$eval("#reset-dialog", (dialog) => dialog.open), true);
   // Escape closes it, wherever the focus is. On a busy machine the state grows old at times: then Reset is off, and cannot have the focus.
@@ -191,7 +191,7 @@ test("Escape twice stops from wherever the focus is, and nothing that a person t
   await press(page, "#search");
   await page.keyboard.press("Escape");
   await page.keyboard.press("b");
-  assert.equal((await daemon.status()).estops, 0);
+  assert.equal((await daemon.status()).estop.orders, 0);
   await page.evaluate(() => {
     globalThis.stops = 0;
     const fetch = window.fetch;
@@ -199,7 +199,7 @@ test("Escape twice stops from wherever the focus is, and nothing that a person t
   });
   // The two presses are too far apart if the machine stands still between them: then a person presses again.
   const twice = async (what, first) => {
-    const { estops } = await daemon.status();
+    const { estop: { orders } } = await daemon.status();
     const until = Date.now() + WAIT.timeout;
     do {
       assert.ok(Date.now() < until, what);
@@ -208,7 +208,7 @@ test("Escape twice stops from wherever the focus is, and nothing that a person t
       await page.keyboard.press("Escape");
     } while (!(await page.evaluate(() => stops)));
     await shows(page, "estop-note", "All lines are off.");
-    while ((await daemon.status()).estops <= estops) assert.ok(Date.now() < until, what);
+    while ((await daemon.status()).estop.orders <= orders) assert.ok(Date.now() < until, what);
   };
   for (const field of ["#search", "#views a", "#seconds"]) {
     await twice(field, async () => {

@@ -151,7 +151,7 @@ def test_a_play_that_is_ordered_ahead_begins_when_planned(
     receipt = device.client.receipt(saved["play_id"])
     assert receipt.onset is not None
     assert (saved["array"], saved["tick_hz"]) == ("tula35-6x4", 85_000)
-    assert (receipt.onset.tick, receipt.raw["scale"]) == (saved["onset_tick"], 0.5)
+    assert (receipt.onset.tick, receipt.items[0].scale) == (saved["onset_tick"], 0.5)
 
 
 @pytest.mark.parametrize(
@@ -167,7 +167,7 @@ def test_a_stimulus_may_be_given_in_place_of_a_name(device: MeissnerDevice, patt
         lambda: routine(TactilePlay(device), "0.1", 2.0, pattern=pattern), lambda saved: bool(saved["state"] == "done")
     )
     assert (saved["state"], saved["pattern"]) == ("done", "inline")
-    pins = device.client.receipt(saved["play_id"]).raw["pins"]
+    pins = device.client.receipt(saved["play_id"]).raw["pins"]["moved"]
     assert [pin["motor"] for pin in pins] == [9]
 
 

@@ -10,6 +10,7 @@ from typing import Any
 from . import bids, nwb
 from ._arguments import number, table
 from ._operations import Core, pattern, status
+from ._rows import stimuli
 from ._sessions import session_plays, warn_of_gaps
 from .clocks import NS, Instant
 from .errors import BadPattern, IncompleteSession, NotFound
@@ -26,14 +27,14 @@ def _complete(recorded: Mapping[str, Any]) -> None:
 
 
 def _stimuli(core: Core, session_id: str, incomplete: bool) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
-    """The rows of a session, and the patterns as they were played, by SHA-256: without those whose text is not kept."""
+    """The plays of a session, and the patterns as they were played, by SHA-256: without those whose text is not kept."""
     recorded = session_plays(core, session_id)
     warn_of_gaps(recorded)
     if not incomplete:
         _complete(recorded)
-    rows = bids.stimulus_rows(recorded["plays"])
     found = {}
-    for name, sha256 in sorted({(row["pattern"], row["pattern_sha256"]) for row in rows if row["pattern_sha256"]}):
+    played = {(row["pattern"], row["pattern_sha256"]) for row in stimuli(recorded["plays"]) if row["pattern_sha256"]}
+    for name, sha256 in sorted(played):
         try:
             stored = pattern(core, name, sha256=sha256)
         except (NotFound, BadPattern):

@@ -49,21 +49,16 @@ class Labels:
 
         add("label", "trial", (key for row in rows for key in row["labels"]))
         add("session_label", "session", self._session)
-        add("factor", "answer", (key for row in rows for key in _factors(row)))
+        add("factor", "answer", (key for row in rows for key in row["factors"]))
 
     def cells(self, row: Mapping[str, Any]) -> dict[str, str | None]:
         """The cells of the columns; None: the trial has no such label or factor."""
         made: dict[str, str | None] = {}
-        sources = {"trial": row["labels"], "session": self._session, "answer": _factors(row)}
+        sources = {"trial": row["labels"], "session": self._session, "answer": row["factors"]}
         for column in self.columns:
             text = sources[column.source].get(column.key)
             made[column.name] = None if text is None else exact(text)
         return made
-
-
-def _factors(row: Mapping[str, Any]) -> Mapping[str, str]:
-    factors: Mapping[str, str] = (row["answer"] or {}).get("factors", {})
-    return factors
 
 
 def _name(text: str, taken: set[str]) -> str:

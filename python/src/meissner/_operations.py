@@ -195,7 +195,7 @@ def _take_status(core: Core, answer: Answer) -> Status:
     raw = core.read(answer)
     if not isinstance(raw, dict) or "state" not in raw:
         raise UnexpectedAnswer(f"{core.endpoint.name} does not answer as a meissner daemon: check the address")
-    daemon = (raw["pid"], raw["version"])
+    daemon = (raw["daemon"]["pid"], raw["daemon"]["version"])
     if daemon != core.daemon:
         core.daemon, core.array = daemon, None
     if raw["clock"] is not None:
@@ -209,7 +209,7 @@ def begin(core: Core) -> Status:
     """Meet the daemon, and compare the clocks. A device that has just been opened gets a moment to connect."""
     state = status(core)
     for _ in range(20):
-        if state.raw["clock"] is not None or state.raw["missing"] is not None:
+        if state.raw["clock"] is not None or state.raw["link"]["missing"] is not None:
             break
         core.link.pause(0.05)
         state = status(core)
@@ -471,7 +471,6 @@ def sequence(
     `on_edge` and `stop_on_edge`: as in `play`.
     """
     made = items_of(core, items, isi, soa, seconds, scale)
-    # With a name the receipt lists the items, also a single one.
     name = name or "sequence"
     body = {
         "items": made,

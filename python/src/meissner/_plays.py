@@ -80,7 +80,7 @@ class KnownPlay:
 
     @property
     def items(self) -> tuple[Item, ...]:
-        """The items of a sequence."""
+        """What it has played, each pattern with its times."""
         return self.receipt.items
 
     def refresh(self) -> Receipt:
@@ -149,18 +149,18 @@ def answered(plays: Iterable[Mapping[str, Any]], factors: Mapping[str, Any]) -> 
     """Of recorded plays the level and the correctness of each answer that has both, and these factors."""
     wanted = {key: str(value) for key, value in factors.items()}.items()
     found = []
-    for row in plays:
-        answer = row.get("answer") if row["item"] is None else None
+    for play in plays:
         # An answer without a level lacks the key.
-        known = (answer.get("level"), answer.get("correct")) if answer else (None, None)
-        if answer and None not in known and wanted <= (answer.get("factors") or {}).items():
+        answer = play["answer"] or {}
+        known = (answer.get("level"), answer.get("correct"))
+        if None not in known and wanted <= (answer.get("factors") or {}).items():
             found.append((float(answer["level"]), bool(answer["correct"])))
     return found
 
 
 def unanswered(plays: Iterable[Mapping[str, Any]], trials: Iterable[Trial]) -> list[Trial]:
     """The trials that have no answer in the recorded plays."""
-    finished = {row["trial"] for row in plays if row.get("answer")}
+    finished = {play["receipt"]["order"].get("trial") for play in plays if play["answer"]}
     wanted = listed("trials", trials, "that of `two_afc(...)`")
     for place, trial in enumerate(wanted):
         check_trial(f"trials[{place}]", trial)

@@ -108,11 +108,11 @@ def session_leave(core: Core, session_id: str, failed: bool) -> IncompleteSessio
     _kept.let_go(session_id, forget=not goes_on)
     if core.session is not None and core.session.id == session_id:
         core.session = None
-    lost, plays = ended.get("lost", 0), ended.get("plays_lost", 0)
-    if not lost and not plays:
+    lost = ended.get("lost", {"entries": 0, "plays": 0})
+    if not any(lost.values()):
         return None
     return IncompleteSession(
-        f"session {session_id} has ended, but its record has lost {lost} entries, {plays} ends of plays among them: see "
+        f"session {session_id} has ended, but its record has lost {lost['entries']} entries, {lost['plays']} ends of plays among them: see "
         "`meissner session list` and `meissner doctor`; note the answers that your program has"
     )
 

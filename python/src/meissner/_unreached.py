@@ -17,18 +17,21 @@ _ENOUGH = 0.8
 
 def warn_of(receipt: Receipt, told: set[str]) -> None:
     """Warns where the caller of this package stands. `told` is what nobody is told again."""
-    lines = [line for line in receipt.raw["warnings"] if not _is_meant(receipt, line)]
     # Of a sequence the daemon says the pattern's name before each line.
-    name = "" if receipt.raw["items_planned"] is not None else f"`{receipt.pattern}`: "
-    new = [line for line in lines if _key(name + line) not in told]
+    lines = [
+        line if line.startswith("`") else f"`{receipt.pattern}`: {line}"
+        for line in receipt.raw["reach"]["warnings"]
+        if not _is_meant(receipt, line)
+    ]
+    new = [line for line in lines if _key(line) not in told]
     if not new:
         return
-    told.update(_key(name + line) for line in lines)
-    more = f" ({len(lines) - 1} more in `receipt.raw['warnings']`)" if len(lines) > 1 else ""
+    told.update(map(_key, lines))
+    more = f" ({len(lines) - 1} more in `receipt.raw['reach']['warnings']`)" if len(lines) > 1 else ""
     level, frame = 1, sys._getframe()
     while frame.f_back is not None and frame.f_globals.get("__name__", "").split(".")[0] == "meissner":
         level, frame = level + 1, frame.f_back
-    warnings.warn(f"{name}{new[0]}{more}", stacklevel=level)
+    warnings.warn(f"{new[0]}{more}", stacklevel=level)
 
 
 def _key(line: str) -> str:
@@ -40,5 +43,5 @@ def _key(line: str) -> str:
 def _is_meant(receipt: Receipt, line: str) -> bool:
     """Whether a drive is saturated as stored, and not with the `scale` of the play."""
     saturated = re.match(r"drive (\d+) .* is saturated", line)
-    found = [drive for drive in receipt.raw["drives"] if saturated and drive["drive"] == int(saturated[1])]
+    found = [drive for drive in receipt.raw["reach"]["drives"] if saturated and drive["drive"] == int(saturated[1])]
     return any(drive["reached_um"] >= _ENOUGH * drive["ordered_um"] for drive in found)

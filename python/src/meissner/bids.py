@@ -20,11 +20,11 @@ from typing import Any
 
 from ._bids_names import SESSION_SOURCE, SOURCE, Names, source, with_participant
 from ._bids_names import label as label
-from ._labels import Labels, exact
+from ._labels import Labels
+from ._rows import stimuli as stimuli_of
 from ._text_file import replacing, text_of
 from .errors import BidsConflict, MeissnerError
 from .motions import pattern_toml
-from .results import reached_um
 
 VERSION = "1.10.0"
 _HED_VERSION = "8.3.0"
@@ -101,21 +101,6 @@ class Export:
     """How many plays of the session the record lacks, or has without their end."""
 
 
-def stimulus_rows(plays: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """The rows that are stimuli: of a sequence its items, without those that never began; sorted by onset, each with its array."""
-    rows = [play for play in plays if play["onset_tick"] is not None and play["items_planned"] is None]
-    return sorted(rows, key=lambda row: int(row["onset_monotonic_ns"]))
-
-
-def trial_rows(plays: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """The rows that are plays or whole sequences, and began; sorted by onset, each with its array. Sequences have the `reached_um` of their items."""
-    rows = [play for play in plays if play["onset_tick"] is not None and play["item"] is None]
-    for row in rows:
-        same = [um for play in plays if play["play"] == row["play"] and (um := reached_um(play)) is not None]
-        row["reached_um"] = max(same, default=None)
-    return sorted(rows, key=lambda row: int(row["onset_monotonic_ns"]))
-
-
 def write(
     root: Path,
     recorded: Mapping[str, Any],
@@ -133,7 +118,7 @@ def write(
 
     Raises `BidsConflict`, and writes nothing, if a name of it stands for something else in the dataset, or if a file is in the way.
     """
-    rows = stimulus_rows(recorded["plays"])
+    rows = stimuli_of(recorded["plays"])
     labels = Labels(recorded["session"], rows)
     names = Names.of(recorded["session"], task, subject, session, run)
     names.check(root)
@@ -156,7 +141,7 @@ def write(
     made: dict[Path, bytes] = {root / "stimuli" / stimuli[sha256]: text.encode() for sha256, text in texts.items()}
     sidecar = {**about, **_sidecar(rows, labels, software, has_hed)}
     made[events.with_suffix(".json")] = _json(sidecar)
-    made[events] = _tsv(columns, [{**_event(row, zero, stimuli, labels), **labels.cells(row)} for row in rows])
+    made[events] = _tsv(columns, [{**_event(row, zero, stimuli), **labels.cells(row)} for row in rows])
     files = {**merged, **made}
     changed = {file: data for file, data in files.items() if not _holds(file, data)}
     if not overwrite:
@@ -228,57 +213,16 @@ def not_kept(row: Mapping[str, Any]) -> str:
     return f"the text of {row['pattern']} as played is not kept"
 
 
-def _event(row: Mapping[str, Any], zero: int, stimuli: Mapping[str, str], labels: Labels) -> dict[str, Any]:
-    played, uncertainty, pulse_ns = row["played_ms"], row["onset_uncertainty_ns"], first_pulse_ns(row)
+def _event(row: Mapping[str, Any], zero: int, stimuli: Mapping[str, str]) -> dict[str, Any]:
+    played, pulse_ns = row["played_ms"], row["first_pulse_ns"]
     return {
+        **row,
         "onset": f"{(row['onset_monotonic_ns'] - zero) / 1e9:.9f}",
         "duration": None if played is None else f"{played / 1000:.6f}",
         "trial_type": row["pattern"],
-        "stim_file": stimuli.get(row["pattern_sha256"] or ""),
-        "trial": row["trial"],
-        "scale": row["scale"],
-        "reached_um": reached_um(row),
+        "stim_file": stimuli.get(row["pattern_sha256"]),
         "first_pulse": None if pulse_ns is None else f"{(pulse_ns - zero) / 1e9:.9f}",
-        "state": row["state"],
-        "late_strokes": row["late_strokes"],
-        "trigger_code": row["trigger"] and row["trigger"]["code"],
-        "onset_tick": row["onset_tick"],
-        "onset_uncertainty": None if uncertainty is None else f"{uncertainty / 1e9:.9f}",
-        "play": row["play"],
-        "item": row["item"],
-        "array": row["array"],
-        "tick_hz": row["tick_hz"],
-        **edge_cells(row),
-        **answer_cells(row),
-    }
-
-
-def first_pulse_ns(row: Mapping[str, Any]) -> int | None:
-    """The first pulse of a pin on the recording PC's clock, ns; None: none."""
-    tick: int | None = row["first_pulse_tick"]
-    if tick is None:
-        return None
-    onset_ns: int = row["onset_monotonic_ns"]
-    after_ticks: int = tick - row["onset_tick"]
-    return onset_ns + round(after_ticks * 1e9 / int(row["tick_hz"]))
-
-
-def edge_cells(row: Mapping[str, Any]) -> dict[str, int | None]:
-    """The edges of the trigger input that started and stopped the play."""
-    edges = {name: row[name] or {} for name in ("start_edge", "stop_edge")}
-    numbers = {name: edge.get("number") for name, edge in edges.items()}
-    return {**numbers, **{f"{name}_tick": edge.get("tick") for name, edge in edges.items()}}
-
-
-def answer_cells(row: Mapping[str, Any]) -> dict[str, Any]:
-    """What the participant answered; None: not known. The response time is in seconds."""
-    answer = row["answer"] or {}
-    correct, rt_ms = answer.get("correct"), answer.get("rt_ms")
-    return {
-        "response": exact(answer["response"]) if answer else None,
-        "correct": None if correct is None else str(correct).lower(),
-        "response_time": None if rt_ms is None else rt_ms / 1000,
-        "level": answer.get("level"),
+        "onset_uncertainty": f"{row['onset_uncertainty_ns'] / 1e9:.9f}",
     }
 
 
@@ -291,7 +235,7 @@ def _sidecar(
     kinds = sorted({row["pattern"] for row in rows})
     columns["trial_type"]["Levels"] = {kind: f"the pattern {kind}" for kind in kinds}
     columns["trial_type"]["HED"] = {kind: f"{_HED}, Label/{_hed_name(kind)}" for kind in kinds}
-    said = {str(cell) for row in rows if (cell := answer_cells(row)["response"]) is not None}
+    said = {str(row["response"]) for row in rows if row["response"] is not None}
     if 0 < len(said) <= _MOST_LEVELS:
         columns["response"]["Levels"] = {each: f"the answer {each}" for each in sorted(said)}
         columns["response"]["HED"] = {each: f"({_ANSWERED}, Label/{_hed_name(each)})" for each in sorted(said)}

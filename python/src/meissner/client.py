@@ -111,8 +111,8 @@ class Session:
     @property
     def plays(self) -> list[dict[str, Any]]:
         """What was played and answered so far, with the keys of the API reference: also before the session was resumed."""
-        rows: list[dict[str, Any]] = self._client.session_plays(self.id)["plays"]
-        return rows
+        plays: list[dict[str, Any]] = self._client.session_plays(self.id)["plays"]
+        return plays
 
     def answers(self, **factors: object) -> list[tuple[float, bool]]:
         """The level and the correctness of each answer so far that has these factors: what `Staircase.resume` takes."""

@@ -58,9 +58,9 @@ class Marker:
 
 
 def text_of(what: str, pattern: str, raw: Mapping[str, Any]) -> str:
-    """The text of a marker: `onset/NAME` and `offset/NAME` of a play, `item/NAME` for the onset of each item of a sequence.
+    """The text of a marker: `onset/NAME` and `offset/NAME` of a play, `item/NAME` for the onset of each of several items.
 
-    A `Bridge` takes another function of these arguments; `raw` has the keys of the receipt, with `trial` and `labels`.
+    A `Bridge` takes another function of these arguments; `raw` has the keys of the receipt, with `trial` and `labels` in `order`.
     """
     return f"{what}/{pattern}"
 
@@ -97,7 +97,7 @@ class Bridge:
 
     def _outlet(self, status: Status, array: str) -> Any:
         raw = status.raw["device"]
-        device = status.raw["device_identity"] or (raw and raw["kind"]) or "no device"
+        device = status.raw["link"]["identity"] or (raw and raw["kind"]) or "no device"
         # The same after a restart, so that a recorder finds the stream again.
         source = f"{self._name}/{device}/markers"
         info = self._lsl.StreamInfo(f"{self._name}-markers", "Markers", 1, 0.0, "string", source)
@@ -107,7 +107,7 @@ class Bridge:
             ("device", device),
             ("array", array),
             ("simulated", str(status.simulated).lower()),
-            ("daemon_version", status.raw["version"]),
+            ("daemon_version", status.raw["daemon"]["version"]),
         ):
             about.append_child_value(key, value)
         channel = about.append_child("channels").append_child("channel")
@@ -238,7 +238,7 @@ class Bridge:
                 self._under_way.add(play)
                 self._mark(m.core, "onset", receipt.pattern, receipt.onset, receipt)
             else:
-                for item in receipt.items:
+                for item in receipt.items if len(receipt.items) > 1 else ():
                     self._mark(m.core, "item", item.pattern, item.onset, receipt)
                 self._mark(m.core, "offset", receipt.pattern, receipt.offset, receipt)
                 self._under_way.discard(play)

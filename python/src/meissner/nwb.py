@@ -16,12 +16,14 @@ from pathlib import Path
 from typing import Any
 
 from ._labels import Labels
+from ._rows import rows as rows_of
+from ._rows import stimuli
 from ._text_file import replacing
-from .bids import answer_cells, edge_cells, first_pulse_ns, losses, not_kept, stimulus_rows, trial_rows
+from .bids import losses, not_kept
 from .clocks import NS
 from .errors import MeissnerError
 from .motions import pattern_toml
-from .results import Status, reached_um
+from .results import Status
 
 _COLUMNS = {
     "pattern": "Name of the vibration pattern",
@@ -91,14 +93,16 @@ def write(
     """Writes a session. `recorded` is as of `session_plays`, `patterns` holds the patterns' keys by SHA-256."""
     pynwb = needs_pynwb()
     check_place(file, overwrite)
-    session, rows = recorded["session"], stimulus_rows(recorded["plays"])
+    session, rows = recorded["session"], stimuli(recorded["plays"])
     if not rows:
         raise MeissnerError(f"session {session['id']} has no stimuli: there is nothing to export")
     texts = {sha256: pattern_toml(keys) for sha256, keys in patterns.items()}
     missing = (not_kept(row) for row in rows if row["pattern_sha256"] not in ("", *patterns))
     left_out = [*losses(recorded), *dict.fromkeys(missing)]
     started = datetime.fromisoformat(session["started"])
-    zero_ns = _zero_ns(rows, started)
+    plays = [play for play in recorded["plays"] if play["receipt"]["onset"] is not None]
+    plays.sort(key=lambda play: int(play["receipt"]["onset"]["monotonic_ns"]))
+    zero_ns = _zero_ns(plays[0], started)
     about = {
         "session_description": f"Tactile stimulation in the experiment {session['experiment'] or 'without a name'}",
         "identifier": session["id"],
@@ -106,7 +110,7 @@ def write(
         "session_start_time": started,
         "stimulus_notes": "Vibration patterns by SHA-256, frequencies in Hz, amplitudes in um peak to peak.\n\n"
         + "\n".join(f"# {sha256}\n{text}" for sha256, text in texts.items()),
-        "was_generated_by": [["meissner", status.raw["version"]]],
+        "was_generated_by": [["meissner", status.raw["daemon"]["version"]]],
         **({} if recorded["complete"] else {"notes": "Incomplete: " + "; ".join(left_out)}),
         **(metadata or {}),
     }
@@ -115,7 +119,7 @@ def write(
     nwb.subject = pynwb.file.Subject(**person)
     nwb.add_device(_device(pynwb, rows, status))
     nwb.add_events_table(_table(pynwb, rows, Labels(session, rows), zero_ns))
-    _add_trials(nwb, trial_rows(recorded["plays"]), session, zero_ns)
+    _add_trials(nwb, plays, session, zero_ns)
     if "age" not in person and "date_of_birth" not in person:
         left_out.append("the participant's age, which archives ask for: export with subject={'age': 'P30Y'}")
     with replacing(file) as beside, pynwb.NWBHDF5IO(str(beside), "w") as io:
@@ -123,10 +127,10 @@ def write(
     return Export(file, tuple(left_out), recorded["plays_missing"])
 
 
-def _zero_ns(rows: list[dict[str, Any]], started: datetime) -> int:
-    """The session's start on the recording PC's `CLOCK_MONOTONIC`, ns: by the wall clock at the first onset."""
-    after_s: float = rows[0]["onset_wall_ns"] / NS - started.timestamp()
-    onset_ns: int = rows[0]["onset_monotonic_ns"]
+def _zero_ns(first: Mapping[str, Any], started: datetime) -> int:
+    """The session's start on the recording PC's `CLOCK_MONOTONIC`, ns: by the wall clock at the onset of the first play."""
+    after_s: float = first["onset_wall_ns"] / NS - started.timestamp()
+    onset_ns: int = first["receipt"]["onset"]["monotonic_ns"]
     return onset_ns - round(after_s * NS)
 
 
@@ -139,8 +143,10 @@ def _device(pynwb: Any, rows: list[dict[str, Any]], status: Status) -> Any:
     return pynwb.device.Device(name="tactile_display", description=about)
 
 
-def _number(value: Any) -> float:
-    return math.nan if value is None else float(value)
+def _cell(value: Any, is_number: bool) -> Any:
+    if is_number:
+        return math.nan if value is None else float(value)
+    return "" if value is None else value
 
 
 def _table(pynwb: Any, rows: list[dict[str, Any]], labels: Labels, zero_ns: int) -> Any:
@@ -152,22 +158,17 @@ def _table(pynwb: Any, rows: list[dict[str, Any]], labels: Labels, zero_ns: int)
     meanings = {**_COLUMNS, **{column.name: f"{column.description}; empty: none" for column in labels.columns}}
     columns: dict[str, list[Any]] = {name: [] for name in ("timestamp", "duration", *meanings)}
     for row in rows:
-        uncertainty_ns = row["onset_uncertainty_ns"]
+        pulse_ns = row["first_pulse_ns"]
         cells = {
             **{name: row.get(name) for name in _COLUMNS},
             "timestamp": (row["onset_monotonic_ns"] - zero_ns) / NS,
             "duration": math.nan if row["played_ms"] is None else row["played_ms"] / 1000,
-            "pattern_sha256": row["pattern_sha256"] or "",
-            "reached_um": reached_um(row),
-            **{name: cell or "" for name, cell in labels.cells(row).items()},
-            "first_pulse": None if (pulse_ns := first_pulse_ns(row)) is None else (pulse_ns - zero_ns) / NS,
-            "trigger_code": row["trigger"] and row["trigger"]["code"],
-            **edge_cells(row),
-            "onset_uncertainty": None if uncertainty_ns is None else uncertainty_ns / NS,
-            **{name: "" if cell is None and name not in numbers else cell for name, cell in answer_cells(row).items()},
+            **labels.cells(row),
+            "first_pulse": None if pulse_ns is None else (pulse_ns - zero_ns) / NS,
+            "onset_uncertainty": row["onset_uncertainty_ns"] / NS,
         }
         for name, cell in cells.items():
-            columns[name].append(_number(cell) if name in numbers else cell)
+            columns[name].append(_cell(cell, name in numbers))
     event, tick_s = pynwb.event, 1 / min(row["tick_hz"] for row in rows)
     made = [
         event.TimestampVectorData(
@@ -196,11 +197,11 @@ def _table(pynwb: Any, rows: list[dict[str, Any]], labels: Labels, zero_ns: int)
 
 
 def _add_trials(nwb: Any, plays: list[dict[str, Any]], session: Mapping[str, Any], zero_ns: int) -> None:
-    """A row per play or sequence, with its answer."""
-    plays = [play for play in plays if play["offset_monotonic_ns"] is not None]
-    if not plays:
+    """A row per play, with its answer."""
+    trials = [(play["receipt"], rows_of(play)) for play in plays if play["receipt"]["offset"] is not None]
+    if not trials:
         return
-    labels = Labels(session, plays)
+    labels = Labels(session, [rows[0] for _, rows in trials])
     numbers = ("trial", "response_time", "level", "reached_um")
     about = {
         name: _COLUMNS[name]
@@ -209,13 +210,11 @@ def _add_trials(nwb: Any, plays: list[dict[str, Any]], session: Mapping[str, Any
     about |= {column.name: f"{column.description}; empty: none" for column in labels.columns}
     for name, meaning in about.items():
         nwb.add_trial_column(name=name, description=meaning)
-    for play in plays:
-        known = {name: play[name] for name in ("play", "trial", "reached_um")}
-        cells = {**known, **answer_cells(play), **labels.cells(play)}
+    for receipt, rows in trials:
+        reached = [row["reached_um"] for row in rows if row["reached_um"] is not None]
+        cells = {**rows[0], **labels.cells(rows[0]), "reached_um": max(reached, default=None)}
         nwb.add_trial(
-            start_time=(play["onset_monotonic_ns"] - zero_ns) / NS,
-            stop_time=(play["offset_monotonic_ns"] - zero_ns) / NS,
-            **{
-                name: _number(cell) if name in numbers else "" if cell is None else cell for name, cell in cells.items()
-            },
+            start_time=(receipt["onset"]["monotonic_ns"] - zero_ns) / NS,
+            stop_time=(receipt["offset"]["monotonic_ns"] - zero_ns) / NS,
+            **{name: _cell(cells[name], name in numbers) for name in about},
         )

@@ -73,15 +73,15 @@ class PlanCheck:
         )
 
 
-def reached_um(row: Mapping[str, Any]) -> float | None:
-    """What the drives of a recorded play or an item reach, µm; None: not known. A motion without drives is recorded as 0."""
-    reached: float | None = row["reached_um"]
-    return None if reached == 0 and row["ordered_um"] else reached
+def reached_um(item: Mapping[str, Any]) -> float | None:
+    """What the drives of an item reach, µm; None: not known. A motion without drives is recorded as 0."""
+    reached: float | None = item["reached_um"]
+    return None if reached == 0 and item["ordered_um"] else reached
 
 
 @dataclass(frozen=True)
 class Item:
-    """What became of an item of a sequence."""
+    """What became of an item of a play."""
 
     pattern: str
     state: str
@@ -129,7 +129,7 @@ class Receipt:
     late: int
     """Number of strokes that came too late; the device left them out."""
     items: tuple[Item, ...]
-    """The items of a sequence; empty for other plays and until it is over."""
+    """What it has played, each pattern with its times; empty until it is over."""
     array: str
     """The name of the array that was driven."""
     tick_hz: int
@@ -145,36 +145,36 @@ class Receipt:
     def reached_um(self) -> float | None:
         """The largest amplitude that the drives reach, peak to peak, µm, by the motor model, whatever was ordered.
 
-        Of a sequence that is over, that of its items. None: not known, as of motions.
+        Of several items once the play is over. None: not known, as of motions.
         """
-        drives: list[float] = [drive["reached_um"] for drive in self.raw["drives"]]
+        drives: list[float] = [drive["reached_um"] for drive in self.raw["reach"]["drives"]]
         return max(drives + [item.reached_um for item in self.items if item.reached_um is not None], default=None)
 
     @staticmethod
     def of(raw: dict[str, Any], clock: ClientClock) -> Receipt:
-        """The receipt in a document that names its array, with instants by this clock."""
+        """The receipt in a document, with instants by this clock."""
+        device, edges, lateness = raw["device"], raw["edges"], raw["counts"]["lateness"]
 
         def instant(record: dict[str, Any] | None, tick: str = "tick") -> Instant | None:
             if record is None:
                 return None
             return clock.instant(
                 tick=record[tick],
-                boot=raw["boot"],
-                tick_hz=raw["tick_hz"],
+                boot=device["boot"],
+                tick_hz=device["tick_hz"],
                 host_ns=record["monotonic_ns"],
                 host_uncertainty_ns=record["uncertainty_ns"],
             )
 
-        lateness = raw["lateness"]
         return Receipt(
             id=raw["id"],
-            pattern=raw["pattern"],
+            pattern=raw["name"],
             state=raw["state"],
             cause=raw["cause"],
             onset=instant(raw["onset"], "actual_tick"),
             offset=instant(raw["offset"]),
-            start_edge=instant(raw["start_edge"]),
-            stop_edge=instant(raw["stop_edge"]),
+            start_edge=instant(edges["start"]),
+            stop_edge=instant(edges["stop"]),
             late=lateness["host"] + lateness["link"] + lateness["device"],
             items=tuple(
                 Item(
@@ -188,7 +188,7 @@ class Receipt:
                 )
                 for item in raw["items"] or ()
             ),
-            array=raw["array"],
-            tick_hz=raw["tick_hz"],
+            array=device["array"],
+            tick_hz=device["tick_hz"],
             raw=raw,
         )

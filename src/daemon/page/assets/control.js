@@ -53,7 +53,7 @@ export function operates(control) {
 }
 
 // Shows what this window may do: everything, only stop and disarm, or only read. While the state is not known, that stays.
-function showRights({ role, session }) {
+function showRights({ daemon: { role }, session }) {
   const isForeign = session?.exclusive && !session.released && !session.mine;
   const [may, why] = role === "observe" ? ["read", "This window may only read, and order an emergency stop: its access token has the role “observe”. A new window asks for another one."]
     : isForeign ? ["stop", `${session.owner ?? "Another client"} owns the exclusive session with ${session.participant}: this window may read, stop and disarm.`]
@@ -242,7 +242,7 @@ export function bindControls() {
   button("reset", () => {
     $("reset-why").textContent = `Cause: ${last().cause}.`;
     // A stop that comes while a person reads this dialog must not be cleared with the one that it shows.
-    $("reset-dialog").dataset.seen = last().estops;
+    $("reset-dialog").dataset.seen = last().estop.orders;
     open($("reset-dialog"));
   });
   $("reset-dialog").addEventListener("close", () => {

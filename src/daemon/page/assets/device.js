@@ -8,35 +8,35 @@ import { part } from "./views.js";
 const plural = (count, one, more = `${one}s`) => `${count} ${count === 1 ? one : more}`;
 
 function link(status) {
-  const { device, line_bytes_per_s: line, board } = status;
+  const { device, clock, daemon: { drift_limit_um: limit, lease_ms: lease, lead_ms: lead } } = status;
+  const { missing, bytes_per_s: line, contradictions, board } = status.link;
   // Without an estimate and a known position, 0 means nothing.
   const isKnown = status.position === "known" || status.motors.every((motor) => motor.source !== "none");
   const offsets = isKnown ? status.motors.map((motor) => Math.abs(motor.rest_error_um)) : [];
   const worst = Math.max(0, ...offsets);
   return [
-    ["Device", device ? `${device.kind}${device.simulated ? ", simulated" : ""}, firmware ${device.firmware}, ${device.telemetry ? "with" : "without"} telemetry` : status.missing ?? "none"],
-    ["Largest offset from rest", offsets.length ? `${worst.toFixed(1)} µm, pin ${offsets.indexOf(worst)}, of at most ${status.drift_limit_um} µm` : "not known"],
+    ["Device", device ? `${device.kind}${device.simulated ? ", simulated" : ""}, firmware ${device.firmware}, ${device.telemetry ? "with" : "without"} telemetry` : missing ?? "none"],
+    ["Largest offset from rest", offsets.length ? `${worst.toFixed(1)} µm, pin ${offsets.indexOf(worst)}, of at most ${limit} µm` : "not known"],
     ["Position", status.position],
     ["Line", line === null ? "not measured" : `${(line / 1000).toFixed(0)} kB/s`],
-    ["Messages that cannot be true", status.contradictions],
-    ["Clock", status.clock_uncertainty_us === null ? "not synchronised" : `synchronised to ±${status.clock_uncertainty_us.toFixed(1)} µs`],
-    ["Host watchdog", `${status.lease_ms.toFixed(0)} ms without the daemon stop the device; strokes are sent ${status.lead_ms.toFixed(0)} ms ahead`],
+    ["Messages that cannot be true", contradictions],
+    ["Clock", clock ? `synchronised to ±${clock.uncertainty_us.toFixed(1)} µs` : "not synchronised"],
+    ["Host watchdog", `${lease.toFixed(0)} ms without the daemon stop the device; strokes are sent ${lead.toFixed(0)} ms ahead`],
     ["Device runs", board ? `for ${(board.uptime_s / 60).toFixed(0)} min, started by ${board.reset}; ${plural(board.output_faults, "output fault")}, ${board.stalls ?? "no count of"} stalls` : "not known"],
   ];
 }
 
 function daemon(status) {
-  const { fifo, mlock } = status.realtime ?? {};
-  const { participant: limit, session, armed } = status;
+  const { participant: limit, session, armed, estop, daemon: { version, pid, realtime: { fifo, mlock }, logbook_problem: problem, logbook_lost: lost } } = status;
   const silence = armed && (armed.silence_s === null ? "the motors stay armed without it" : `${armed.silence_s} s without a sign of it disarm`);
   return [
-    ["Version", `meissner ${status.version}, pid ${status.pid}`],
+    ["Version", `meissner ${version}, pid ${pid}`],
     ["Armed by", armed ? `${armed.by}; ${silence}` : "nobody"],
     ["Session", session ? `${session.participant}, ${plural(session.plays, "play")}` : "none"],
     ["Real time", fifo && mlock ? "granted" : `missing: ${[fifo ? "" : "SCHED_FIFO", mlock ? "" : "locked memory"].filter(Boolean).join(" and ")}; strokes may come late`],
     ["Vibration left", limit ? `${limit.continuous_left_s.toFixed(0)} s without a pause, ${limit.day_left_s.toFixed(0)} s today` : "not counted"],
-    ["Emergency stops since the start", status.estops],
-    ["Session record", status.logbook_problem ?? (status.logbook_lost ? `${status.logbook_lost} entries were lost` : "no problem")],
+    ["Emergency stops since the start", estop.orders],
+    ["Session record", problem ?? (lost ? `${lost} entries were lost` : "no problem")],
   ];
 }
 

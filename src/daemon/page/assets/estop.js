@@ -51,7 +51,7 @@
   const known = () => (last && since(sent) < FRESH_MS ? last : null);
   // A proxy or gateway may answer in the daemon's place.
   const isStatus = (body) => typeof body?.state === "string" && Array.isArray(body.motors) && Array.isArray(body.queued);
-  const isTold = (status) => status.device !== null && status.tick !== null;
+  const isTold = (status) => status.device !== null && status.clock !== null;
 
   function take(status, at) {
     if (at[0] < sent[0]) return;
@@ -97,7 +97,7 @@
     if (!status) return NOT_KNOWN;
     const off = Math.max(0, ...(status.motors ?? []).map((motor) => Math.abs(motor.rest_error_um)));
     const standing = status.standing ? `Pins stand up to ${Math.ceil(status.standing.height_um)} µm above rest${status.standing.age_s < 0.5 ? "" : `, for ${Math.round(status.standing.age_s)} s`}. ` : "";
-    if (status.play) return status.play.pattern === "calibration" ? "Calibration: do not touch the pins." : "Pins vibrate.";
+    if (status.play) return status.play.name === "calibration" ? "Calibration: do not touch the pins." : "Pins vibrate.";
     switch (status.state) {
       case "disarmed":
         if (status.position !== "known") return `${standing}The motors are off, but the place of the pins is not known: look at them first.`;
@@ -124,7 +124,7 @@
   let said = -Infinity;
   function say(status, text) {
     if (!$("state-say") || performance.now() - said < SAY_MS) return;
-    const line = `${status?.play ? `Playing ${status.play.pattern}` : text}. ${$("touch").textContent}`;
+    const line = `${status?.play ? `Playing ${status.play.name}` : text}. ${$("touch").textContent}`;
     if ($("state-say").textContent === line) return;
     said = performance.now();
     $("state-say").textContent = line;
@@ -136,7 +136,7 @@
     const name = status && status.state in WORDS ? status.state : "unknown";
     // The rest of the document may not have loaded yet.
     if ($("state")) $("state").dataset.state = status?.play ? "playing" : name;
-    const text = status?.play ? `Playing ${status.play.pattern}, ${status.play.played_s.toFixed(1)} s`
+    const text = status?.play ? `Playing ${status.play.name}, ${status.play.played_s.toFixed(1)} s`
       : name === "unknown" ? "Not connected: state not known" : name === "faulted" ? `Stopped: ${status.cause}` : WORDS[name];
     write($("state-text"), status?.queued.length ? `${text}; ${status.queued.length} wait` : text);
     write($("touch"), touch(status));

@@ -22,16 +22,16 @@ function receiptOf(id) {
 function planned({ play: running, queued }) {
   // When the next one begins, s from now; null if that is not known.
   let at = running ? -running.played_s : null;
-  return [...(running ? [running] : []), ...queued].map(({ id, pattern, waits_for_edge: waits = false }) => {
+  return [...(running ? [running] : []), ...queued].map(({ id, name, waits_for_edge: waits = false }) => {
     const receipt = receiptOf(id);
     const ms = receipt ? (receipt.duration_ms.compiled ?? receipt.duration_ms.ordered) : undefined;
-    const items = (receipt?.items_planned ?? null) === null ? "" : `, ${receipt.items_planned} items`;
+    const items = receipt?.order.items > 1 ? `, ${receipt.order.items} items` : "";
     const length = `${ms ? seconds(ms / 1000) : receipt ? "without end" : "length not known"}${items}`;
     const begins = id === running?.id ? `began ${seconds(running.played_s)} ago`
       : waits ? "waits for an edge of the trigger input" : at === null ? "begins when those before it are over" : `begins in about ${seconds(at)}`;
     // When an edge comes, nobody knows. A play that is due begins soon.
     at = waits || at === null || !ms ? null : Math.max(0, at + ms / 1000);
-    return { id, name: pattern, words: `${length}; ${begins}` };
+    return { id, name, words: `${length}; ${begins}` };
   });
 }
 

@@ -9,36 +9,35 @@ let shown = null;
 const NONE = $("receipt-summary").textContent;
 
 function show(receipt) {
+  const { counts: { bursts, lateness }, duration_ms: ms, items, pins } = receipt;
   // A running play has no counts yet.
-  if (!receipt.bursts) return;
+  if (!bursts) return;
   shown = receipt.id;
-  const { bursts, lateness, duration_ms: ms } = receipt;
   const lost = bursts.late + bursts.dropped + bursts.refused;
-  $("receipt-summary").textContent = `Play ${receipt.id}, ${receipt.pattern}: ${receipt.state}${receipt.cause ? ` (${receipt.cause})` : ""}. `
+  $("receipt-summary").textContent = `Play ${receipt.id}, ${receipt.name}: ${receipt.state}${receipt.cause ? ` (${receipt.cause})` : ""}. `
     + (lost ? `${lost} of ${bursts.planned} bursts were not played.` : `All ${bursts.planned} bursts were played.`);
-  const rest = receipt.rest_error_um?.length ? Math.max(...receipt.rest_error_um.map(Math.abs)) : null;
-  const worst = lateness.worst_ms ?? 0;
+  const rest = pins?.rest_error_um.length ? Math.max(...pins.rest_error_um.map(Math.abs)) : null;
   facts($("receipt-facts"), [
     ["Bursts played, late, dropped, refused", `${bursts.played}, ${bursts.late}, ${bursts.dropped}, ${bursts.refused}`],
-    ...(receipt.items ? [["Items", states(receipt.items)]] : []),
+    ...(items?.length > 1 ? [["Items", states(items)]] : []),
     ["Corrected by feedback", bursts.amended],
-    ["Largest lateness", `${worst.toFixed(2)} ms`],
+    ["Largest lateness", `${lateness.worst_ms.toFixed(2)} ms`],
     ["Duration played, ordered", `${ms.played?.toFixed(1) ?? "-"} ms, ${ms.ordered?.toFixed(1) ?? "without end"} ms`],
     ["Largest offset from rest at the end", rest === null ? "not known" : `${rest.toFixed(1)} µm`],
   ]);
   $("receipt-keep").hidden = false;
 }
 
-// How many items of a sequence ended in which state.
+// How many items ended in which state.
 function states(items) {
   return Object.entries(Object.groupBy(items, (item) => item.state)).map(([state, of]) => `${of.length} ${state}`).join(", ");
 }
 
-// The whole receipt: an event has no items.
+// The whole receipt: an event has the item of a play of one.
 const whole = (id) => call("GET", `/v1/plays/${id}`);
 
 async function load() {
-  const newest = last()?.last_play;
+  const newest = last()?.newest.play;
   if (newest) return show(await whole(newest));
   // A daemon that was started again has none.
   shown = null;
@@ -62,7 +61,7 @@ export function bindReceipt() {
     at: "receipt-title",
     load,
     on: {
-      ended: async ({ receipt }) => show(receipt.items_planned === null ? receipt : await whole(receipt.id)),
+      ended: async ({ receipt }) => show(receipt.order.items === 1 ? receipt : await whole(receipt.id)),
     },
   });
 }

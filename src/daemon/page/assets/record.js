@@ -8,16 +8,18 @@ import { number, right } from "./number.js";
 import { bindSession } from "./session.js";
 import { part } from "./views.js";
 
-// Rows of a page, and sessions of the list.
+// Plays of a page, and sessions of the list.
 const PAGE = 100;
 const LISTED = 100;
+// Items that the row of a play names.
+const ITEMS = 5;
 
 let sessions = [];
-// The session that the table shows, and its first row: `{ id, from }`, counted from 0.
+// The session that the table shows, its first play, counted from 0, and the first one of the next page: `{ id, from, to }`.
 let shown = null;
 // What is to be shown: what a person has asked for last. As long as the daemon has not answered, or has failed to, it is not shown.
 let wanted = null;
-// Rows of the shown session's plays, as the daemon answered: `{ from, plays, more, ... }`. Null: they must be fetched.
+// Plays of the shown session, as the daemon answered: `{ from, plays, more, ... }`. Null: they must be fetched.
 let rows = null;
 
 const when = (instant) => instant.slice(0, 19).replace("T", " ");
@@ -67,7 +69,7 @@ async function refresh() {
   if (wanted) await turn(wanted.id, wanted.from);
 }
 
-// Shows a session from a row on. Until the daemon has answered, the table is that of before; and an answer counts only
+// Shows a session from a play on. Until the daemon has answered, the table is that of before; and an answer counts only
 // if nothing else was asked for meanwhile.
 async function turn(id, from) {
   const mine = (wanted = { id, from });
@@ -87,11 +89,11 @@ async function turn(id, from) {
   const before = shown;
   shown = mine;
   if (id !== before?.id || from !== before.from) $("plays-from").value = from + 1;
-  showPlays(from);
+  showPlays(mine);
   if (id !== before?.id) list();
 }
 
-function showPlays(from) {
+function showPlays(page) {
   const { session, missing } = rows;
   $("plays").hidden = false;
   write($("plays-title"), `Session of ${session.participant}`);
@@ -102,21 +104,30 @@ function showPlays(from) {
   ]);
   write($("csv-command"), `meissner session export ${session.id} -o session.csv`);
   write($("bids-command"), `python3 -c 'import meissner; meissner.connect().export_bids("${session.id}", "dataset")'`);
-  const shown = rows.plays.slice(from - rows.from, from - rows.from + PAGE);
-  $("play-rows").tBodies[0].replaceChildren(...shown.map(playRow));
-  write($("plays-none"), shown.length ? `Rows ${from + 1} to ${from + shown.length}. An item of a sequence has a row of its own.` : from ? `There is no row ${from + 1}.` : "No play is recorded.");
+  const { from } = page;
+  const plays = rows.plays.slice(from - rows.from, from - rows.from + PAGE);
+  page.to = from + plays.length;
+  $("play-rows").tBodies[0].replaceChildren(...plays.map(playRow));
+  write($("plays-none"), plays.length ? `Plays ${from + 1} to ${page.to}.` : from ? `There is no play ${from + 1}.` : "No play is recorded.");
   $("plays-back").disabled = from === 0;
-  $("plays-next").disabled = !rows.more && from + PAGE >= rows.from + rows.plays.length;
+  $("plays-next").disabled = !rows.more && page.to >= rows.from + rows.plays.length;
 }
 
-function playRow(play) {
-  const { answer } = play;
+// The patterns of a play.
+function patterns({ name, items }) {
+  if (!(items?.length > 1)) return name;
+  const more = items.length > ITEMS ? ` and ${items.length - ITEMS} more` : "";
+  return `${name}: ${items.slice(0, ITEMS).map(({ pattern }) => pattern).join(", ")}${more}`;
+}
+
+function playRow({ receipt, answer }) {
+  const { order: { trial, labels: given }, counts: { lateness } } = receipt;
   const judged = { true: "right", false: "wrong" }[answer?.correct] ?? "";
   const row = element("tr");
-  const labels = Object.entries(play.labels).map(([key, value]) => `${key}=${value}`).join("; ");
+  const labels = Object.entries(given ?? {}).map(([key, value]) => `${key}=${value}`).join("; ");
   const cells = [
-    play.item === null ? play.play : `${play.play}, item ${play.item}`, play.trial ?? "", play.pattern, labels, play.cause ? `${play.state} (${play.cause})` : play.state,
-    play.played_ms?.toFixed(1) ?? "", play.late_strokes ?? "", answer?.response ?? "", judged, answer?.rt_ms?.toFixed(0) ?? "", answer?.level ?? "",
+    receipt.id, trial ?? "", patterns(receipt), labels, receipt.cause ? `${receipt.state} (${receipt.cause})` : receipt.state,
+    receipt.duration_ms.played?.toFixed(1) ?? "", lateness.host + lateness.link + lateness.device, answer?.response ?? "", judged, answer?.rt_ms?.toFixed(0) ?? "", answer?.level ?? "",
   ];
   row.append(...cells.map((text) => element("td", String(text))));
   return row;
@@ -124,15 +135,15 @@ function playRow(play) {
 
 export function bindRecord() {
   bindSession();
-  part({ view: "record", at: "record-title", load, on: { "session-started": load, "session-ended": load, ended: ({ receipt }) => receipt.session === wanted?.id && refresh() } });
+  part({ view: "record", at: "record-title", load, on: { "session-started": load, "session-ended": load, ended: ({ receipt }) => receipt.order.session === wanted?.id && refresh() } });
   $("record-filter").addEventListener("input", list);
   const page = (from) => turn(shown.id, Math.max(0, from)).then(() => say($("plays-next"), ""), (error) => {
     $("plays-from").value = shown.from + 1;
     refuse($("plays-next"), error);
   });
   // The page that was asked for last, if it is one of the shown session.
-  const last = () => (wanted.id === shown.id ? wanted : shown).from;
-  $("plays-back").addEventListener("click", () => page(last() - PAGE));
-  $("plays-next").addEventListener("click", () => page(last() + PAGE));
+  const last = () => (wanted.id === shown.id ? wanted : shown);
+  $("plays-back").addEventListener("click", () => page(last().from - PAGE));
+  $("plays-next").addEventListener("click", () => page(last().to ?? last().from + PAGE));
   $("plays-from").addEventListener("change", () => right("plays-from") && page(number("plays-from") - 1));
 }

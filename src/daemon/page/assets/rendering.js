@@ -63,7 +63,7 @@ export class Rendering {
   // Shows a rendering of before, if the daemon has it still. Returns whether it has.
   async resume({ id, sha256 } = this.kept ?? this.#rendering ?? {}) {
     // A daemon that was restarted counts from 1.
-    if (id === undefined || !(id <= last()?.last_rendering)) return false;
+    if (id === undefined || !(id <= last()?.newest.rendering)) return false;
     const rendering = await call("GET", `/v1/renderings/${id}`).catch(({ code }) => (code === "not-found" ? null : undefined));
     if (rendering === undefined || this.#isAsking || (this.#rendering && this.#rendering.id !== id)) return true;
     if (!rendering || (sha256 && rendering.rendered?.sha256 !== sha256) || !["running", "done"].includes(rendering.state)) return false;
