@@ -1,4 +1,4 @@
-//! The routes: each request's way to its handler.
+//! The router: each request's way to its handler. The routes are the rows of [`Route`].
 //!
 //! A request passes [`admission`] (the network's gate), then [`guard`] (sessions and rights), then its handler. Work that touches the disk runs
 //! on a blocking thread, so that an emergency stop never waits for a disk. Every error, even for an unknown route, is
@@ -7,13 +7,11 @@
 //! Invariant: a command, its client and its answer are in the session record's queue before the client gets the answer
 //! ([`request_log`](crate::daemon::net::request_log)).
 
-use crate::daemon::jobs::{previews, renderings};
 use crate::daemon::net::answer::ErrorResponse;
 use crate::daemon::net::app::App;
 use crate::daemon::net::{admission, body, compress, guard};
 use crate::daemon::page;
-use crate::daemon::status::{events, metrics};
-use crate::daemon::{arm, calibration, live, patterns, plays, sessions, status, tokens};
+use crate::daemon::{arm, calibration, jobs, live, patterns, plays, sessions, status, tokens};
 use axum::Router;
 use axum::body::Body;
 use axum::http::header::{AUTHORIZATION, CONTENT_TYPE, HeaderName};
@@ -33,7 +31,7 @@ pub(in crate::daemon) fn router(app: App) -> Router {
         let guard = from_fn_with_state((app.clone(), route), guard::guard);
         let handler = handler(route).route_layer(guard);
         let handler =
-            if compress::is_open_to(route) { handler.layer(from_fn(compress::layer)) } else { handler };
+            if route.operation().packed { handler.layer(from_fn(compress::layer)) } else { handler };
         router.route(route.path(), handler)
     });
     let gate = from_fn_with_state(Arc::clone(&app.engine.gate), admission::layer);
@@ -61,47 +59,12 @@ fn handler(route: Route) -> MethodRouter<App> {
         meissner_api::Method::Put => MethodFilter::PUT,
         meissner_api::Method::Delete => MethodFilter::DELETE,
     };
-    match route {
-        Route::Play => on(method, plays::handlers::play),
-        Route::PlayCheck => on(method, plays::handlers::check),
-        Route::Live => on(method, live::handlers::start),
-        Route::LiveConnection => on(method, live::handlers::connect),
-        Route::Stop => on(method, arm::handlers::stop),
-        Route::EStop => on(method, arm::handlers::estop),
-        Route::Reset => on(method, arm::handlers::reset),
-        Route::Arm => on(method, arm::handlers::arm),
-        Route::Disarm => on(method, arm::handlers::disarm),
-        Route::Home => on(method, arm::handlers::home),
-        Route::Edge => on(method, arm::handlers::edge),
-        Route::Status => on(method, status::handlers::status),
-        Route::Array => on(method, status::handlers::array),
-        Route::Doctor => on(method, status::handlers::doctor),
-        Route::Receipt => on(method, plays::handlers::receipt),
-        Route::Withdraw => on(method, plays::handlers::withdraw),
-        Route::PlayAnswer => on(method, plays::handlers::answer),
-        Route::Events => on(method, events::events),
-        Route::Patterns => on(method, patterns::handlers::list),
-        Route::Pattern => on(method, patterns::handlers::show),
-        Route::Preview => on(method, previews::show),
-        Route::Import => on(method, patterns::handlers::import),
-        Route::Remove => on(method, patterns::handlers::remove),
-        Route::RenderingStart => on(method, renderings::start),
-        Route::RenderingShow => on(method, renderings::show),
-        Route::RenderingCancel => on(method, renderings::cancel),
-        Route::Calibrate => on(method, calibration::handlers::calibrate),
-        Route::Calibration => on(method, calibration::handlers::show),
-        Route::StoreCalibration => on(method, calibration::handlers::store),
-        Route::SessionStart => on(method, sessions::handlers::start),
-        Route::Sessions => on(method, sessions::handlers::list),
-        Route::SessionShow => on(method, sessions::handlers::show),
-        Route::SessionPlays => on(method, sessions::handlers::plays),
-        Route::SessionEnd => on(method, sessions::handlers::end),
-        Route::TokenCreate => on(method, tokens::handlers::create),
-        Route::Tokens => on(method, tokens::handlers::list),
-        Route::TokenRevoke => on(method, tokens::handlers::revoke),
-        Route::Metrics => on(method, metrics::metrics),
-        Route::OpenApi => on(method, status::handlers::openapi),
+    macro_rules! to {
+        ($handler:path) => {
+            on(method, $handler)
+        };
     }
+    meissner_api::handler!(route, to)
 }
 
 async fn no_route(uri: Uri, body: Body) -> ErrorResponse {

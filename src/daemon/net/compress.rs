@@ -11,15 +11,10 @@ use axum::http::header::{CONTENT_ENCODING, CONTENT_LENGTH, CONTENT_TYPE, VARY};
 use axum::http::{HeaderValue, Method};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
-use meissner_api::{Code, Problem, Route};
+use meissner_api::{Code, Problem};
 
 /// A shorter answer fits into a packet or two, bytes.
 const LEAST: u64 = 1_000;
-
-/// Whether answers of this route may be compressed.
-pub(in crate::daemon) const fn is_open_to(route: Route) -> bool {
-    !matches!(route, Route::EStop | Route::Stop | Route::Disarm | Route::Events | Route::LiveConnection)
-}
 
 /// Compresses the answer, if it is of JSON and long.
 pub(in crate::daemon) async fn layer(request: Request, next: Next) -> Response {

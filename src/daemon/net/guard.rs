@@ -37,7 +37,7 @@ pub(in crate::daemon) async fn guard(
         return if route.method() == Method::Get {
             refused.into_response()
         } else {
-            let logged = LoggedRequest::new(&app.engine, route.command(), peer);
+            let logged = LoggedRequest::new(&app.engine, route.operation().command, peer);
             logged.result(Err::<(), _>(refused)).into_response()
         };
     }
@@ -45,10 +45,8 @@ pub(in crate::daemon) async fn guard(
     let right = Right::new(Arc::clone(&app.engine), caller.clone(), going_on(access));
     request.extensions_mut().insert(right.clone());
     let answer = Asker { caller, access, breaks }.ask(next.run(request));
-    // Other requests are checked again when they make their change.
-    let waits = route.method() == Method::Get || route == Route::Home;
     tokio::select! {
         answer = answer => answer,
-        NoRight { problem, .. } = right.ended(), if waits => ErrorResponse(problem).into_response(),
+        NoRight { problem, .. } = right.ended(), if route.operation().waits => ErrorResponse(problem).into_response(),
     }
 }
