@@ -49,7 +49,7 @@ disarm() { alice disarm >out.log 2>&1; within 3 state_is disarmed || fail "$1: d
 # The last play's state and burst counts, which must add up
 accounts() {
     # shellcheck disable=SC2016 # jq's variable
-    json receipt '.bursts as $b | select($b.planned > 0 and $b.planned == $b.played + $b.late + $b.dropped + $b.refused)
+    json receipt '.counts.bursts as $b | select($b.planned > 0 and $b.planned == $b.played + $b.late + $b.dropped + $b.refused)
         | "\(.state), \($b.planned) bursts: \($b.played) played, \($b.late) late, \($b.dropped) dropped, \($b.refused) refused"'
 }
 # play STEP SECONDS: arms and plays to the end; again if a stall of this machine aborted the play. $sum has the result.
@@ -58,7 +58,7 @@ play() {
     for try in 1 2 3; do
         arm "$1"
         alice play edge-45-paper --seconds "$2" --wait >out.log 2>&1
-        sum=$(accounts) || fail "$1: burst counts do not add up: $(json receipt .bursts)"
+        sum=$(accounts) || fail "$1: burst counts do not add up: $(json receipt .counts.bursts)"
         [[ $sum != done,* ]] || return 0
         echo "      once more: $sum ($(json receipt .cause))"
     done
@@ -222,7 +222,7 @@ ok "streamer: that thread alone stopped, restarted after $(ms "$from" "$(now)")"
 
 conf=/etc/meissner/meissner.toml
 cp -p $conf kept.toml
-lead_is() { alice status --json | jq -e ".lead_ms == $1" >/dev/null; }
+lead_is() { alice status --json | jq -e ".daemon.lead_ms == $1" >/dev/null; }
 
 part=network
 sed -i 's/^listen = .*/listen = "127.0.0.1:8765"/' $conf

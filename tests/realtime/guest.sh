@@ -32,7 +32,7 @@ state_is() { [ "$(json status .state)" = "$1" ]; }
 unit() { systemctl show -P "$1" meissner.service; }
 # shellcheck disable=SC2016 # jq's variable
 accounts() {
-    json receipt '.bursts as $b | select($b.planned > 0 and $b.planned == $b.played + $b.late + $b.dropped + $b.refused)
+    json receipt '.counts.bursts as $b | select($b.planned > 0 and $b.planned == $b.played + $b.late + $b.dropped + $b.refused)
         | "\(.state), \($b.planned) bursts: \($b.played) played, \($b.late) late, \($b.dropped) dropped, \($b.refused) refused"'
 }
 arm() { state_is armed || { within 20 state_is disarmed && meissner arm --assume-rest >out.log 2>&1; } || fail "$1: arm: $(cat out.log)"; }
@@ -69,7 +69,7 @@ first() {
     for try in 1 2 3; do
         arm play
         meissner play edge-45-paper --seconds 2 --wait >out.log 2>&1
-        sum=$(accounts) || fail "play: burst counts do not add up: $(json receipt .bursts)"
+        sum=$(accounts) || fail "play: burst counts do not add up: $(json receipt .counts.bursts)"
         [[ $sum != done,* ]] || break
         [ $try -lt 3 ] || fail "play: $sum ($(json receipt .cause))"
     done
@@ -86,7 +86,7 @@ first() {
         hour=$(date +%H:%M:%S)
         date -s "@$(($(date +%s) - 3600))" >/dev/null || fail "play: the clock cannot be set"
         wait $!
-        sum=$(accounts) || fail "play: burst counts do not add up: $(json receipt .bursts)"
+        sum=$(accounts) || fail "play: burst counts do not add up: $(json receipt .counts.bursts)"
         [[ $sum != done,* ]] || break
         [ $try -lt 3 ] || fail "play: $sum ($(json receipt .cause))"
     done

@@ -53,7 +53,7 @@ detach() { usbip detach -p 0 >usbip.log 2>&1 || fail "usbip detach: $(tail -n 1 
 
 # The last play's state and burst counts, which must add up
 accounts() {
-    json receipt '.bursts as $b | select($b.planned > 0 and $b.planned == $b.played + $b.late + $b.dropped + $b.refused + $b.replaced)
+    json receipt '.counts.bursts as $b | select($b.planned > 0 and $b.planned == $b.played + $b.late + $b.dropped + $b.refused + $b.replaced)
         | "\(.state), \($b.planned) bursts: \($b.played) played, \($b.late) late, \($b.dropped) dropped, \($b.refused) refused"'
 }
 arm() { state_is armed || meissner arm --assume-rest --checked usb-test >out.log 2>&1 || fail "$1: arm: $(cat out.log)"; }
@@ -70,13 +70,13 @@ play() {
             less=(--open-loop)
             continue
         fi
-        sum=$(accounts) || fail "$1: accounts are not closed: $(json receipt .bursts)"
+        sum=$(accounts) || fail "$1: accounts are not closed: $(json receipt .counts.bursts)"
         [[ $sum != done,* ]] || break
         [ $try -lt 3 ] || fail "$1: $sum ($(json receipt .cause)), exit $code: $(tail -n 1 out.log)"
         echo "      once more: $sum ($(json receipt .cause))"
         within 20 has_device
     done
-    ok "$1: $sum, exit $code; onset after $(json receipt .onset_latency_ms) ms"
+    ok "$1: $sum, exit $code; onset after $(json receipt .onset.latency_ms) ms"
 }
 
 # Resets of the bus in the middle of a play, beside control transfers that they cut. The daemon has the board again by itself
@@ -95,7 +95,7 @@ resets() {
     within 20 test -e $port || fail "reset: no $port"
     udevadm settle --timeout 10
     within 20 state_is disarmed || fail "reset: $(meissner status | head -n 1)"
-    sum=$(accounts) || fail "reset: accounts are not closed: $(json receipt .bursts)"
+    sum=$(accounts) || fail "reset: accounts are not closed: $(json receipt .counts.bursts)"
     [[ $sum != done,* ]] || fail "reset: the play went on: $sum"
     ok "reset: 5 resets; the play was $sum; $(json receipt .cause)"
     play 'after the resets'
@@ -163,7 +163,7 @@ over() {
     cut=$(dmesg | awk -F '[][]' -v from="$from" '/meissner: now/ { now = $2 } /USB disconnect/ { cut = $2 }
         END { printf "%.6f", from + cut - now }')
     ok "unplug: said $(ms "$cut" "$to") after the kernel ($(ms "$from" "$to") after usbip was told): $(said 'device disconnected')"
-    line=$(accounts) || fail "ended: accounts are not closed: $(json receipt .bursts)"
+    line=$(accounts) || fail "ended: accounts are not closed: $(json receipt .counts.bursts)"
     [[ $line == stopped,* ]] || fail "ended: play $line"
     ok "ended: $line; $(json receipt .cause)"
     if within 5 state_is no-device; then
