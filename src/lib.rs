@@ -8,7 +8,7 @@
 //!    skin model; `judge` scores the result. Command: `cli/optimise.rs`.
 //! 2. **Pattern** (`library/patterns/*.toml`: which pins vibrate, at which frequency, amplitude and phase, when) →
 //!    [`meissner_array::pattern`] reads and checks it. [`store`] holds the shipped patterns and a site's own.
-//! 3. **Request** → `meissner play NAME` ([`cli`]) goes through [`meissner_client`] to the [`daemon`]: `daemon/http` has the routes,
+//! 3. **Request** → `meissner play NAME` ([`cli`]) goes through [`meissner_client`] to the [`daemon`]: `daemon/routes.rs` has the routes,
 //!    [`meissner_api`] the JSON types, errors and events of both sides. Located errors of all input come from [`meissner_input`].
 //! 4. **Play** → `daemon/plays` compiles the pattern to strokes ([`meissner_array::strokes`]), evaluates the bandwidth it needs,
 //!    opens its receipt and sends it to the streamer.
@@ -19,18 +19,18 @@
 //! 7. **Link** ([`meissner_stream::link`]) → a reliable, ordered stream of frames with credits; it estimates the device's clock and
 //!    measures the line's capacity. The wire format is specified in [`firmware_protocol`].
 //! 8. **Device** ([`meissner_stream::device`]) → a board's serial port, its USB interface, or the mock.
-//!    `daemon/beside/connector.rs` opens it.
+//!    `daemon/core/connector.rs` opens it.
 //! 9. **Controller** ([`firmware_protocol::controller`], the same code on boards and in the mock) → plays the ticks, guards the
 //!    limits, returns the pins when it is stopped or no longer hears its host. `firmware/` runs it on a board.
 //! 10. **Motors** → real ones, or [`meissner_array::simulated`], after the model of [`meissner_array::motor`].
 //!
 //! # The way back
 //!
-//! Streamer events enter the daemon in `daemon/beside/event_loop.rs`. [`receipts`] turns them into receipts, totals and the API's
+//! Streamer events enter the daemon in `daemon/core/event_loop.rs`. [`receipts`] turns them into receipts, totals and the API's
 //! events: at its end, each burst of a play was played, late, dropped or refused. There are two records: the [`log`](mod@log) for operators
-//! (its lines are in `daemon/engine/log_lines.rs`), and the [`session_record`] for experiments, a file of JSON lines per day. Neither can
+//! (its lines are in `daemon/core/log_lines.rs`), and the [`session_record`] for experiments, a file of JSON lines per day. Neither can
 //! delay an emergency stop. [`meissner_stream::calibrate`] fits each motor's gain from the bursts of a calibration pattern;
-//! `daemon/plays/calibrate.rs` plays it, `daemon/beside/calibration.rs` stores and applies it.
+//! `daemon/calibration/play.rs` plays it, `daemon/calibration/apply.rs` stores and applies it.
 //!
 //! # The skin model
 //!

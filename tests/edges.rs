@@ -70,8 +70,8 @@ fn a_play_waits_for_an_edge_and_the_record_has_both() {
     let id = session["id"].as_str().unwrap();
     let exported = document(daemon.meissner().args(["session", "export", id, "--json"]));
     let last = exported["plays"].as_array().unwrap().last().unwrap();
-    assert_eq!(last["edges"]["start"], serde_json::to_value(edge).unwrap());
-    assert_eq!(last["edges"]["stop"], Value::Null);
+    assert_eq!(last["receipt"]["edges"]["start"], serde_json::to_value(edge).unwrap());
+    assert_eq!(last["receipt"]["edges"]["stop"], Value::Null);
     let csv = printed(daemon.meissner().args(["session", "export", id]));
     let [names, row] = [0, exported["plays"].as_array().unwrap().len()]
         .map(|line| csv.lines().nth(line).unwrap().split(',').collect::<Vec<_>>());

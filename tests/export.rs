@@ -69,8 +69,12 @@ fn an_export_has_one_row_per_play() {
     let line = complaint(daemon.meissner().args(["session", "export", &started.id]));
     assert!(line.contains("1 of 3 plays are missing") && line.contains("--incomplete"), "{line}");
     let (exported, warning) = exported(&daemon, &started.id);
-    let states: Vec<_> =
-        exported["plays"].as_array().unwrap().iter().map(|play| (&play["play"], &play["state"])).collect();
+    let states: Vec<_> = exported["plays"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|play| (&play["receipt"]["id"], &play["receipt"]["state"]))
+        .collect();
     assert_eq!(
         states,
         [(&json!(1), &json!("done")), (&json!(3), &json!("stopped")), (&json!(2), &json!("unknown"))]

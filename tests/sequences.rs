@@ -37,7 +37,7 @@ fn the_command_plays_a_file_and_prints_the_receipt() {
     )
     .unwrap();
     let tap = document(&mut run(&["block.toml", "--seconds", "0.1", "--wait", "--json"]));
-    assert_eq!((&tap["pattern"], &tap["seconds"]), (&"tap".into(), &0.1.into()));
+    assert_eq!((&tap["name"], &tap["duration_ms"]["ordered"]), (&"tap".into(), &100.0.into()));
     fs::write(&file, "shape = \"dots\"\n").unwrap();
     let refused = complaint(&mut run(&["block.toml"]));
     assert!(refused.contains("this is an object, not a pattern: make a pattern of it"), "{refused}");

@@ -98,7 +98,7 @@ fn plays(client: &mut Client) -> Result<Vec<f64>, Box<dyn Error>> {
         let _: Value = client.post("/v1/play", &request)?;
         while !matches!(events.next(TIMEOUT)?, None | Some(Event::Ended { .. })) {}
         let receipt: Receipt = client.get("/v1/plays/last")?;
-        us.push(receipt.onset_latency_ms.ok_or("a play has no onset")? * 1e3);
+        us.push(receipt.onset.map(|onset| onset.latency_ms).ok_or("a play has no onset")? * 1e3);
     }
     Ok(us)
 }

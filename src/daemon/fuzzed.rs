@@ -2,20 +2,20 @@
 //!
 //! A request enters where hyper would hand it over, so the acceptor's and hyper's checks of its bytes are skipped.
 
-use crate::daemon::engine::Engine;
+use crate::daemon::core::engine::Engine;
 #[cfg(fuzzing)]
-use crate::daemon::http::app::App;
+use crate::daemon::core::error::DaemonError;
 #[cfg(fuzzing)]
-use crate::daemon::http::router;
+use crate::daemon::net::acceptor::{Bounds, Counts};
+#[cfg(fuzzing)]
+use crate::daemon::net::app::App;
+use crate::daemon::net::connection::Connection;
+use crate::daemon::net::orders::Orders;
+use crate::daemon::net::stream::Stream;
+#[cfg(fuzzing)]
+use crate::daemon::routes::router;
 #[cfg(fuzzing)]
 use crate::daemon::run::{Daemon, Hosted};
-#[cfg(fuzzing)]
-use crate::daemon::sockets::acceptor::{Bounds, Counts};
-use crate::daemon::sockets::connection::Connection;
-use crate::daemon::sockets::orders::Orders;
-use crate::daemon::sockets::stream::Stream;
-#[cfg(fuzzing)]
-use crate::daemon::system::error::DaemonError;
 #[cfg(fuzzing)]
 use crate::session_record::NetworkPeer;
 use crate::session_record::Peer;

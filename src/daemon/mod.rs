@@ -3,43 +3,52 @@
 //! Threads: `streamer` and `acceptor` (real time; an emergency stop needs no other), `connector` (opens devices),
 //! `rendering` and `preview` (follow a process), `session record` (disk), and the runtime's one thread for clients and events. An idle daemon runs no timer except a service manager's watchdog.
 //!
-//! The folders, as a request meets them:
-//! - `sockets`: a connection, from the moment it is accepted to its bytes; emergency stops are ordered here.
-//! - `network`: which requests may pass, by host, origin, token and role.
-//! - `http`: the server, the routes and their handlers, one file for each resource.
+//! A folder is a room: all of one subject, with its part of the state (`state`), its rules and its handlers.
+//! - `plays`: what every play goes through, from a request to the streamer's answer: orders and receipts.
+//! - `live`: plays that a client moves.
+//! - `arm`: whether pins may move: arming, silence, emergency stops, homing.
+//! - `sessions`: sessions, who acts, and what they may do.
+//! - `exposure`: a participant's vibration and its limits.
+//! - `calibration`: measures, fits, stores and applies gains.
+//! - `patterns`: the pattern that a request names.
+//! - `jobs`: renderings and previews, in processes of their own.
+//! - `tokens`: access tokens.
+//! - `status`: what the daemon tells about itself.
 //! - `page`: the page in the browser.
-//! - `plays`: what every play goes through, from a request to the streamer's answer: orders, live plays, calibrations.
-//! - `engine`: commands to the streamer and their answers; emergency stops; the status; the log's lines; rights that outlive a request.
-//! - `state`: the daemon's state behind one lock.
-//! - `beside`: what runs beside the requests: the streamer's events, devices, fits, renderings, the service manager.
-//! - `system`: the system around all of them.
 //!
-//! `run` starts and ends the daemon. For the fuzzer and the bench (`tests/bench.rs`) there is also `fuzzed`: requests without a socket.
+//! Below the rooms:
+//! - `net`: sockets, who may pass, HTTP; emergency stops are ordered here.
+//! - `core`: the lock over the state, commands to the streamer, its events, the device, the runtime.
 //!
-//! Each folder uses only those below it in this order, from the top: `run`, `http`, `plays`, `beside`, `sockets`, `engine`, `state`,
-//! `network`, `page`, `system`.
+//! `run` starts and ends the daemon; `routes` leads each request to its handler. For the fuzzer and the bench (`tests/bench.rs`) there is also
+//! `fuzzed`: requests without a socket.
 
-mod beside;
-mod engine;
+mod arm;
+mod calibration;
+mod core;
+mod exposure;
 #[cfg(any(fuzzing, test))]
 mod fuzzed;
-mod http;
-mod network;
+mod jobs;
+mod live;
+mod net;
 mod page;
+mod patterns;
 mod plays;
+mod routes;
 mod run;
-mod sockets;
-mod state;
-mod system;
+mod sessions;
+mod status;
 #[cfg(test)]
 mod tests;
+mod tokens;
 
+pub use self::core::check::{MEMORY_BOUND, check, check_memory};
+pub use self::core::error::DaemonError;
+pub use self::core::panics::end_on_panic;
+pub use self::core::runtime::runtime;
+pub use self::core::signals::Signals;
 #[cfg(fuzzing)]
 pub use fuzzed::Fuzzed;
+pub use net::socket::SocketError;
 pub use run::{Daemon, Hosted};
-pub use system::check::{MEMORY_BOUND, check, check_memory};
-pub use system::error::DaemonError;
-pub use system::panics::end_on_panic;
-pub use system::runtime::runtime;
-pub use system::signals::Signals;
-pub use system::socket::SocketError;

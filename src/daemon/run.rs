@@ -6,22 +6,26 @@
 //! Invariant: before the daemon ends, it returns the pins, switches the motors off and removes its socket.
 
 use crate::config::Config;
-use crate::daemon::beside::connector;
-use crate::daemon::beside::service::{self, Manager, Notification, StatusReporter};
-use crate::daemon::engine::Engine;
-use crate::daemon::http;
-use crate::daemon::http::app::App;
-use crate::daemon::http::server::Server;
-use crate::daemon::network::{self, Gate, TokenStore};
-use crate::daemon::sockets::acceptor::{Acceptor, Bounds, Counts, Sockets};
-use crate::daemon::state::{ConnectorMessage, Exposure};
-use crate::daemon::system::check;
-use crate::daemon::system::error::{DaemonError, system};
-use crate::daemon::system::panics;
-use crate::daemon::system::runtime::runtime;
-use crate::daemon::system::signals::Signals;
-use crate::daemon::system::socket::Bound;
-use crate::daemon::system::sums;
+use crate::daemon::core::check;
+use crate::daemon::core::connection::ConnectorMessage;
+use crate::daemon::core::connector;
+use crate::daemon::core::engine::Engine;
+use crate::daemon::core::error::{DaemonError, system};
+use crate::daemon::core::panics;
+use crate::daemon::core::runtime::runtime;
+use crate::daemon::core::service::{self, Manager, Notification, StatusReporter};
+use crate::daemon::core::signals::Signals;
+use crate::daemon::exposure::state::Exposure;
+use crate::daemon::exposure::sums;
+use crate::daemon::net::acceptor::{Acceptor, Bounds, Counts, Sockets};
+use crate::daemon::net::app::App;
+use crate::daemon::net::gate::Gate;
+use crate::daemon::net::listen;
+use crate::daemon::net::server::Server;
+use crate::daemon::net::socket::Bound;
+use crate::daemon::routes;
+use crate::daemon::sessions::handlers::look_for_losses;
+use crate::daemon::tokens::store::TokenStore;
 use crate::exposure::Account;
 use crate::session_record::{Note, SessionRecord, Users};
 use crate::store::Store;
@@ -66,7 +70,7 @@ impl Daemon {
     pub fn start(config: &Config) -> Result<Self, DaemonError> {
         let store = check::store(config)?;
         let bound = Bound::take_over(&config.socket)?.map_or_else(|| Bound::new(&config.socket), Ok)?;
-        let network::Bound { listener: tcp, listen, problem } = network::listen(config.listen.as_ref());
+        let listen::Bound { listener: tcp, listen, problem } = listen::listen(config.listen.as_ref());
         let gate = Gate::new(listen, problem, TokenStore::open(config.tokens.clone()));
         let (commands, events, realtime, streamer) =
             meissner_stream::spawn(config.settings).map_err(system("streamer's thread"))?;
@@ -139,9 +143,9 @@ impl Daemon {
         let mut streamer = ended(streamer).map_err(system("thread"))?;
         // A client's first command may have started the daemon: give the device time to connect.
         engine.first_device().await;
-        let router = http::router(App::new(Arc::clone(&engine), store, &bounds, Arc::clone(&counts)));
+        let router = routes::router(App::new(Arc::clone(&engine), store, &bounds, Arc::clone(&counts)));
         let looking = Arc::clone(&engine);
-        tokio::spawn(async move { http::look_for_losses(&looking, RECORD_TIMEOUT).await });
+        tokio::spawn(async move { look_for_losses(&looking, RECORD_TIMEOUT).await });
         let server = Server::new(Arc::clone(&engine), router, bounds, counts);
         let server = tokio::spawn(server.serve(handovers, closing));
         manager.notify(Notification::Ready);

@@ -29,7 +29,7 @@ use meissner_api::{
     PlayPins, PlayState, PulseCounts, Receipt, RefusedStroke, RunningPlay,
 };
 use meissner_array::spec::Array;
-use meissner_array::units::{TickRate, ns_to_ms};
+use meissner_array::units::TickRate;
 use meissner_stream::end_cause;
 use meissner_stream::queues::Onset;
 use meissner_stream::queues::{Outcome, Snapshot, StreamEvent, refusal_text};

@@ -32,7 +32,7 @@ meissner() {
         live*) command meissner "$@" --timeout-ms 20000 --updates-hz 40 ;;
         status)
             ((++asked < 400)) || exit 1
-            command meissner status && [[ $(command meissner status --json) == *'"line_bytes_per_s":'[0-9]* ]] ;;
+            command meissner status && [[ $(command meissner status --json) == *'"bytes_per_s":'[0-9]* ]] ;;
         daemon*--check-config*) command meissner "$@" ;;
         daemon*--config*) cat "$PATIENT" >> "${!#}"; exec meissner "$@" ;;
         daemon*) exec meissner "$@" --config "$PATIENT" ;;

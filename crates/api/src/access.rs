@@ -3,8 +3,7 @@
 //! The daemon's gate asks [`Route::find`] and [`Route::access`] before every request, and again whenever a long answer continues,
 //! for example a stream of events.
 //!
-//! Invariant: a route that is not named here reads with GET, and else changes something; a request that no route takes reads nothing and
-//! changes nothing.
+//! Invariant: a request that no route takes reads nothing and changes nothing.
 
 use crate::route::{Method, Route};
 use crate::token::Role;
@@ -32,13 +31,9 @@ pub enum SessionRule {
 }
 
 impl Access {
-    const READS: Self = Self { role: Role::Observe, local: false, session: SessionRule::Open };
-    const CHANGES: Self = Self { role: Role::Operate, local: false, session: SessionRule::Owner };
-    const MAKES_SAFE: Self = Self { session: SessionRule::Open, ..Self::CHANGES };
-
-    const fn of_method(method: Method) -> Self {
-        if matches!(method, Method::Get) { Self::READS } else { Self::CHANGES }
-    }
+    pub(crate) const READS: Self = Self { role: Role::Observe, local: false, session: SessionRule::Open };
+    pub(crate) const CHANGES: Self = Self { role: Role::Operate, local: false, session: SessionRule::Owner };
+    pub(crate) const MAKES_SAFE: Self = Self { session: SessionRule::Open, ..Self::CHANGES };
 
     /// Of a request that no route takes.
     #[must_use]
@@ -48,23 +43,6 @@ impl Access {
 }
 
 impl Route {
-    /// What a client needs for it.
-    #[must_use]
-    pub const fn access(self) -> Access {
-        match self {
-            Self::Stop | Self::Disarm => Access::MAKES_SAFE,
-            // An observer who sees a hurt finger must be able to stop.
-            Self::EStop => Access { role: Role::Observe, ..Access::MAKES_SAFE },
-            Self::SessionStart => Access { session: SessionRule::Starts, ..Access::CHANGES },
-            Self::Tokens => Access { local: true, ..Access::MAKES_SAFE },
-            Self::TokenCreate | Self::TokenRevoke => Access { local: true, ..Access::CHANGES },
-            // It opens what orders motion.
-            Self::LiveConnection => Access::CHANGES,
-            Self::PlayCheck => Access::READS,
-            _ => Access::of_method(self.method()),
-        }
-    }
-
     /// The route that takes this method and path. It uses no heap.
     #[must_use]
     pub fn find(method: &str, path: &str) -> Option<Self> {

@@ -126,19 +126,6 @@ impl Bandwidth {
         Ok(whole)
     }
 
-    /// The bandwidth of steps in order of time, from tick 0, as of one pattern.
-    #[must_use]
-    pub fn of_steps(steps: impl IntoIterator<Item = Step>, settings: &Settings) -> Self {
-        let mut counter = Counter::new(settings);
-        for step in steps {
-            if step.begin().0 >= counter.counted {
-                break;
-            }
-            counter.step(&step);
-        }
-        counter.bandwidth(settings)
-    }
-
     /// The same with pins that follow levels besides: all of them glide all the time.
     #[must_use]
     pub fn with_levels(mut self, array: Array) -> Self {

@@ -15,8 +15,7 @@
 //!
 //! Beside the path: `checks` tests a play against the controller's limits ([`find_overpush`], [`find_too_many`], [`find_dense`]);
 //! [`simulate_play`] and [`Simulation`] (`simulation`) run the same streamer against the mock in virtual
-//! time, over a line that may be bad ([`faulty`]); [`MotorRun`] (`motor_run`) simulates the position control of one motor without a
-//! link; [`forecast_drift`] (`drift`) tells how far a play lets pins drift; [`calibrate`] measures gains; [`diagnostics`] tests a link; [`sync`] is what threads share.
+//! time, over a line that may be bad ([`faulty`]); [`forecast_drift`] (`drift`) tells how far a play lets pins drift; [`calibrate`] measures gains; [`diagnostics`] tests a link; [`sync`] is what threads share.
 //!
 //! # Example
 //! ```
@@ -56,7 +55,6 @@ pub mod diagnostics;
 mod drift;
 pub mod faulty;
 pub mod link;
-mod motor_run;
 pub mod queues;
 mod settings;
 mod simulation;
@@ -71,10 +69,9 @@ pub use board::PlayBoard;
 pub use checks::{
     Dense, Hold, Overpush, STILL_MS, find_dense, find_longest_hold, find_overpush, find_too_many,
 };
-pub use control::{Gains, rest_bound_um};
+pub use control::Gains;
 pub use drift::{Drift, forecast_drift};
 pub use faulty::Line;
-pub use motor_run::{MotorRun, Period};
 pub use settings::{LowerStopSettings, Settings};
 pub use simulation::{SimulatedPlay, Simulation, SimulationError, simulate_play};
 pub use source::Source;

@@ -7,36 +7,15 @@ use meissner_array::pattern::Pattern;
 use meissner_array::per_motor::PerMotor;
 use meissner_array::random::normal;
 use meissner_array::simulated::{SimulatedMotors, SimulatedMotorsConfig};
-use meissner_array::spec::{Array, ArraySpec};
+use meissner_array::spec::Array;
 use meissner_array::strokes::{LiveStrokes, StrokeOptions, Strokes};
 use meissner_stream::calibrate::{Calibration, Fit, Plan, fit, pulses_range, travels_by_sensor};
 use meissner_stream::queues::{Command, CommandError, LiveResult, LiveUpdate, Play, StreamEvent};
-use meissner_stream::{
-    Bandwidth, Gains, Line, MotorRun, Period, Settings, SimulationError, Source, simulate_play,
-};
+use meissner_stream::{Bandwidth, Gains, Line, Settings, SimulationError, Source, simulate_play};
+use meissner_test_support::arrays::{array, other};
 use meissner_test_support::patterns::drive;
 use meissner_test_support::rig::{OFF, Rig, answer};
 use std::time::Duration;
-
-/// Four motors of another kind, on another carrier.
-pub(crate) fn other() -> Array {
-    let text = r#"
-        name = "other-2x2"
-        pins = { rows = 2, columns = 2, pitch_mm = 1.8 }
-        tick_hz = 60000
-        duty = { up = 0.25, down = 0.75 }
-        rails = [[0, 1, 2, 3]]
-        chips = [[0, 2], [1, 3]]
-        [motor]
-        step_um = 0.31
-        window_ms = 2.5
-        travel_um = 250.0
-        least_pulses = 5
-        most_pulses = 1600
-        transient = { rest_s = 0.6, gain = 0.75 }
-    "#;
-    Array::known(ArraySpec::parse(text, "other.toml").unwrap()).unwrap()
-}
 
 fn pattern(array: Array) -> Pattern {
     let drives = vec![drive(1, 60.0, 40.0)];
@@ -166,15 +145,6 @@ fn a_calibration_finds_the_gains_of_other_motors_and_names_their_array() {
     }
 }
 
-/// An array with these lines of its table of the motor.
-fn array(name: &str, motor: &str) -> Array {
-    let text = format!(
-        "name = \"{name}\"\npins = {{ rows = 8, columns = 8, pitch_mm = 1.5 }}\ntick_hz = 85000\nduty = {{ up = 0.2, down = 0.8 }}\n\
-         [motor]\n{motor}"
-    );
-    Array::known(ArraySpec::parse(&text, "a.toml").unwrap()).unwrap()
-}
-
 #[test]
 fn an_array_whose_bursts_a_plan_cannot_measure_has_none() {
     let rests = array(
@@ -207,30 +177,6 @@ fn a_plan_fits_the_travel_and_uses_it() {
     let one = Plan::with_defaults(fine, Some(63), None, None).unwrap();
     assert_eq!(*one.pulses().last().unwrap(), 200);
     assert_eq!(Plan::new(fine, Some(63), &[200, 1], 1).unwrap().motors().collect::<Vec<_>>(), [63]);
-}
-
-/// A motor that settles slowly has more bursts under way than the estimator holds if it is driven fast: then no sample is compared
-/// with them, so a good sensor is not taken for a bad one, and open loop is played as planned. With a slow drive the loop closes.
-#[test]
-fn a_slow_motor_is_played_open_loop_where_its_bursts_overlap() {
-    for (name, window_ms) in [("slow-20", 20.0), ("slow-50", 50.0)] {
-        let motor =
-            format!("step_um = 0.1357\nwindow_ms = {window_ms:?}\ntravel_um = 400.0\nmost_pulses = 3000");
-        let array = array(name, &motor);
-        let played = |frequency_hz, amplitude_um| {
-            let run = MotorRun { frequency_hz, amplitude_um, ..MotorRun::of(array) };
-            let mut periods = Vec::new();
-            let fault = run.run(20.0, |_, y| Some(y), |period| periods.push(*period)).unwrap();
-            assert_eq!(fault, None, "{name}: {frequency_hz} Hz");
-            periods
-        };
-        // Here samples between two bursts show no more of them than the estimator holds, if at all.
-        played(150.0, 20.0);
-        let corrected = |period: &Period| period.pulses[0] != period.pulses[1];
-        assert!(!played(299.0, 20.0)[20..].iter().any(corrected), "{name}");
-        let rest_um = played(4.0, 80.0).iter().map(|period| period.rest_um.abs()).fold(0.0, f64::max);
-        assert!(rest_um < 60.0, "{name}: {rest_um} um");
-    }
 }
 
 /// Motors whose travel is less than the strokes that count for others: the first stroke is within their limits.

@@ -28,7 +28,6 @@ mod motions;
 mod movements;
 mod noise;
 mod on_time;
-mod position_control;
 mod races;
 /// Sequences: many patterns at exact ticks, and the trigger output.
 mod sequences;

@@ -7,9 +7,12 @@
 //! play reaches the streamer, its time is in the sums on the disk, so a kill at any moment never leaves a smaller sum. A disk that does not
 //! answer for [`DISK`] does not stop plays.
 
-use crate::daemon::engine::{Engine, TIMEOUT, answer};
+use crate::daemon::core::commands::Reply;
+use crate::daemon::core::engine::{Engine, TIMEOUT, answer};
+use crate::daemon::core::state::State;
+use crate::daemon::plays::state::NewPlay;
 use crate::daemon::plays::terms::onset;
-use crate::daemon::state::{Asker, NewPlay, Reply, State};
+use crate::daemon::sessions::caller::Asker;
 use crate::exposure::{Now, Vibration};
 use meissner_api::{Code, PlayAccepted, Problem, Terms};
 use meissner_array::per_motor::PerMotor;
@@ -26,28 +29,28 @@ const DISK: Duration = Duration::from_millis(300);
 
 /// A play that is compiled, and has no id yet.
 #[derive(Debug)]
-pub(super) struct Compiled {
-    pub(super) strokes: Source,
-    pub(super) items: Vec<Item>,
+pub(in crate::daemon) struct Compiled {
+    pub(in crate::daemon) strokes: Source,
+    pub(in crate::daemon) items: Vec<Item>,
     /// How long the client of a live play may be silent; none for other plays.
-    pub(super) live: Option<Duration>,
-    pub(super) bandwidth: Bandwidth,
+    pub(in crate::daemon) live: Option<Duration>,
+    pub(in crate::daemon) bandwidth: Bandwidth,
     /// How long a pin may stay above rest without a pulse, ticks.
-    pub(super) hold: u32,
+    pub(in crate::daemon) hold: u32,
     /// The settings that it was compiled for.
-    pub(super) settings: Settings,
-    pub(super) vibration: Vibration,
+    pub(in crate::daemon) settings: Settings,
+    pub(in crate::daemon) vibration: Vibration,
     /// Whether its client knows that it has no end.
-    pub(super) endless: bool,
+    pub(in crate::daemon) endless: bool,
     /// How many times as far as ordered pins may go, with the calibration that it was compiled for.
-    pub(super) reach: PerMotor<f64>,
+    pub(in crate::daemon) reach: PerMotor<f64>,
     /// The largest amplitude that is ordered, and how far pins may go for it, µm, and what asks for it.
-    pub(super) largest: ([f64; 2], String),
+    pub(in crate::daemon) largest: ([f64; 2], String),
     /// The SHA-256 of each pattern with motions, and what their samples take in memory, bytes.
-    pub(super) memory: Vec<(String, usize)>,
-    pub(super) new: NewPlay,
+    pub(in crate::daemon) memory: Vec<(String, usize)>,
+    pub(in crate::daemon) new: NewPlay,
     /// Texts of its patterns by their SHA-256, for the session record.
-    pub(super) texts: Vec<(String, Arc<[u8]>)>,
+    pub(in crate::daemon) texts: Vec<(String, Arc<[u8]>)>,
 }
 
 /// The reserved time of a play that the streamer does not have yet. If this is dropped before [`Self::begin`], the time is given
@@ -85,11 +88,15 @@ impl Drop for Held<'_> {
 }
 
 /// What a play is compiled for: the settings, and what follows from the calibration.
-pub(super) type Basis = (Settings, Surplus, PerMotor<f64>);
+pub(in crate::daemon) type Basis = (Settings, Surplus, PerMotor<f64>);
 
 impl Engine {
     /// The settings, the surplus and the reach to compile a play for. Refuses a play for another boot than the device's.
-    pub(super) fn compiles_for(&self, boot: Option<u32>, open_loop: bool) -> Result<Basis, Problem> {
+    pub(in crate::daemon) fn compiles_for(
+        &self,
+        boot: Option<u32>,
+        open_loop: bool,
+    ) -> Result<Basis, Problem> {
         let state = self.lock();
         match (boot, state.plays.receipts.device().map(|device| device.boot)) {
             (Some(asked), Some(now)) if asked != now => {
@@ -103,7 +110,7 @@ impl Engine {
 
     /// Begins a play that `check` accepts, before its time is reserved and again after, and waits until the streamer accepts it. `sent` gets
     /// the play's id before the streamer reports anything about it.
-    pub(super) async fn begin(
+    pub(in crate::daemon) async fn begin(
         &self,
         terms: &Terms,
         compiled: Compiled,
@@ -187,7 +194,7 @@ impl Engine {
 
 impl State {
     /// Refuses a play during a calibration, or for another session than the one that it was prepared for.
-    pub(super) fn check_before_play(&mut self, session: Option<&str>) -> Result<(), Problem> {
+    pub(in crate::daemon) fn check_before_play(&mut self, session: Option<&str>) -> Result<(), Problem> {
         self.forget_unanswered();
         self.check_not_calibrating()?;
         if self.session_of_play(session)?.as_deref() == session {
@@ -228,9 +235,9 @@ impl State {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::daemon::core::runtime::{CHECKS, OTHERS, PLAYS, STORED};
     use crate::daemon::runtime;
-    use crate::daemon::state::Caller;
-    use crate::daemon::system::runtime::{CHECKS, OTHERS, PLAYS, STORED};
+    use crate::daemon::sessions::caller::Caller;
     use crate::session_record::{Location, Peer, SessionRecord};
     use crate::store::{Store, Stored};
     use meissner_api::{Item, Order, Route, SessionRequest};

@@ -1,8 +1,8 @@
 //! Checks an order before it is played: how far it would let pins drift on a device without telemetry.
 
-use crate::daemon::engine::Engine;
+use crate::daemon::core::engine::Engine;
+use crate::daemon::core::runtime::CHECKS;
 use crate::daemon::plays::begin::Compiled;
-use crate::daemon::system::runtime::CHECKS;
 use crate::session_record::Peer;
 use crate::store::Stored;
 use meissner_api::{Code, Order, PlanCheck, PlanStop, Problem};

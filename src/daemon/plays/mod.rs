@@ -1,13 +1,11 @@
 //! What every play goes through: its terms are read, its strokes are compiled, and it begins.
 //!
-//! [`order`] compiles an order, [`live`] a play that its client moves, [`calibrate`] that of a calibration. All of them share their [`terms`]
-//! and [`begin`]. [`check`] compiles an order that is not played.
+//! [`order`] compiles an order; live plays and calibrations have compilers of their own. All of them share their [`terms`] and [`begin`]. [`check`]
+//! compiles an order that is not played. [`state`] keeps the receipts.
 
-mod begin;
-mod calibrate;
-mod check;
-mod live;
-mod order;
-mod terms;
-
-pub(in crate::daemon) use terms::edge_at;
+pub(in crate::daemon) mod begin;
+pub(in crate::daemon) mod check;
+pub(in crate::daemon) mod handlers;
+pub(in crate::daemon) mod order;
+pub(in crate::daemon) mod state;
+pub(in crate::daemon) mod terms;

@@ -4,12 +4,12 @@
 //!
 //! Invariant: an order is accepted as a whole or refused, with the number of the item that is wrong.
 
-use crate::daemon::engine::Engine;
+use crate::daemon::core::engine::Engine;
+use crate::daemon::core::runtime::Lane;
+use crate::daemon::exposure::limits::check_limits;
 use crate::daemon::plays::begin::{Basis, Compiled};
+use crate::daemon::plays::state::{NewPlay, check_samples};
 use crate::daemon::plays::terms::trigger;
-use crate::daemon::state::limits::check_limits;
-use crate::daemon::state::{NewPlay, check_samples};
-use crate::daemon::system::runtime::Lane;
 use crate::exposure::Vibration;
 use crate::receipts::{Outline, PlannedItem, counts, fit, motions, motions_of_items, too_slow, walk};
 use crate::session_record::Peer;
@@ -102,7 +102,7 @@ struct Placed {
 
 impl Compiled {
     /// Compiles an order; `find` finds a pattern, which is dropped before the next.
-    pub(super) async fn of_order<P, F: Future<Output = Result<(Stored, P), Problem>>>(
+    pub(in crate::daemon) async fn of_order<P, F: Future<Output = Result<(Stored, P), Problem>>>(
         order: &Order,
         (settings, surplus, reach): Basis,
         client: Peer,

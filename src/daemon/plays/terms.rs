@@ -8,7 +8,7 @@ use meissner_stream::queues::At;
 use meissner_stream::time::HostInstant;
 
 /// The onset that a play's terms ask for; at most one of these keys is set.
-pub(super) fn onset(terms: &Terms) -> At {
+pub(in crate::daemon) fn onset(terms: &Terms) -> At {
     match (terms.at_tick, terms.at_ms, terms.at_monotonic_ns, terms.on_edge_ms) {
         (Some(tick), ..) => At::Tick(Tick(tick)),
         (_, Some(ms), ..) => At::After(nanoseconds(ms)),
@@ -29,7 +29,7 @@ pub(in crate::daemon) fn edge_at(request: &EdgeRequest) -> At {
 
 /// The trigger output's pulse for a request.
 #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "checked: half a second at most")]
-pub(super) fn trigger(request: Option<TriggerRequest>, rate: TickRate) -> Option<Trigger> {
+pub(in crate::daemon) fn trigger(request: Option<TriggerRequest>, rate: TickRate) -> Option<Trigger> {
     let shape = match request {
         Some(TriggerRequest::Off) => return None,
         Some(TriggerRequest::On(shape)) => shape,

@@ -5,14 +5,14 @@
 //! seconds, and nothing depends on the machine. There are no sockets, no connector and no processes: tests of those start the program.
 
 use crate::config::Config;
-use crate::daemon::beside::event_loop::readable;
-use crate::daemon::beside::service::{Manager, StatusReporter};
-use crate::daemon::engine::Engine;
+use crate::daemon::core::check;
+use crate::daemon::core::engine::Engine;
+use crate::daemon::core::event_loop::readable;
+use crate::daemon::core::service::{Manager, StatusReporter};
 use crate::daemon::fuzzed;
-use crate::daemon::http::app::App;
-use crate::daemon::http::router;
-use crate::daemon::sockets::acceptor::{Bounds, Counts};
-use crate::daemon::system::check;
+use crate::daemon::net::acceptor::{Bounds, Counts};
+use crate::daemon::net::app::App;
+use crate::daemon::routes::router;
 use crate::session_record::{Peer, Recorder, SessionRecord};
 use axum::Router;
 use axum::body::{Body, Bytes};

@@ -5,7 +5,7 @@
 //! the switches between threads. A lost wake-up is a deadlock; everything else is an assertion of the model.
 //!
 //! Modules: `queues` (requests, events, emergency stops), `usb` (bytes and e-stops to a board), `daemon` (whose emergency stops they
-//! were, a command's last stop). Code that other crates keep private is included by its path.
+//! were, a command's last stop), `model` (the twins; a file of `sync`). Code that other crates keep private is included by its path.
 //!
 //! Without `--cfg loom` it runs the real threads for some seconds (`stress`), for the thread sanitizer: `tests/races/run tsan`.
 
@@ -25,7 +25,7 @@ pub(crate) use meissner_stream::sync;
 
 // The files themselves, of the library and of the program; the models use a part of each.
 #[cfg(loom)]
-#[path = "../../../src/daemon/engine/estop.rs"]
+#[path = "../../../src/daemon/arm/estop.rs"]
 mod estop;
 #[cfg(loom)]
 #[expect(dead_code, reason = "the models use a part")]

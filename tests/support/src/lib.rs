@@ -1,5 +1,6 @@
 //! Code that the tests of several crates share. No program uses it.
 //!
+//! - [`arrays`]: arrays of other motors than the paper's.
 //! - [`documents`]: tables of mistakes that readers refuse.
 //! - [`patterns`]: drives and patterns in few words; [`random`]: random drives and scenes.
 //! - [`statistics`]: mean, standard deviation, root mean square.
@@ -10,6 +11,7 @@
 #![expect(missing_docs, missing_debug_implementations, reason = "only tests use it")]
 #![expect(clippy::unwrap_used, clippy::missing_panics_doc, reason = "a test that panics has failed")]
 
+pub mod arrays;
 pub mod both;
 pub mod documents;
 pub mod oracle;
@@ -28,7 +30,8 @@ pub fn at_length<T>(short: T, long: T) -> T {
 /// `planned = played + late + dropped + refused`, and something was planned.
 #[track_caller]
 pub fn assert_accounts(receipt: &serde_json::Value) {
-    let of = |fate: &str| receipt["counts"]["bursts"][fate].as_u64().unwrap();
+    let bursts = receipt.pointer("/counts/bursts").unwrap_or(&receipt["bursts"]);
+    let of = |fate: &str| bursts[fate].as_u64().unwrap();
     assert_eq!(
         of("planned"),
         of("played") + of("late") + of("dropped") + of("refused") + of("replaced"),

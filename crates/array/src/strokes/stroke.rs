@@ -69,13 +69,6 @@ impl Stroke {
         into.stroke(&self.packed().ok_or(Full)?)
     }
 
-    /// The stroke that was sent as this.
-    #[must_use]
-    pub const fn unpacked(of: &batch::Stroke) -> Self {
-        let batch::Stroke { motor, up, level, down, surplus } = *of;
-        Self { motor, up, up_pulses: level, down, down_pulses: level + surplus }
-    }
-
     /// The first tick after the stroke. By definition the pin is at rest again.
     #[must_use]
     pub fn end(&self) -> Tick {

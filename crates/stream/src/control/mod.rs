@@ -6,26 +6,26 @@
 //! withdraw, until it answers. `standing` keeps how high pins stand that a cut has left above rest. A motor with a sensor fault plays on in open loop. So does one that settles so slowly, and is driven so
 //! fast, that the estimator cannot hold all bursts under way: status shows `dead-reckoning` as the source of its error. Without
 //! telemetry the loop uses dead reckoning: it corrects what the gains of a calibrated motor predict, and the estimated error of the
-//! rest position grows, up to the end stops. `bound` gives the least error of any such loop.
+//! rest position grows, up to the end stops.
 //!
 //! Invariant: it never allocates; counts stay within `limits::correction` of the plan and within the room between
 //! bursts; it changes planned bursts only, so a motor that is not driven does not move.
 
-mod bound;
 mod burst_controller;
 mod estimator;
 mod queued;
 mod replacement;
 mod standing;
 mod telemetry_monitor;
+#[cfg(test)]
+mod tests;
 
-pub(super) use burst_controller::{BurstController, Times};
+use burst_controller::{BurstController, Times};
 pub use estimator::{Gains, MeasuredBurst};
 pub(super) use queued::Cutting;
 
 use crate::queues::{Movement, RestErrors};
 use crate::settings::Settings;
-pub use bound::rest_bound_um;
 use firmware_protocol::array::MotorSet;
 use firmware_protocol::batch::Amendment;
 use firmware_protocol::message::State;

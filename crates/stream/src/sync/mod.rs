@@ -1,13 +1,15 @@
 //! What threads share: atomics, locks, rings and doorbells.
 //!
 //! In every build each name is the one of `std` or `rtrb`, and [`Doorbell`] is an event descriptor of the kernel. Under `--cfg loom` each
-//! is its twin in the model checker loom (`model`), which runs all interleavings that the memory model allows: `tests/races`.
+//! is its twin in the model checker loom (`tests/races/src/model.rs`), which runs all interleavings that the memory model
+//! allows.
 //!
 //! Invariant: code whose interleavings are explored takes these names from here, never from `std`.
 
 #[cfg(not(loom))]
 mod doorbell;
 #[cfg(loom)]
+#[path = "../../../../tests/races/src/model.rs"]
 mod model;
 
 #[cfg(not(loom))]

@@ -1,0 +1,178 @@
+//! Commands to the motors: arm, disarm, home, stop, emergency stop, reset; and edges of a simulated array.
+
+use crate::daemon::arm::estop::Origin;
+use crate::daemon::arm::state::Silence;
+use crate::daemon::core::engine::TIMEOUT;
+use crate::daemon::net::answer::{Answer, ErrorResponse};
+use crate::daemon::net::app::{App, Call};
+use crate::daemon::net::body;
+use crate::daemon::net::request_log::LoggedRequest;
+use crate::daemon::net::server::Ordered;
+use crate::daemon::plays::terms::edge_at;
+use crate::daemon::sessions::caller::Caller;
+use crate::session_record::Peer;
+use axum::Json;
+use axum::body::Body;
+use axum::extract::{Extension, State};
+use meissner_api::{
+    ArmRequest, Code, DisarmRequest, EdgeRequest, Event, Problem, ResetRequest, Status, parse_empty,
+};
+use meissner_stream::queues::Command;
+use std::time::Duration;
+
+/// How long to wait for the body of an emergency stop that was carried out.
+const ESTOP_BODY: Duration = Duration::from_millis(100);
+
+/// Carries out a command that takes no arguments.
+async fn simple_command(
+    app: &App,
+    peer: Peer,
+    body: Body,
+    name: &'static str,
+    command: Command,
+    timeout: Duration,
+) -> Answer<Json<Status>> {
+    let logged = LoggedRequest::new(&app.engine, name, peer);
+    let result = async {
+        parse_empty(&body::read_command(body).await?)?;
+        carry_out(app, command, timeout).await
+    };
+    logged.result(result.await)
+}
+
+async fn carry_out(app: &App, command: Command, timeout: Duration) -> Answer<Json<Status>> {
+    app.engine.carry_out(command, timeout).await?;
+    Ok(Json(app.engine.status()))
+}
+
+pub(in crate::daemon) async fn stop(
+    State(app): State<App>,
+    Extension(caller): Extension<Caller>,
+    body: Body,
+) -> Answer<Json<Status>> {
+    let done = simple_command(&app, caller.peer, body, "stop", Command::Stop, TIMEOUT).await?;
+    tell_owner(&app, &caller, "stop");
+    Ok(done)
+}
+
+/// Tells the owner of an exclusive session who has used a command that everybody may use.
+fn tell_owner(app: &App, caller: &Caller, name: &str) {
+    let mut state = app.engine.lock();
+    if let Some(session) = state.sessions.foreign(caller.session()) {
+        let by = app.engine.names.client(caller.peer);
+        state.publish(&Event::Intervened { command: name.to_owned(), by, session });
+    }
+}
+
+/// Orders the stop before it reads the body, which may hold anything. The acceptor may have ordered it already.
+pub(in crate::daemon) async fn estop(
+    Call { app, peer }: Call,
+    ordered: Option<Extension<Ordered>>,
+    body: Body,
+) -> Answer<Json<Status>> {
+    let logged = LoggedRequest::new(&app.engine, "estop", peer);
+    let result = match ordered {
+        Some(Extension(Ordered(number))) => app.engine.estop_answer(number).await,
+        None => app.engine.estop(Origin::of(peer)).await,
+    };
+    // Read the body only now, so that a client that sends it separately does not find the connection closed.
+    let _ = tokio::time::timeout(ESTOP_BODY, body::read_command(body)).await;
+    logged.result(result.map(|()| Json(app.engine.status())).map_err(ErrorResponse::from))
+}
+
+pub(in crate::daemon) async fn reset(Call { app, peer }: Call, body: Body) -> Answer<Json<Status>> {
+    let mut logged = LoggedRequest::new(&app.engine, "reset", peer);
+    let result = async {
+        let request = ResetRequest::parse(&body::read_command(body).await?)?;
+        let force = request.force;
+        // Read this before the check, so that the streamer refuses the reset if an emergency stop comes between the two.
+        let estops_seen = app.engine.estops.switch.newest();
+        let guard = app.engine.estops.guard();
+        logged.set_arguments(&request);
+        if request.estops_seen.is_some_and(|seen| seen < estops_seen) {
+            let detail = "an emergency stop came after those that this reset knows of: find out why, then reset again";
+            return Err(Problem::new(Code::RecentEStop, detail).into());
+        }
+        if force {
+            logged.set_title("reset, forced,".to_owned());
+        } else if guard.has_another(Origin::of(peer)) {
+            let detail = "since the last reset another terminal or program has ordered an emergency stop: find out why; then a \
+                          person may reset with `meissner reset --force`, or \"force\": true";
+            return Err(Problem::new(Code::RecentEStop, detail).into());
+        }
+        let keep = request.keep;
+        let timeout = if keep { TIMEOUT } else { app.engine.home_timeout() };
+        let status = carry_out(&app, Command::Reset { estops_seen, keep }, timeout).await?;
+        app.engine.estops.reset(guard);
+        Ok(status)
+    }
+    .await;
+    logged.result(result)
+}
+
+pub(in crate::daemon) async fn arm(Call { app, peer }: Call, body: Body) -> Answer<Json<Status>> {
+    let mut logged = LoggedRequest::new(&app.engine, "arm", peer);
+    let result = async {
+        let request = ArmRequest::parse(&body::read_command(body).await?)?;
+        logged.set_arguments(&request);
+        if request.assume_rest {
+            logged.set_title(match &request.checked {
+                Some(name) => format!("arm, assuming rest, pins checked by {name:?},"),
+                None => "arm, assuming rest,".to_owned(),
+            });
+        }
+        let silence = match request.silence_s {
+            _ if request.unattended => Silence::Unattended,
+            Some(seconds) => Silence::For(Duration::from_secs_f64(seconds)),
+            None => Silence::Default,
+        };
+        let command = match (request.assume_rest, &request.checked) {
+            (true, None) => Command::ArmUnchecked,
+            (assume_rest, _) => Command::Arm { assume_rest },
+        };
+        app.engine.arm(command, silence, peer).await?;
+        Ok(Json(app.engine.status()))
+    }
+    .await;
+    logged.result(result)
+}
+
+pub(in crate::daemon) async fn disarm(
+    State(app): State<App>,
+    Extension(caller): Extension<Caller>,
+    body: Body,
+) -> Answer<Json<Status>> {
+    let mut logged = LoggedRequest::new(&app.engine, "disarm", caller.peer);
+    let result = async {
+        let request = DisarmRequest::parse(&body::read_command(body).await?)?;
+        logged.set_arguments(&request);
+        if request.own && app.engine.lock().give_back_armed(&caller) {
+            return Ok((Json(app.engine.status()), false));
+        }
+        Ok((carry_out(&app, Command::Disarm, TIMEOUT).await?, true))
+    };
+    let result: Answer<_> = result.await;
+    let (done, is_off) = logged.result(result)?;
+    if is_off {
+        tell_owner(&app, &caller, "disarm");
+    }
+    Ok(done)
+}
+
+/// Answers when the pins are at rest.
+pub(in crate::daemon) async fn home(Call { app, peer }: Call, body: Body) -> Answer<Json<Status>> {
+    let timeout = app.engine.home_timeout();
+    simple_command(&app, peer, body, "home", Command::Home, timeout).await
+}
+
+/// Makes an edge at the trigger input of a simulated array.
+pub(in crate::daemon) async fn edge(Call { app, peer }: Call, body: Body) -> Answer<Json<Status>> {
+    let mut logged = LoggedRequest::new(&app.engine, "edge", peer);
+    let result = async {
+        let request = EdgeRequest::parse(&body::read_command(body).await?)?;
+        logged.set_arguments(&request);
+        carry_out(&app, Command::Edge { at: edge_at(&request), by: 0 }, TIMEOUT).await
+    }
+    .await;
+    logged.result(result)
+}

@@ -1,0 +1,69 @@
+//! Arms the motors for a client, and watches for its silence.
+//!
+//! Invariant: the watch begins when the device has armed, whether or not the client still waits for the answer.
+
+use crate::daemon::arm::state::Silence;
+use crate::daemon::core::engine::{Engine, TIMEOUT, answer};
+use crate::daemon::sessions::caller::Asker;
+use crate::session_record::Peer;
+use meissner_api::{Code, Problem};
+use meissner_stream::queues::Command;
+use std::sync::Arc;
+use std::time::Duration;
+use tracing::warn;
+
+/// How often a watch checks whether it is over, and how soon the daemon disarms again if the device did not take the command.
+const AGAIN: Duration = Duration::from_secs(1);
+
+impl Engine {
+    /// Arms, by this command, for the requesting client, which may then be silent as long as `silence` says.
+    pub(in crate::daemon) async fn arm(
+        self: &Arc<Self>,
+        command: Command,
+        silence: Silence,
+        client: Peer,
+    ) -> Result<(), Problem> {
+        let timeout = self.seek_timeout();
+        let reply = self.send(command)?;
+        let (engine, name) = (Arc::clone(self), self.names.client(client));
+        let work = async move {
+            answer(reply, timeout).await?;
+            let watch = engine.lock().hold_armed(name, silence);
+            if let Some(number) = watch {
+                tokio::spawn(async move { engine.watch_silence(number).await });
+            }
+            Ok(())
+        };
+        // On a separate task, because the client may hang up before the device has answered.
+        let work = match Asker::find() {
+            Some(asker) => tokio::spawn(asker.ask(work)),
+            None => tokio::spawn(work),
+        };
+        let broken = |_| Problem::new(Code::ShuttingDown, "the daemon is ending: start it again");
+        work.await.unwrap_or_else(|error| Err(broken(error)))
+    }
+
+    /// Stops and disarms when the client with this watch has been silent for too long.
+    async fn watch_silence(&self, number: u64) {
+        loop {
+            let Some(left) = self.lock().armed.until_silent(number) else { return };
+            if !left.is_zero() {
+                // A newer watch may have taken its place.
+                tokio::time::sleep(left.min(AGAIN)).await;
+                continue;
+            }
+            let Some(disarmed) = self.lock().disarm_silent(number) else { continue };
+            let disarmed = match disarmed {
+                Ok(reply) => answer(reply, TIMEOUT).await,
+                Err(problem) => Err(problem),
+            };
+            match disarmed {
+                Ok(()) => warn!("the client that armed was silent for too long: the motors are disarmed"),
+                Err(problem) => {
+                    warn!("the client that armed was silent for too long, and disarming failed: {problem}");
+                }
+            }
+            tokio::time::sleep(AGAIN).await;
+        }
+    }
+}

@@ -1,0 +1,89 @@
+//! The thread that follows a rendering's process.
+//!
+//! It starts the process ([`crate::render_process`]), sends it its job and reads its reports until it ends. No handler waits for it.
+
+use crate::daemon::core::engine::Engine;
+use crate::daemon::jobs::process::RenderProcess;
+use crate::render_process::{self, Job, MEMORY, Render, Report};
+use crate::store::Stored;
+use meissner_api::{Code, Problem, Rendered, Rendering, RenderingRequest};
+use meissner_array::pattern::Pattern;
+use meissner_input::message::cut;
+use std::process::Command;
+use std::sync::Arc;
+use std::thread;
+
+/// Characters of a failed rendering's problem, at most.
+const MAX_PROBLEM: usize = 300;
+
+impl Engine {
+    /// Starts the rendering of an object of this name on a separate thread.
+    pub(in crate::daemon) fn start_rendering(
+        self: &Arc<Self>,
+        request: &RenderingRequest,
+        name: &str,
+        render: Render,
+    ) -> Result<Rendering, Problem> {
+        let job = Job::render(render, self.lock().settings.array);
+        let failed = |detail: String| Problem::new(Code::Store, detail);
+        let command = render_process::command().ok_or_else(|| {
+            failed("this program is not meissner and cannot render: start `meissner daemon`".to_owned())
+        })?;
+        let rendering = self.lock().begin_rendering(request, name)?;
+        let (engine, id) = (Arc::clone(self), rendering.id);
+        let work = move || {
+            engine.run_rendering(id, command, job);
+            engine.changed.notify_one();
+        };
+        if let Err(error) = thread::Builder::new().name("rendering".into()).spawn(work) {
+            let detail = format!("the rendering's thread cannot start: {error}");
+            self.lock().end_rendering(id, Err(detail.clone()));
+            return Err(failed(detail));
+        }
+        Ok(rendering)
+    }
+
+    fn run_rendering(&self, id: u64, command: Command, job: Job) {
+        let mut process = match RenderProcess::start(command) {
+            Ok(process) => process,
+            Err(error) => {
+                return self
+                    .lock()
+                    .end_rendering(id, Err(format!("the rendering's process cannot start: {error}")));
+            }
+        };
+        if self.lock().set_rendering_process(id, process.pid()) {
+            process.give(&job);
+            // An object's files are large.
+            drop(job);
+            let outcome = self.follow_rendering(id, &mut process);
+            self.lock().end_rendering(id, outcome);
+        }
+    }
+
+    /// Reads the process's reports up to its result.
+    fn follow_rendering(&self, id: u64, process: &mut RenderProcess) -> Result<Box<Rendered>, String> {
+        let ended = || {
+            let mib = MEMORY >> 20;
+            format!(
+                "the rendering's process has ended without a result: it was killed, or needed more than {mib} MiB"
+            )
+        };
+        loop {
+            match process.report().ok_or_else(ended)? {
+                Report::Previewed(_) => return Err(ended()),
+                Report::Failed(problem) => return Err(cut(&problem, MAX_PROBLEM)),
+                Report::Found(text) => {
+                    let found = stored(&text)?;
+                    self.lock().set_rendering_found(id, found);
+                }
+                Report::Rendered(rendered) => return Ok(rendered),
+            }
+        }
+    }
+}
+
+fn stored(text: &str) -> Result<Stored, String> {
+    let pattern = Pattern::parse(text, "the found pattern").map_err(|error| error.to_string())?;
+    Ok(Stored::made(pattern))
+}

@@ -1,0 +1,237 @@
+//! Sessions: starts and ends one, lists and shows the recorded ones and their plays, and releases an exclusive one in time.
+
+use crate::daemon::core::engine::Engine;
+use crate::daemon::core::runtime::{blocking, reading};
+use crate::daemon::net::answer::{Answer, PathPart, json_response, path};
+use crate::daemon::net::app::{App, Call};
+use crate::daemon::net::body;
+use crate::daemon::net::request_log::LoggedRequest;
+use crate::daemon::plays::handlers::RECORDED;
+use crate::daemon::sessions::state::no_session;
+use crate::session_record::reader::{self, Sessions};
+use crate::session_record::{RecordError, keeps_text};
+use crate::store::Store;
+use axum::Json;
+use axum::body::Body;
+use axum::extract::State;
+use axum::http::{StatusCode, Uri};
+use axum::response::Response;
+use meissner_api::{
+    Code, ItemRecord, MAX_LISTED, Problem, RecordedPlay, Session, SessionList, SessionRequest,
+    SessionStarted, parse_empty,
+};
+use std::collections::HashMap;
+use std::path::Path as FilePath;
+use std::sync::Arc;
+use std::time::Duration;
+
+/// How long a reader of the record waits until the newest entries are written: disks have stood still for 6 s and recovered. Clients
+/// wait for 60 s.
+const WRITTEN: Duration = Duration::from_secs(50);
+/// How long the end of a session waits for the same: its answer is due within 5 s.
+const WRITTEN_AT_END: Duration = Duration::from_secs(2);
+
+pub(in crate::daemon) async fn start(
+    Call { app, peer }: Call,
+    body: Body,
+) -> Answer<(StatusCode, Json<SessionStarted>)> {
+    let mut logged = LoggedRequest::new(&app.engine, "session-start", peer);
+    let result = async {
+        let request = SessionRequest::parse(&body::read_command(body).await?)?;
+        logged.set_arguments(&request);
+        let exclusive = request.exclusive;
+        let owner = app.engine.names.users.known(peer.uid).flatten();
+        let (started, recorded) = app.engine.lock().start_session(request, owner)?;
+        let (engine, id) = (Arc::clone(&app.engine), started.id.clone());
+        // Goes on if the client hangs up.
+        let known = tokio::spawn(async move {
+            let recorded = match recorded {
+                Some(recorded) => {
+                    tokio::time::timeout(RECORDED, recorded).await.ok().map(|told| told.is_ok())
+                }
+                None => Some(true),
+            };
+            engine.lock().session_recorded(&id, recorded)
+        });
+        known.await.unwrap_or(Ok(()))?;
+        if exclusive {
+            tokio::spawn(release_in_time(Arc::clone(&app.engine), started.id.clone()));
+        }
+        Ok((StatusCode::CREATED, Json(started)))
+    }
+    .await;
+    logged.result(result)
+}
+
+/// Opens the session to others when its owner has been silent for too long, again and again until it ends.
+async fn release_in_time(engine: Arc<Engine>, id: String) {
+    loop {
+        let Some(left) = engine.lock().sessions.until_release(&id) else { return };
+        if left.is_zero() {
+            engine.lock().release_session(&id);
+            // The owner may come back, and be silent again.
+            tokio::time::sleep(Duration::from_secs(1)).await;
+        } else {
+            tokio::time::sleep(left).await;
+        }
+    }
+}
+
+pub(in crate::daemon) async fn end(
+    Call { app, peer }: Call,
+    id: PathPart,
+    body: Body,
+) -> Answer<Json<Session>> {
+    let logged = LoggedRequest::new(&app.engine, "session-end", peer);
+    let result = async {
+        let id = path(id)?;
+        parse_empty(&body::read_command(body).await?)?;
+        let mut ended = app.engine.lock().end_session(&id)?;
+        // A newer program may wait for the session to end.
+        app.engine.changed.notify_one();
+        let (record, id) = (app.engine.session_record(), ended.id.clone());
+        // Wait for the disk: only then it is known which entries it did not take.
+        let lost = blocking(move || {
+            let _ = record.wait_until_written(WRITTEN_AT_END);
+            record.lost_of(&id)
+        });
+        ended.lost = lost.await?;
+        Ok(Json(ended))
+    }
+    .await;
+    logged.result(result)
+}
+
+/// Reads the whole record, so that the status says what is missing. Waits for the disk for at most `within`.
+pub(in crate::daemon) async fn look_for_losses(engine: &Engine, within: Duration) {
+    // Without an answer of the disk the status has its problem already.
+    let _ = tokio::time::timeout(within, recorded(engine, within, |_, _, _| Ok(()))).await;
+}
+
+/// Calls `make` on the reader's thread, and returns its result. `make` gets the record's directory, the recorded sessions with the
+/// running one, and whether the disk has taken the newest entries `within` this time. None: nothing is recorded.
+async fn recorded<T: Send + 'static>(
+    engine: &Engine,
+    within: Duration,
+    make: impl FnOnce(&FilePath, Sessions, bool) -> Result<T, RecordError> + Send + 'static,
+) -> Answer<Option<T>> {
+    let running = engine.lock().session();
+    let record = engine.session_record();
+    let Some(dir) = record.dir() else { return Ok(None) };
+    let read = move || {
+        let written = record.wait_until_written(within);
+        let mut sessions = reader::sessions(&dir, &record.known(), running)?;
+        if written && record.problem().is_none() {
+            record.set_found(sessions.missing());
+        }
+        let slow = (!written).then(slow_disk);
+        for problem in slow.into_iter().chain(record.problem()) {
+            sessions.problems.insert(0, problem);
+            sessions.problems.truncate(MAX_LISTED);
+            sessions.unreadable += 1;
+        }
+        make(&dir, sessions, written)
+    };
+    Ok(Some(reading(read).await??))
+}
+
+pub(in crate::daemon) async fn list(State(app): State<App>) -> Answer<Response> {
+    // Serialize here: ten thousand sessions would take milliseconds of the runtime's only thread.
+    let json = |list: &SessionList| serde_json::to_vec(list).unwrap_or_default();
+    let running = app.engine.lock().session();
+    let made = recorded(&app.engine, WRITTEN, move |_, Sessions { recorded, unreadable, problems }, _| {
+        let sessions = recorded.into_iter().map(|recorded| recorded.session).collect();
+        Ok(json(&SessionList { sessions, unreadable, problems }))
+    });
+    let unrecorded =
+        || json(&SessionList { sessions: running.into_iter().collect(), ..SessionList::default() });
+    Ok(json_response(made.await?.unwrap_or_else(unrecorded)))
+}
+
+pub(in crate::daemon) async fn show(State(app): State<App>, id: PathPart) -> Answer<Json<Session>> {
+    let id = path(id)?;
+    let running = app.engine.lock().session();
+    if let Some(running) = running.filter(|running| id == running.id || id == "running") {
+        return Ok(Json(running));
+    }
+    if id == "running" {
+        return Err(no_session(&id).into());
+    }
+    let asked = id.clone();
+    let found = recorded(&app.engine, WRITTEN, move |_, sessions, _| {
+        Ok(sessions.recorded.into_iter().find(|recorded| recorded.session.id == asked))
+    });
+    let found = found.await?.flatten().ok_or_else(|| not_recorded(&id))?;
+    Ok(Json(found.session))
+}
+
+fn not_recorded(id: &str) -> Problem {
+    let id: String = id.chars().take(100).collect();
+    Problem::new(Code::NotFound, format!("no session {id} is recorded: `meissner session list` shows all"))
+}
+
+pub(in crate::daemon) async fn plays(State(app): State<App>, uri: Uri, id: PathPart) -> Answer<Response> {
+    let (from, id) = (from(uri.query())?, path(id)?);
+    let running = app.engine.lock().session().filter(|_| id == "running");
+    let id = running.map_or(id, |running| running.id);
+    if id == "running" {
+        return Err(no_session(&id).into());
+    }
+    let (asked, store) = (id.clone(), Arc::clone(&app.store));
+    let json = recorded(&app.engine, WRITTEN, move |dir, sessions, written| {
+        let found = sessions.recorded.into_iter().find(|recorded| recorded.session.id == asked);
+        let Some(found) = found else { return Ok(None) };
+        let mut plays = reader::plays(dir, found, from)?;
+        // Those of the whole record: what is missing elsewhere may be other sessions.
+        (plays.unreadable, plays.problems) = (sessions.unreadable, sessions.problems);
+        if !written {
+            plays.lack(slow_disk());
+        }
+        mark_kept(&mut plays.plays, &store, dir);
+        Ok(Some(serde_json::to_vec(&plays).unwrap_or_default()))
+    });
+    let Some(json) = json.await? else {
+        let detail =
+            "this daemon keeps no session record: start it without --no-record, and see `logbook_days`";
+        return Err(Problem::new(Code::NotFound, detail).into());
+    };
+    Ok(json_response(json.ok_or_else(|| not_recorded(&id))?))
+}
+
+/// The message that entries which the disk has not yet taken cannot be read.
+fn slow_disk() -> String {
+    format!("the disk has not taken the newest entries within {} s: ask again", WRITTEN.as_secs())
+}
+
+/// Marks the plays whose patterns' texts are stored, or kept in the record.
+fn mark_kept(plays: &mut [RecordedPlay], store: &Store, record: &FilePath) {
+    let mut known = HashMap::<String, bool>::new();
+    let mut is_kept = |item: &ItemRecord| {
+        *known.entry(item.pattern_sha256.to_string()).or_insert_with_key(|sha256| {
+            // A blank item has no text.
+            sha256.is_empty()
+                || keeps_text(record, sha256)
+                || store.get(&item.pattern).is_ok_and(|stored| stored.sha256 == *sha256)
+        })
+    };
+    for play in plays {
+        let items = play.receipt.items.as_deref().unwrap_or_default();
+        play.patterns_kept = !items.is_empty() && items.iter().all(&mut is_kept);
+    }
+}
+
+/// The query `from=N`.
+fn from(query: Option<&str>) -> Result<usize, Problem> {
+    let Some(query) = query else { return Ok(0) };
+    let number = query.strip_prefix("from=").and_then(|number| number.parse().ok());
+    number.filter(|number| *number <= 1_000_000_000).ok_or_else(|| {
+        let detail = "the address: after the question mark there must be `from=` and a number of plays, 0 to 1000000000";
+        Problem::new(Code::BadRequest, detail)
+    })
+}
+
+impl From<RecordError> for Problem {
+    fn from(error: RecordError) -> Self {
+        Self::new(Code::Store, error.to_string())
+    }
+}

@@ -1,0 +1,320 @@
+//! Rights of clients. They are checked at each use, and when one ends, the plays and renderings that it allowed end, too.
+//!
+//! Work that outlives its request holds the request's [`Caller`]: plays, edges to come, homing and renderings here, and event streams,
+//! live connections and waiting requests through [`Right`](crate::daemon::sessions::right::Right). A right ends in four cases: its access
+//! token is revoked or gets a lesser role; an exclusive session begins; its owner comes back after others were allowed to act; or
+//! the session that the caller shows is over. Then [`State::rights_changed`] ends the work here, and wakes the others, which check
+//! their rights again.
+//!
+//! Invariant: no caller stores the answer of [`State::check_right`].
+
+use crate::daemon::core::state::State;
+use crate::daemon::net::refusal::{NOT_VALID, READS_ONLY};
+use crate::daemon::sessions::caller::{Asker, Caller};
+use crate::daemon::tokens::store::TokenStore;
+use meissner_api::{
+    EndCause,
+    access::{Access, SessionRule},
+};
+use meissner_api::{Problem, Role, Route};
+use meissner_stream::queues::Command;
+use std::collections::HashMap;
+use std::sync::Arc;
+use tokio::sync::watch;
+use tracing::info;
+
+/// See the module.
+#[derive(Debug)]
+pub(in crate::daemon) struct Rights {
+    tokens: Arc<TokenStore>,
+    /// For each play that is not over, the client by whose right it was ordered.
+    plays: HashMap<u64, Caller>,
+    /// The clients that have ordered edges of a simulated array, and may still order some.
+    edges: Vec<(u64, Caller)>,
+    last_edges: u64,
+    /// The ticket of the homing under way, and the client that has ordered it.
+    homing: Option<(u64, Caller)>,
+    changed: watch::Sender<()>,
+}
+
+impl Default for Rights {
+    fn default() -> Self {
+        let tokens = Arc::new(TokenStore::open(None));
+        let (plays, edges, last_edges, homing) = Default::default();
+        Self { tokens, plays, edges, last_edges, homing, changed: watch::Sender::new(()) }
+    }
+}
+
+impl Rights {
+    pub(in crate::daemon) fn set_tokens(&mut self, tokens: Arc<TokenStore>) {
+        self.tokens = tokens;
+    }
+
+    /// Resolves whenever a right may have ended.
+    pub(in crate::daemon) fn subscribe(&self) -> watch::Receiver<()> {
+        self.changed.subscribe()
+    }
+
+    /// The client that has ordered this play.
+    pub(in crate::daemon) fn of_play(&self, id: u64) -> Option<&Caller> {
+        self.plays.get(&id)
+    }
+
+    /// The plays of this client that are not over.
+    pub(in crate::daemon) fn plays_of(&self, caller: &Caller) -> Vec<u64> {
+        self.plays.iter().filter(|(_, by)| by.is_same(caller)).map(|(&id, _)| id).collect()
+    }
+
+    /// Notes that a play is about to be sent for the requesting client.
+    pub(in crate::daemon) fn add_play(&mut self, id: u64) {
+        if let Some(Asker { caller, .. }) = Asker::find() {
+            self.plays.insert(id, caller);
+        }
+    }
+
+    /// The number by which the edges of a client can be withdrawn: the same for all with its rights.
+    pub(in crate::daemon) fn edges_of(&mut self, caller: Caller) -> u64 {
+        if let Some((number, _)) = self.edges.iter().find(|(_, by)| by.has_rights_of(&caller)) {
+            return *number;
+        }
+        self.last_edges += 1;
+        self.edges.push((self.last_edges, caller));
+        self.last_edges
+    }
+
+    /// Notes that homing is about to begin for a client.
+    pub(in crate::daemon) fn set_homing(&mut self, ticket: u64, caller: Caller) {
+        self.homing = Some((ticket, caller));
+    }
+
+    /// Notes that the command of this ticket was answered.
+    pub(in crate::daemon) fn answered(&mut self, ticket: u64) {
+        self.homing.take_if(|(of, _)| *of == ticket);
+    }
+
+    /// Forgets a play that is over, or was not accepted.
+    pub(in crate::daemon) fn forget_play(&mut self, id: u64) {
+        self.plays.remove(&id);
+    }
+}
+
+/// A right that a client does not have, or no longer has.
+#[derive(Debug)]
+pub(in crate::daemon) struct NoRight {
+    pub(in crate::daemon) problem: Problem,
+    /// The cause in the receipt of a play that ends for this reason.
+    pub(in crate::daemon) cause: &'static EndCause,
+}
+
+/// The access that a play or rendering needs to go on: a client may let it go on even when its own session is over.
+pub(in crate::daemon) const fn going_on(access: Access) -> Access {
+    match access.session {
+        SessionRule::Owner => Access { session: SessionRule::Starts, ..access },
+        SessionRule::Open | SessionRule::Starts => access,
+    }
+}
+
+impl State {
+    /// Refuses an action that this client may not, or may no longer, take.
+    pub(in crate::daemon) fn check_right(&self, caller: &Caller, access: Access) -> Result<(), NoRight> {
+        let lost = |problem: Problem| NoRight { problem, cause: &EndCause::Revoked };
+        match caller.access.map(|id| self.rights.tokens.role(id)) {
+            Some(None) => return Err(lost(NOT_VALID.into())),
+            Some(Some(Role::Observe)) if access.role == Role::Operate => return Err(lost(READS_ONLY.into())),
+            _ => {}
+        }
+        let session = caller.session();
+        let checked = match access.session {
+            SessionRule::Open => Ok(()),
+            SessionRule::Starts => self.sessions.check_owner(session),
+            SessionRule::Owner => {
+                self.sessions.check_owner(session).and_then(|()| self.sessions.check_running(session))
+            }
+        };
+        checked.map_err(|problem| NoRight { problem, cause: &EndCause::OwnerReturned })
+    }
+
+    /// What the requesting client may do, and whether it shows the token of the running session. The daemon itself may do anything.
+    pub(in crate::daemon) fn asker(&self) -> (Role, bool) {
+        let Some(Asker { caller, .. }) = Asker::find() else { return (Role::Operate, false) };
+        let role = caller.access.map_or(Some(Role::Operate), |id| self.rights.tokens.role(id));
+        (role.unwrap_or(Role::Observe), self.sessions.is_owner(caller.session()))
+    }
+
+    /// Refuses a change by a client that may no longer make it: since its request came, a session may have begun, or its token may
+    /// have been revoked. Outside a request the daemon itself acts, which may do anything.
+    pub(in crate::daemon) fn check_asker(&self) -> Result<(), Problem> {
+        let Some(Asker { caller, access, .. }) = Asker::find() else { return Ok(()) };
+        self.check_right(&caller, access).map_err(|no| no.problem)
+    }
+
+    /// Notes that a request or message of this client came.
+    pub(in crate::daemon) fn hear(&mut self, caller: &Caller) {
+        if self.check_right(caller, Route::Stop.access()).is_ok() {
+            self.armed.hear(caller);
+        }
+        if self.sessions.hear(caller.session()) {
+            self.rights_changed();
+        }
+    }
+
+    /// Call this when a right may have ended: ends the work that it had allowed.
+    pub(in crate::daemon) fn rights_changed(&mut self) {
+        self.end_forbidden();
+        self.rights.changed.send_replace(());
+    }
+
+    /// Ends the plays, the edges to come, the homing and the rendering of clients that may not order them any more. What does not fit
+    /// into the queue of commands is tried again with the streamer's next report.
+    pub(in crate::daemon) fn end_forbidden(&mut self) {
+        let needs = going_on(Route::Play.access());
+        let forbidden = |caller: &Caller| self.check_right(caller, needs).err().map(|no| no.cause.clone());
+        let plays: Vec<_> =
+            self.rights.plays.iter().filter_map(|(&id, caller)| Some((id, forbidden(caller)?))).collect();
+        let ends_rendering = self.renderings.caller().and_then(forbidden).is_some();
+        let stops_homing = self.rights.homing.as_ref().and_then(|(_, caller)| forbidden(caller));
+        let orders = Route::Edge.access();
+        let lost = |(_, caller): &&(u64, Caller)| self.check_right(caller, orders).is_err();
+        let edges: Vec<u64> = self.rights.edges.iter().filter(lost).map(|(number, _)| *number).collect();
+        for (id, cause) in plays {
+            self.cancel_play(id, cause);
+        }
+        if ends_rendering {
+            self.cancel_running_rendering();
+        }
+        if let Some(cause) = stops_homing
+            && self.commands.send_unanswered(Command::Stop).is_ok()
+        {
+            self.rights.homing = None;
+            info!("homing was stopped: {cause}");
+        }
+        for number in edges {
+            if self.commands.send_unanswered(Command::WithdrawEdges(number)).is_ok() {
+                self.rights.edges.retain(|(of, _)| *of != number);
+            }
+        }
+    }
+
+    /// Ends a play for this cause. If too many commands wait, the streamer's next report orders it again.
+    pub(in crate::daemon) fn cancel_play(&mut self, id: u64, cause: EndCause) {
+        let _ = self.commands.send_unanswered(Command::Cancel { id, cause });
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::daemon::core::engine::Engine;
+    use crate::daemon::core::runtime::blocking;
+    use crate::daemon::runtime;
+    use crate::session_record::Peer;
+    use meissner_api::{Session, SessionRequest};
+    use meissner_array::spec::Array;
+    use meissner_stream::Settings;
+    use meissner_stream::queues::{At, StreamEvent, ThreadQueues, queues};
+    use std::future::ready;
+    use std::pin::pin;
+    use std::sync::mpsc;
+    use std::time::Duration;
+
+    fn engine() -> (Arc<Engine>, ThreadQueues) {
+        let (port, commands, events) = queues().unwrap();
+        // The events of the streamer are passed on by the tests.
+        drop(events);
+        let engine = Engine::new(commands, Settings::of(Array::paper()), "mock".to_owned(), None);
+        engine.lock().sessions.set_silence(Duration::from_secs(3600));
+        (Arc::new(engine), port)
+    }
+
+    /// A client that shows this session token.
+    fn client(session: Option<&str>) -> Caller {
+        Caller::new(Peer::local(1, 0), None, session, None)
+    }
+
+    fn asker(caller: Caller, route: Route) -> Asker {
+        Asker { caller, access: route.access(), breaks: 0 }
+    }
+
+    /// Sends a command for a client, which then hangs up.
+    fn order(engine: &Engine, caller: Caller, route: Route, command: Command) {
+        let sent = asker(caller, route).ask(async { engine.send(command).map(drop) });
+        runtime().unwrap().block_on(sent).unwrap();
+    }
+
+    fn exclusive(engine: &Engine) -> String {
+        let request =
+            SessionRequest { participant: "P07".to_owned(), exclusive: true, ..SessionRequest::default() };
+        engine.lock().start_session(request, None).unwrap().0.token
+    }
+
+    fn commands(port: &mut ThreadQueues) -> Vec<String> {
+        std::iter::from_fn(|| port.pop()).map(|request| format!("{:?}", request.command)).collect()
+    }
+
+    #[test]
+    fn edges_to_come_are_withdrawn_with_the_right_of_who_ordered_them() {
+        let (engine, mut port) = engine();
+        let edge = |caller| order(&engine, caller, Route::Edge, Command::Edge { at: At::After(1), by: 0 });
+        edge(client(None));
+        edge(client(None));
+        let token = exclusive(&engine);
+        edge(client(Some(&token)));
+        let sent = commands(&mut port);
+        let [one, two] = [1, 2].map(|by| format!("{:?}", Command::Edge { at: At::After(1), by }));
+        assert_eq!(sent, [one.clone(), one, "WithdrawEdges(1)".to_owned(), two]);
+        // Each is withdrawn once; those of the owner when its session is over.
+        engine.lock().rights_changed();
+        assert_eq!(commands(&mut port), Vec::<String>::new());
+        let ended: Session = engine.lock().close_session("request").unwrap();
+        assert_eq!(ended.participant, "P07");
+        assert_eq!(commands(&mut port), ["WithdrawEdges(2)"]);
+    }
+
+    /// Also when the client has hung up meanwhile.
+    #[test]
+    fn homing_is_stopped_with_the_right_of_who_ordered_it() {
+        let (engine, mut port) = engine();
+        order(&engine, client(None), Route::Home, Command::Home);
+        let token = exclusive(&engine);
+        assert_eq!(commands(&mut port), ["Home", "Stop"]);
+        order(&engine, client(Some(&token)), Route::Home, Command::Home);
+        engine.lock().rights_changed();
+        let home = port.pop().unwrap();
+        assert!(matches!(home.command, Command::Home) && port.pop().is_none(), "the owner's goes on");
+        // What is over is not stopped.
+        engine.lock().apply(StreamEvent::Answer { ticket: home.ticket, result: Ok(()) });
+        engine.lock().close_session("request").unwrap();
+        exclusive(&engine);
+        assert_eq!(commands(&mut port), Vec::<String>::new());
+    }
+
+    #[test]
+    fn a_change_that_waits_for_the_disk_asks_again_when_its_turn_comes() {
+        let (engine, _port) = engine();
+        runtime().unwrap().block_on(async {
+            let (end, ended) = crossbeam_channel::bounded::<()>(0);
+            let stuck = || {
+                let ended = ended.clone();
+                blocking(move || assert!(ended.recv().is_err()))
+            };
+            // All threads for disks are taken.
+            let readers: Vec<_> = (0..8).map(|_| tokio::spawn(stuck())).collect();
+            tokio::task::yield_now().await;
+            let (changed, changes) = mpsc::channel();
+            let change = engine.changing(move || changed.send(()).unwrap());
+            let mut change = pin!(asker(client(None), Route::Import).ask(change));
+            tokio::select! {
+                biased;
+                _ = &mut change => panic!("it waits"),
+                () = ready(()) => {}
+            }
+            exclusive(&engine);
+            drop(end);
+            assert_eq!(change.await.unwrap_err().code, "session-exclusive");
+            assert!(changes.recv().is_err(), "nothing was changed");
+            for reader in readers {
+                reader.await.unwrap().unwrap();
+            }
+        });
+    }
+}
