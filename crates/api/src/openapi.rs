@@ -94,15 +94,19 @@ pub fn document() -> Value {
         Code::ALL.iter().map(|code| code.parts().0).collect::<Vec<_>>().into();
     // Their keys stand beside those of another object.
     let [item, terms] = ["Item", "Terms"].map(|name| schemas["schemas"][name]["properties"].clone());
-    for (into, from, keys) in
-        [("Order", &item, &ITEM[..]), ("Order", &terms, &TERMS[..]), ("LiveRequest", &terms, &LIVE_TERMS[..])]
-    {
+    for (into, from, keys) in [
+        ("Order", &item, &ITEM[..]),
+        ("Order", &terms, &TERMS[..]),
+        ("PlayOrder", &terms, &TERMS[..]),
+        ("LiveRequest", &terms, &LIVE_TERMS[..]),
+    ] {
         for key in keys {
             schemas["schemas"][into]["properties"][*key] = from[*key].clone();
         }
     }
-    for name in ["Order", "LiveRequest"] {
-        schemas["schemas"][name]["required"] = json!([]);
+    let always = json!(["items", "late", "replace", "open_loop"]);
+    for (name, required) in [("Order", json!([])), ("LiveRequest", json!([])), ("PlayOrder", always)] {
+        schemas["schemas"][name]["required"] = required;
         schemas["schemas"][name]["additionalProperties"] = false.into();
     }
     for (name, schema) in schemas["schemas"].as_object_mut().into_iter().flatten() {

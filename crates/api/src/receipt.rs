@@ -339,6 +339,7 @@ pub struct PlayOrder {
     pub items: u64,
     /// When, and how: the terms of the order, without those that were left out.
     #[serde(flatten)]
+    #[schema(ignore)]
     pub terms: Terms,
 }
 
