@@ -14,44 +14,34 @@ Receipt = dict[str, Any]
 
 
 def items_of(receipt: Receipt) -> list[dict[str, Any]]:
-    """The items of a recorded play, as those of a sequence: without the cut one of several."""
-    is_one = receipt["order"]["items"] == 1
-    return [
-        item(record, receipt)
-        for record in receipt["items"] or []
-        if record["state"] in ("played", "incomplete") or (is_one and record["state"] == "cut")
-    ]
-
-
-def item(record: dict[str, Any], receipt: Receipt) -> dict[str, Any]:
-    """An item of a recorded play, as an item of a sequence."""
-    trigger = record["trigger"] and {
-        key: record["trigger"][key] for key in ("code", "width_ms") if record["trigger"][key]
-    }
-    start = record["planned_onset_ticks"] / receipt["device"]["tick_hz"]
-    seconds = (
-        record["ordered_ms"] / 1000 if record["state"] != "cut" else receipt["duration_ms"]["played"] / 1000 - start
-    )
-    if not record["pattern_sha256"]:
-        return {"pattern": None, "seconds": seconds, "start": start}
-    keys = {key: record[key] for key in ("pattern", "pattern_sha256", "scale")}
-    return {**keys, "seconds": seconds, "start": start, "trigger": trigger or False}
+    """The items of a recorded play, as those of a sequence. One that was cut lasts as long as the play did; of several it is left out."""
+    made = []
+    for item in receipt["items"] or []:
+        is_cut = item["state"] == "cut"
+        if item["state"] == "not-begun" or (is_cut and receipt["order"]["items"] > 1):
+            continue
+        start = item["planned_onset_ticks"] / receipt["device"]["tick_hz"]
+        seconds = receipt["duration_ms"]["played"] / 1000 - start if is_cut else item["ordered_ms"] / 1000
+        trigger = item["trigger"] and {key: known for key, known in item["trigger"].items() if known and key != "tick"}
+        keys = ("pattern", "pattern_sha256", "scale") if item["pattern_sha256"] else ()
+        pattern = {"pattern": None, **{key: item[key] for key in keys}}
+        made.append({**pattern, "seconds": seconds, "start": start, "trigger": trigger or False})
+    return made
 
 
 def why_not(play: dict[str, Any]) -> str | None:
     """Why a play cannot be played again."""
-    receipt = play["receipt"]
-    if receipt["onset"] is None:
+    if play["receipt"]["onset"] is None:
         return "it never began"
-    if receipt["live"] or not items_of(receipt):
-        return "its record has no pattern: it was live, or cut before its first item ended"
-    return None if play["patterns_kept"] else "the text of its pattern is not kept"
+    if not play["patterns_kept"]:
+        return "the text of its pattern is not kept, as of a live play"
+    return None if items_of(play["receipt"]) else "it was cut before its first item ended"
 
 
 def is_soon(play: Receipt, before: Receipt) -> bool:
     """Whether a play begins within a minute of another one."""
-    last = before["onset"]["actual_tick"] + 60 * before["device"]["tick_hz"]
-    return play["onset"] is None or bool(play["onset"]["actual_tick"] < last)
+    last: int = before["onset"]["actual_tick"] + 60 * before["device"]["tick_hz"]
+    return play["onset"] is None or play["onset"]["actual_tick"] < last
 
 
 def main(session: str) -> int:

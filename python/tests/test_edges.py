@@ -9,6 +9,7 @@ import pytest
 import meissner
 from meissner import _rows, errors
 from patience import kept
+from test_bids_names import stimulus
 
 DELAY_S = 2.0
 """What a busy machine may miss."""
@@ -69,4 +70,7 @@ def test_mistakes_are_named(m: meissner.Client) -> None:
 def test_exports_name_the_edges() -> None:
     edge = {"number": 3, "tick": 99, "monotonic_ns": 1, "uncertainty_ns": 1}
     none = {"start_edge": None, "start_edge_tick": None, "stop_edge": None, "stop_edge_tick": None}
-    assert _rows._edge_cells({"start": edge, "stop": None}) == {**none, "start_edge": 3, "start_edge_tick": 99}
+    play = stimulus()
+    play["receipt"]["edges"]["start"] = edge
+    row = _rows.of_play(play)
+    assert {name: row[name] for name in none} == {**none, "start_edge": 3, "start_edge_tick": 99}

@@ -17,12 +17,9 @@ _ENOUGH = 0.8
 
 def warn_of(receipt: Receipt, told: set[str]) -> None:
     """Warns where the caller of this package stands. `told` is what nobody is told again."""
+    lines = [line for line in receipt.raw["reach"]["warnings"] if not _is_meant(receipt, line)]
     # Of a sequence the daemon says the pattern's name before each line.
-    lines = [
-        line if line.startswith("`") else f"`{receipt.pattern}`: {line}"
-        for line in receipt.raw["reach"]["warnings"]
-        if not _is_meant(receipt, line)
-    ]
+    lines = [line if line.startswith("`") else f"`{receipt.pattern}`: {line}" for line in lines]
     new = [line for line in lines if _key(line) not in told]
     if not new:
         return

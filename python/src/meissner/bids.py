@@ -125,12 +125,7 @@ def write(
     texts = {sha256: pattern_toml(keys) for sha256, keys in patterns.items()}
     stimuli = {sha256: f"{keys['name']}_{sha256[:8]}.toml" for sha256, keys in patterns.items()}
     zero = zero_host_ns if zero_host_ns is not None else (rows[0]["onset_monotonic_ns"] if rows else 0)
-    left_out = losses(recorded)
-    for row in rows:
-        line = f"{not_kept(row)}: its stim_file is n/a"
-        # A blank item, as in a catch trial, has no pattern.
-        if row["pattern_sha256"] not in ("", *stimuli) and line not in left_out:
-            left_out.append(line)
+    left_out = losses(recorded) + [f"{line}: its stim_file is n/a" for line in not_kept(rows, patterns)]
     merged, has_hed = _dataset(root, names)
     if not has_hed:
         left_out.append("the HED tags: the dataset's HEDVersion is not 8")
@@ -204,13 +199,16 @@ def _incomplete(recorded: Mapping[str, Any]) -> dict[str, Any]:
     return {"Incomplete": {"Missing": losses(recorded), **told}}
 
 
-def not_kept(row: Mapping[str, Any]) -> str:
-    """Why the pattern of a stimulus as it was played is not kept."""
-    if (live := row["live"]) is not None:
-        return (
-            f"play {row['play']} was live: the record has the number of its updates ({live['updates']}), not its moves"
-        )
-    return f"the text of {row['pattern']} as played is not kept"
+def not_kept(rows: list[dict[str, Any]], patterns: Mapping[str, Any]) -> list[str]:
+    """Of which stimuli the pattern as it was played is not kept, one line each. A blank item, as in a catch trial, has none."""
+    lines = (
+        f"play {row['play']} was live: the record has the number of its updates ({row['live']['updates']}), not its moves"
+        if row["live"]
+        else f"the text of {row['pattern']} as played is not kept"
+        for row in rows
+        if row["pattern_sha256"] not in ("", *patterns)
+    )
+    return list(dict.fromkeys(lines))
 
 
 def _event(row: Mapping[str, Any], zero: int, stimuli: Mapping[str, str]) -> dict[str, Any]:

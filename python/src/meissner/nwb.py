@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import Any
 
 from ._labels import Labels
+from ._rows import of_play, stimuli
 from ._rows import rows as rows_of
-from ._rows import stimuli
 from ._text_file import replacing
 from .bids import losses, not_kept
 from .clocks import NS
@@ -97,8 +97,7 @@ def write(
     if not rows:
         raise MeissnerError(f"session {session['id']} has no stimuli: there is nothing to export")
     texts = {sha256: pattern_toml(keys) for sha256, keys in patterns.items()}
-    missing = (not_kept(row) for row in rows if row["pattern_sha256"] not in ("", *patterns))
-    left_out = [*losses(recorded), *dict.fromkeys(missing)]
+    left_out = [*losses(recorded), *not_kept(rows, patterns)]
     started = datetime.fromisoformat(session["started"])
     plays = [play for play in recorded["plays"] if play["receipt"]["onset"] is not None]
     plays.sort(key=lambda play: int(play["receipt"]["onset"]["monotonic_ns"]))
@@ -170,19 +169,13 @@ def _table(pynwb: Any, rows: list[dict[str, Any]], labels: Labels, zero_ns: int)
         for name, cell in cells.items():
             columns[name].append(_cell(cell, name in numbers))
     event, tick_s = pynwb.event, 1 / min(row["tick_hz"] for row in rows)
+    times = {
+        "timestamp": (event.TimestampVectorData, "Onset, by the recording PC's clock"),
+        "duration": (event.DurationVectorData, "From the onset to the end of the last pulse; NaN: not known"),
+    }
     made = [
-        event.TimestampVectorData(
-            name="timestamp",
-            description="Onset, by the recording PC's clock",
-            data=columns["timestamp"],
-            resolution=tick_s,
-        ),
-        event.DurationVectorData(
-            name="duration",
-            description="From the onset to the end of the last pulse; NaN: not known",
-            data=columns["duration"],
-            resolution=tick_s,
-        ),
+        kind(name=name, description=about, data=columns[name], resolution=tick_s)
+        for name, (kind, about) in times.items()
     ]
     made += [
         pynwb.core.VectorData(name=name, description=about, data=columns[name]) for name, about in meanings.items()
@@ -198,10 +191,10 @@ def _table(pynwb: Any, rows: list[dict[str, Any]], labels: Labels, zero_ns: int)
 
 def _add_trials(nwb: Any, plays: list[dict[str, Any]], session: Mapping[str, Any], zero_ns: int) -> None:
     """A row per play, with its answer."""
-    trials = [(play["receipt"], rows_of(play)) for play in plays if play["receipt"]["offset"] is not None]
-    if not trials:
+    plays = [play for play in plays if play["receipt"]["offset"] is not None]
+    if not plays:
         return
-    labels = Labels(session, [rows[0] for _, rows in trials])
+    labels = Labels(session, list(map(of_play, plays)))
     numbers = ("trial", "response_time", "level", "reached_um")
     about = {
         name: _COLUMNS[name]
@@ -210,9 +203,10 @@ def _add_trials(nwb: Any, plays: list[dict[str, Any]], session: Mapping[str, Any
     about |= {column.name: f"{column.description}; empty: none" for column in labels.columns}
     for name, meaning in about.items():
         nwb.add_trial_column(name=name, description=meaning)
-    for receipt, rows in trials:
-        reached = [row["reached_um"] for row in rows if row["reached_um"] is not None]
-        cells = {**rows[0], **labels.cells(rows[0]), "reached_um": max(reached, default=None)}
+    for play in plays:
+        receipt, known = play["receipt"], of_play(play)
+        reached = [row["reached_um"] for row in rows_of(play) if row["reached_um"] is not None]
+        cells = {**known, **labels.cells(known), "reached_um": max(reached, default=None)}
         nwb.add_trial(
             start_time=(receipt["onset"]["monotonic_ns"] - zero_ns) / NS,
             stop_time=(receipt["offset"]["monotonic_ns"] - zero_ns) / NS,

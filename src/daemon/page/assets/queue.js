@@ -25,8 +25,7 @@ function planned({ play: running, queued }) {
   return [...(running ? [running] : []), ...queued].map(({ id, name, waits_for_edge: waits = false }) => {
     const receipt = receiptOf(id);
     const ms = receipt ? (receipt.duration_ms.compiled ?? receipt.duration_ms.ordered) : undefined;
-    const items = receipt?.order.items > 1 ? `, ${receipt.order.items} items` : "";
-    const length = `${ms ? seconds(ms / 1000) : receipt ? "without end" : "length not known"}${items}`;
+    const length = `${ms ? seconds(ms / 1000) : receipt ? "without end" : "length not known"}${receipt?.order.items > 1 ? `, ${receipt.order.items} items` : ""}`;
     const begins = id === running?.id ? `began ${seconds(running.played_s)} ago`
       : waits ? "waits for an edge of the trigger input" : at === null ? "begins when those before it are over" : `begins in about ${seconds(at)}`;
     // When an edge comes, nobody knows. A play that is due begins soon.

@@ -11,8 +11,6 @@ import { part } from "./views.js";
 // Plays of a page, and sessions of the list.
 const PAGE = 100;
 const LISTED = 100;
-// Items that the row of a play names.
-const ITEMS = 5;
 
 let sessions = [];
 // The session that the table shows, its first play, counted from 0, and the first one of the next page: `{ id, from, to }`.
@@ -93,7 +91,7 @@ async function turn(id, from) {
   if (id !== before?.id) list();
 }
 
-function showPlays(page) {
+function showPlays(page, from = page.from) {
   const { session, missing } = rows;
   $("plays").hidden = false;
   write($("plays-title"), `Session of ${session.participant}`);
@@ -104,7 +102,6 @@ function showPlays(page) {
   ]);
   write($("csv-command"), `meissner session export ${session.id} -o session.csv`);
   write($("bids-command"), `python3 -c 'import meissner; meissner.connect().export_bids("${session.id}", "dataset")'`);
-  const { from } = page;
   const plays = rows.plays.slice(from - rows.from, from - rows.from + PAGE);
   page.to = from + plays.length;
   $("play-rows").tBodies[0].replaceChildren(...plays.map(playRow));
@@ -113,20 +110,15 @@ function showPlays(page) {
   $("plays-next").disabled = !rows.more && page.to >= rows.from + rows.plays.length;
 }
 
-// The patterns of a play.
-function patterns({ name, items }) {
-  if (!(items?.length > 1)) return name;
-  const more = items.length > ITEMS ? ` and ${items.length - ITEMS} more` : "";
-  return `${name}: ${items.slice(0, ITEMS).map(({ pattern }) => pattern).join(", ")}${more}`;
-}
-
 function playRow({ receipt, answer }) {
-  const { order: { trial, labels: given }, counts: { lateness } } = receipt;
+  const { name, items, order: { trial, labels: given }, counts: { lateness } } = receipt;
+  // The first patterns of several.
+  const patterns = items?.length > 1 ? `: ${items.slice(0, 5).map((item) => item.pattern).join(", ")}${items.length > 5 ? ", …" : ""}` : "";
   const judged = { true: "right", false: "wrong" }[answer?.correct] ?? "";
   const row = element("tr");
   const labels = Object.entries(given ?? {}).map(([key, value]) => `${key}=${value}`).join("; ");
   const cells = [
-    receipt.id, trial ?? "", patterns(receipt), labels, receipt.cause ? `${receipt.state} (${receipt.cause})` : receipt.state,
+    receipt.id, trial ?? "", name + patterns, labels, receipt.cause ? `${receipt.state} (${receipt.cause})` : receipt.state,
     receipt.duration_ms.played?.toFixed(1) ?? "", lateness.host + lateness.link + lateness.device, answer?.response ?? "", judged, answer?.rt_ms?.toFixed(0) ?? "", answer?.level ?? "",
   ];
   row.append(...cells.map((text) => element("td", String(text))));
