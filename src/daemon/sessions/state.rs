@@ -7,6 +7,7 @@
 //! Invariant: at most one session runs; it begins and ends while no play runs or waits, unless the daemon ends.
 
 use crate::daemon::core::state::State;
+use crate::daemon::sessions::caller::Asker;
 use crate::receipts::KEPT;
 use crate::session_record::{Entry, Note, local_time};
 use crate::store::hexadecimal;
@@ -126,10 +127,11 @@ impl State {
     /// fails if it has none; then call [`Self::session_recorded`].
     pub(in crate::daemon) fn start_session(
         &mut self,
+        by: Option<&Asker>,
         request: SessionRequest,
         owner: Option<String>,
     ) -> Result<(SessionStarted, Option<oneshot::Receiver<()>>), Problem> {
-        self.check_asker()?;
+        self.check_asker(by)?;
         if self.commands.is_closing() {
             return Err(Problem::new(Code::ShuttingDown, "the daemon is ending: start it again"));
         }
@@ -208,8 +210,12 @@ impl State {
     }
 
     /// Ends the running session, which a client named by its id or as `running`.
-    pub(in crate::daemon) fn end_session(&mut self, id: &str) -> Result<Session, Problem> {
-        self.check_asker()?;
+    pub(in crate::daemon) fn end_session(
+        &mut self,
+        by: Option<&Asker>,
+        id: &str,
+    ) -> Result<Session, Problem> {
+        self.check_asker(by)?;
         self.check_session(id)?;
         self.check_nothing_plays()?;
         self.close_session("request").ok_or_else(|| no_session(id))
@@ -256,10 +262,11 @@ impl State {
     /// fails if it has none.
     pub(in crate::daemon) fn answer(
         &mut self,
+        by: Option<&Asker>,
         play: u64,
         answer: PlayAnswer,
     ) -> Result<oneshot::Receiver<()>, Problem> {
-        self.check_asker()?;
+        self.check_asker(by)?;
         let receipt = self.plays.receipts.receipt(play).ok_or_else(|| no_play(&play.to_string()))?;
         let running = self.sessions.running.as_mut();
         let Some(running) =
