@@ -21,7 +21,7 @@
 
 mod beside;
 mod engine;
-#[cfg(any(fuzzing, test))]
+#[cfg(any(fuzzing, test, feature = "bench"))]
 mod fuzzed;
 mod http;
 mod network;
@@ -31,7 +31,7 @@ mod run;
 mod sockets;
 mod state;
 mod system;
-#[cfg(test)]
+#[cfg(any(test, feature = "bench"))]
 mod tests;
 
 #[cfg(fuzzing)]
@@ -43,3 +43,5 @@ pub use system::panics::end_on_panic;
 pub use system::runtime::runtime;
 pub use system::signals::Signals;
 pub use system::socket::SocketError;
+#[cfg(any(test, feature = "bench"))]
+pub use tests::seeds::{Report, run_days};
