@@ -5,9 +5,9 @@
 //!
 //! Invariant: the file is replaced atomically.
 
+use crate::clock::utc_text;
 use crate::daemon::sessions::caller::Caller;
 use crate::file::{self, read_regular};
-use crate::session_record::utc_now;
 use firmware_protocol::stroke::Direction;
 use firmware_protocol::tick::Tick;
 use meissner_api::{
@@ -81,7 +81,7 @@ impl CalibrationRun {
         let firmware = format!("{} ({})", device.firmware, device.build);
         let telemetry = if device.simulated { "plant" } else { "device" };
         let mut provenance = self.plan.provenance(kind, &firmware, identity, telemetry);
-        provenance.date = Some(utc_now());
+        provenance.date = Some(utc_text());
         let fits = fit(array, &travels_by_telemetry(&self.plan, onset, &self.bursts))
             .map_err(|error| error.to_string())?;
         if fits.is_empty() {

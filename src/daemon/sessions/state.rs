@@ -6,18 +6,17 @@
 //!
 //! Invariant: at most one session runs; it begins and ends while no play runs or waits, unless the daemon ends.
 
+use crate::clock;
 use crate::daemon::core::state::State;
 use crate::daemon::sessions::caller::Asker;
 use crate::receipts::KEPT;
-use crate::session_record::{Entry, Note, local_time};
+use crate::session_record::{Entry, Note};
 use crate::store::hexadecimal;
-use jiff::Timestamp;
 use meissner_api::{
     Code, Event, PlayAnswer, PlayState, Problem, Receipt, Session, SessionRequest, SessionStarted,
 };
 use meissner_input::message;
-use meissner_stream::time::HostInstant;
-use rustix::rand::{GetRandomFlags, getrandom};
+use meissner_stream::time::{HostInstant, random};
 use std::collections::BTreeSet;
 use std::time::Duration;
 use tokio::sync::oneshot;
@@ -150,7 +149,7 @@ impl State {
         let no_numbers = || Problem::new(Code::Store, "the system gives no random numbers for the token");
         let (token, unique) =
             (random_hex::<16>().ok_or_else(no_numbers)?, random_hex::<3>().ok_or_else(no_numbers)?);
-        let now = Timestamp::from_nanosecond(HostInstant::now_with_wall().1.into()).unwrap_or_default();
+        let now = clock::now().1;
         let SessionRequest { participant, experiment, labels, seed, exclusive } = request;
         let session = Session {
             id: format!("{}-{unique}", now.strftime("%Y%m%dT%H%M%SZ")),
@@ -160,7 +159,7 @@ impl State {
             seed,
             exclusive,
             owner,
-            started: local_time(),
+            started: clock::local_text(),
             ..Session::default()
         };
         let started = SessionStarted {
@@ -225,7 +224,7 @@ impl State {
     pub(in crate::daemon) fn close_session(&mut self, reason: &str) -> Option<Session> {
         let mut session = self.session()?;
         session.vibration_s = self.exposure.end_session();
-        (session.ended, session.reason) = (Some(local_time()), Some(reason.to_owned()));
+        (session.ended, session.reason) = (Some(clock::local_text()), Some(reason.to_owned()));
         session.release_in_s = None;
         self.sessions.running = None;
         self.rights_changed();
@@ -377,6 +376,5 @@ pub(in crate::daemon) fn no_session(id: &str) -> Problem {
 /// Random bytes in hexadecimal.
 pub(in crate::daemon) fn random_hex<const BYTES: usize>() -> Option<String> {
     let mut bytes = [0; BYTES];
-    let got = getrandom(&mut bytes, GetRandomFlags::empty()).ok()?;
-    (got == BYTES).then(|| hexadecimal(&bytes))
+    random(&mut bytes).then(|| hexadecimal(&bytes))
 }
