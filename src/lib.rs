@@ -40,7 +40,7 @@
 //! # Modules
 //!
 //! `docs/dev/architecture.md` says which file to open for which change.
-//! The modules of this crate: [`log`](mod@log), `file`, [`mod@array`], [`exposure`], [`session_record`],
+//! The modules of this crate: `clock`, [`log`](mod@log), `file`, [`mod@array`], [`exposure`], [`session_record`],
 //! [`receipts`], [`store`], `rendering`, [`render_process`], [`config`], `doctor`, [`daemon`], [`cli`]. Tests run streamer, link,
 //! controller and simulated motors in virtual time ([`meissner_stream::Simulation`]): the same code without a clock.
 //!
@@ -58,6 +58,7 @@
 
 pub mod array;
 pub mod cli;
+mod clock;
 pub mod config;
 pub mod daemon;
 mod doctor;

@@ -12,8 +12,8 @@ use super::output::give;
 use super::progress::Progress;
 use super::{control, files, session_token, text};
 use crate::array::shown;
+use crate::clock::utc_text;
 use crate::receipts::calibration_plan;
-use crate::session_record::utc_now;
 use anyhow::{Result, bail};
 use clap::Args;
 use firmware_protocol::tick::Tick;
@@ -116,7 +116,7 @@ fn play_for_laser(request: &CalibrateRequest, out: &Path, options: &ClientOption
         firmware: format!("{} ({})", device.firmware, device.build),
         identity: after.link.identity.clone(),
         boot: device.boot,
-        date: utc_now(),
+        date: utc_text(),
     };
     let played = PlayedPlan::new(&plan, motor, Tick(onset.actual_tick), on);
     file.write(&played.to_json())?;

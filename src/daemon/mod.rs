@@ -27,7 +27,7 @@ mod arm;
 mod calibration;
 mod core;
 mod exposure;
-#[cfg(any(fuzzing, test))]
+#[cfg(any(fuzzing, test, feature = "bench"))]
 mod fuzzed;
 mod jobs;
 mod live;
@@ -39,7 +39,7 @@ mod routes;
 mod run;
 mod sessions;
 mod status;
-#[cfg(test)]
+#[cfg(any(test, feature = "bench"))]
 mod tests;
 mod tokens;
 
@@ -52,3 +52,5 @@ pub use self::core::signals::Signals;
 pub use fuzzed::Fuzzed;
 pub use net::socket::SocketError;
 pub use run::{Daemon, Hosted};
+#[cfg(any(test, feature = "bench"))]
+pub use tests::seeds::{Report, run_days};

@@ -21,11 +21,11 @@ pub use limits::{Limit, ParticipantLimits};
 pub use rule::{Exceeded, Onset};
 pub use vibration::Vibration;
 
+use crate::clock;
 use jiff::civil::Date;
-use jiff::tz::TimeZone;
 use jiff::{SignedDuration, Timestamp, Zoned};
 use meissner_api::ParticipantStatus;
-use meissner_stream::time::{HostInstant, is_virtual};
+use meissner_stream::time::{HostInstant, is_virtual, wall_set_since};
 use rule::{EARLY_S, Order, Pending, SoFar, judge};
 use rustix::time::{ClockId, clock_gettime};
 use std::collections::BTreeMap;
@@ -63,17 +63,18 @@ impl Now {
     #[must_use]
     pub fn read() -> Self {
         static BEGAN: OnceLock<(SignedDuration, Zoned)> = OnceLock::new();
-        let (at, wall_ns) = HostInstant::now_with_wall();
-        let now = Timestamp::from_nanosecond(wall_ns.into()).unwrap_or_default().to_zoned(TimeZone::system());
+        let (at, wall) = clock::now();
+        let now = wall.to_zoned(clock::zone());
         if is_virtual() {
-            return Self { at, wall: now.timestamp(), date: now.date(), passed: now.date() };
+            let passed = now.saturating_sub(SignedDuration::from_nanos(wall_set_since())).date();
+            return Self { at, wall, date: now.date(), passed };
         }
         // This clock goes on while the machine sleeps.
         let up = clock_gettime(ClockId::Boottime);
         let up = SignedDuration::new(up.tv_sec, i32::try_from(up.tv_nsec).unwrap_or(0));
         let (up_then, then) = BEGAN.get_or_init(|| (up, now.clone()));
         let passed = then.saturating_add(up.saturating_sub(*up_then)).date();
-        Self { at, wall: now.timestamp(), date: now.date(), passed }
+        Self { at, wall, date: now.date(), passed }
     }
 
     /// The same at another instant of the monotonic clock.

@@ -20,6 +20,8 @@ mod lines;
 mod numbers;
 pub mod reader;
 mod removal;
+#[cfg(any(test, feature = "bench"))]
+pub(crate) mod simulated_disk;
 mod texts;
 mod users;
 mod writer;
@@ -30,8 +32,10 @@ pub use ledger::SessionLosses;
 pub use lines::{RecordError, has_plays};
 pub use texts::{keeps_text, read_text};
 pub use users::Users;
-pub use writer::{Location, SYNC_AFTER, local_time, utc_now};
+pub use writer::{Location, SYNC_AFTER};
 
+#[cfg(any(test, feature = "bench"))]
+use crate::clock;
 use budget::{Budget, MAX_ENTRY, REPORT_AFTER};
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, bounded};
 use entry::Kind;
@@ -270,12 +274,12 @@ impl SessionRecord {
         Ok(record)
     }
 
-    /// A record whose owner does the work of its thread, turn by turn.
-    #[cfg(test)]
+    /// A record on a simulated disk, whose owner does the work of its thread, turn by turn.
+    #[cfg(any(test, feature = "bench"))]
     pub(crate) fn turned(location: Location, users: Arc<Users>) -> (Self, Recorder) {
-        let record = Self::none();
-        let (queue, recorder, _) =
-            Queue::open(Writer::new(location), users, WAITING, Arc::downgrade(&record.queue));
+        let (record, writer) =
+            (Self::none(), Writer::new(location).on(simulated_disk::SIMULATED, clock::zone()));
+        let (queue, recorder, _) = Queue::open(writer, users, WAITING, Arc::downgrade(&record.queue));
         *record.lock() = Some(queue);
         (record, recorder)
     }
@@ -481,7 +485,7 @@ impl Recorder {
     }
 
     /// Writes all that waits, and does what is due.
-    #[cfg(test)]
+    #[cfg(any(test, feature = "bench"))]
     pub(crate) fn turn(&mut self) {
         while let Ok(message) = self.queue.try_recv() {
             self.take(message);

@@ -1,5 +1,6 @@
 //! The session record on real files, with faulty clocks and disks.
 
+use super::simulated_disk::{ROOM, SIMULATED};
 use super::writer::Disk;
 use super::*;
 use jiff::tz::{TimeZone, offset};
@@ -15,7 +16,7 @@ use std::path::Path;
 mod calendar;
 mod whole;
 
-const REAL: Disk = Disk { append: |file, bytes| file.write(bytes), sync: File::sync_data };
+const REAL: Disk = Disk::REAL;
 
 /// A disk that takes nothing while a test has the guard of [`hold`].
 const STUCK: Disk = Disk {
@@ -23,7 +24,7 @@ const STUCK: Disk = Disk {
         drop(hold());
         file.write(bytes)
     },
-    sync: File::sync_data,
+    ..Disk::REAL
 };
 
 fn hold() -> MutexGuard<'static, ()> {
@@ -32,25 +33,17 @@ fn hold() -> MutexGuard<'static, ()> {
 }
 
 thread_local! {
-    /// The free bytes of this thread's simulated disk, and how often it was synced.
-    static ROOM: Cell<usize> = const { Cell::new(usize::MAX) };
+    /// How often this thread's simulated disk was synced.
     static SYNCS: Cell<u32> = const { Cell::new(0) };
 }
 
 /// A disk that gets full in the middle of a line.
 const SMALL: Disk = Disk {
-    append: |file, bytes| {
-        let takes = bytes.len().min(ROOM.get());
-        if takes == 0 {
-            return Err(io::Error::from_raw_os_error(28));
-        }
-        ROOM.set(ROOM.get() - takes);
-        file.write(&bytes[..takes])
-    },
     sync: |file| {
         SYNCS.set(SYNCS.get() + 1);
         file.sync_data()
     },
+    ..SIMULATED
 };
 
 fn location(dir: &Path, days: u32) -> Location {
@@ -266,7 +259,7 @@ fn a_directory_that_is_not_there_is_waited_for_and_one_that_vanishes_is_made_aga
 fn two_daemons_do_not_share_a_directory() {
     let dir = tempfile::tempdir().unwrap();
     let at = stamp("2026-11-22T12:00:00Z", 1);
-    let (mut first, mut second) = (writer(dir.path(), REAL), writer(dir.path(), REAL));
+    let (mut first, mut second) = (writer(dir.path(), REAL), writer(dir.path(), Disk::REAL));
     first.write_next(at, started());
     let said = log_of(|| second.write_next(at, started()));
     assert!(said.len() == 1 && said[0].contains("another daemon"), "{said:?}");
@@ -414,8 +407,7 @@ fn none_keeps_nothing() {
 
 #[test]
 fn lines_that_were_not_made_durable_are_counted_as_missing() {
-    const DEAF: Disk =
-        Disk { append: |file, bytes| file.write(bytes), sync: |_| Err(io::Error::from_raw_os_error(5)) };
+    const DEAF: Disk = Disk { sync: |_| Err(io::Error::from_raw_os_error(5)), ..Disk::REAL };
     let dir = tempfile::tempdir().unwrap();
     let mut writer = writer(dir.path(), DEAF);
     let log = log_of(|| {

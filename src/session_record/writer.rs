@@ -17,6 +17,7 @@ use super::ledger::{Counts, Ledger, Tag};
 use super::numbers::{self, Found};
 use super::removal::{self, Removal};
 use super::texts;
+use crate::clock;
 use crate::exposure;
 use jiff::civil::Date;
 use jiff::tz::TimeZone;
@@ -42,21 +43,6 @@ pub const SYNC_AFTER: Duration = Duration::from_millis(500);
 /// Time between tries on a disk that failed.
 const RETRY_AFTER: Duration = Duration::from_secs(1);
 
-/// The form of times: local, with the offset from UTC.
-const TIME: &str = "%Y-%m-%dT%H:%M:%S%.6f%:z";
-
-/// The current time in the format of lines.
-#[must_use]
-pub fn local_time() -> String {
-    Zoned::now().strftime(TIME).to_string()
-}
-
-/// UTC, to the second.
-#[must_use]
-pub fn utc_now() -> String {
-    Timestamp::now().strftime("%FT%TZ").to_string()
-}
-
 /// When an entry was added, by both clocks.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Stamp {
@@ -66,8 +52,8 @@ pub(super) struct Stamp {
 
 impl Stamp {
     pub(super) fn now() -> Self {
-        let (monotonic, wall_ns) = HostInstant::now_with_wall();
-        Self { wall: Timestamp::from_nanosecond(wall_ns.into()).unwrap_or_default(), monotonic }
+        let (monotonic, wall) = clock::now();
+        Self { wall, monotonic }
     }
 }
 
@@ -86,10 +72,13 @@ pub struct Location {
 pub(super) struct Disk {
     pub(super) append: fn(&mut File, &[u8]) -> io::Result<usize>,
     pub(super) sync: fn(&File) -> io::Result<()>,
+    /// Replaces a file of this directory.
+    pub(super) replace: fn(&Path, &Path, &[u8]) -> io::Result<()>,
 }
 
 impl Disk {
-    const REAL: Self = Self { append: |file, bytes| file.write(bytes), sync: File::sync_data };
+    pub(super) const REAL: Self =
+        Self { append: |file, bytes| file.write(bytes), sync: File::sync_data, replace: removal::replace };
 }
 
 impl fmt::Debug for Disk {
@@ -203,7 +192,7 @@ impl Writer {
         }
     }
 
-    #[cfg(test)]
+    #[cfg(any(test, feature = "bench"))]
     pub(super) fn on(self, disk: Disk, zone: TimeZone) -> Self {
         Self { disk, zone: Some(zone), retry_after: RETRY_AFTER / 10, ..self }
     }
@@ -365,7 +354,7 @@ impl Writer {
             return false;
         }
         let path = self.location.dir.join(exposure::FILE);
-        let replaced = removal::replace(&self.location.dir, &path, text.as_bytes());
+        let replaced = (self.disk.replace)(&self.location.dir, &path, text.as_bytes());
         replaced.map_err(|source| self.fail(&Failure { path, source })).is_ok()
     }
 
@@ -434,7 +423,7 @@ impl Writer {
     }
 
     fn zoned(&self, stamp: Stamp) -> Zoned {
-        stamp.wall.to_zoned(self.zone.clone().unwrap_or_else(TimeZone::system))
+        stamp.wall.to_zoned(self.zone.clone().unwrap_or_else(clock::zone))
     }
 
     /// Writes an entry, and before it a line about missing entries. Returns true.
@@ -475,7 +464,7 @@ impl Writer {
 
     fn append(&mut self, time: &Zoned, stamp: Stamp, number: u64, entry: &Entry) -> Result<(), Failure> {
         let (Some(open), Some(ahead)) = (&mut self.open, self.ahead) else { return Ok(()) };
-        let (time, number) = (time.strftime(TIME).to_string(), number.wrapping_add(ahead));
+        let (time, number) = (time.strftime(clock::LOCAL).to_string(), number.wrapping_add(ahead));
         let line = Line { time, monotonic_ns: stamp.monotonic.as_ns(), number, entry };
         let mut bytes = Vec::new();
         let bytes = json::write(&mut bytes, &line).map(|()| {

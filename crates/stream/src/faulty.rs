@@ -50,6 +50,12 @@ pub struct Direction {
     harmed: u64,
 }
 
+impl Default for Direction {
+    fn default() -> Self {
+        Self::new(Line::default(), 0)
+    }
+}
+
 impl Direction {
     /// A line on which nothing is under way.
     #[must_use]

@@ -13,13 +13,12 @@ use crate::queues::{
 };
 use crate::settings::Settings;
 use crate::streamer::Streamer;
-use crate::time::HostInstant;
+use crate::time::{HostInstant, random};
 use firmware_protocol::frame::MAX_FRAME;
 use meissner_api::{EndCause, Realtime};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::fd::BorrowedFd;
 use rustix::mm::{MlockAllFlags, mlockall};
-use std::hash::{BuildHasher, RandomState};
 use std::io;
 use std::ops::Range;
 use std::thread::JoinHandle;
@@ -66,8 +65,6 @@ pub struct Turns {
     unsent: Range<usize>,
     /// Since when the port takes no bytes.
     stuck_since: Option<HostInstant>,
-    /// Source of session ids.
-    random: RandomState,
 }
 
 impl Turns {
@@ -75,15 +72,7 @@ impl Turns {
     #[must_use]
     pub fn new(settings: Settings, queues: ThreadQueues) -> Self {
         let streamer = Streamer::new(settings);
-        Self {
-            queues,
-            streamer,
-            device: None,
-            frame: [0; MAX_FRAME],
-            unsent: 0..0,
-            stuck_since: None,
-            random: RandomState::new(),
-        }
+        Self { queues, streamer, device: None, frame: [0; MAX_FRAME], unsent: 0..0, stuck_since: None }
     }
 
     fn run(mut self) {
@@ -129,7 +118,9 @@ impl Turns {
             match request.command {
                 Command::Connect(device) => {
                     let rate = device.rate();
-                    let id = self.random.hash_one(now.as_ns()) as u32;
+                    let mut id = [0; 4];
+                    // Without random numbers the time tells sessions apart.
+                    let id = if random(&mut id) { u32::from_le_bytes(id) } else { now.as_ns() as u32 };
                     (self.unsent, self.stuck_since) = (0..0, None);
                     let old = self.device.replace(device);
                     self.streamer.connect(now, id, rate, &mut self.queues);

@@ -3,6 +3,7 @@
 //! Device time is [`Tick`](firmware_protocol::tick::Tick), host time is [`HostInstant`]: two types, so that nobody mixes
 //! them. [`link::Clock`](crate::link::Clock) estimates how they relate.
 
+use rustix::rand::{GetRandomFlags, getrandom};
 use rustix::thread::{ClockId, Timespec, clock_nanosleep_absolute};
 use std::cell::Cell;
 use std::ops::Add;
@@ -14,11 +15,46 @@ const VIRTUAL_WALL_NS: u64 = 1_767_873_600 * 1_000_000_000;
 thread_local! {
     /// What the clock reads on this thread, ns, in place of the system's.
     static CLOCK: Cell<Option<fn() -> u64>> = const { Cell::new(None) };
+    /// By how much the virtual wall clock was set, ns: when the clock was given, and now.
+    static WALL_SET: Cell<(i64, i64)> = const { Cell::new((0, 0)) };
+    /// The state of the random numbers of a bench.
+    static RANDOM: Cell<u64> = const { Cell::new(0) };
 }
 
-/// From here on [`HostInstant::now`] on this thread reads this clock, ns: that of a bench, whose time is virtual.
-pub fn set_clock(clock: Option<fn() -> u64>) {
+/// From here on [`HostInstant::now`] on this thread reads this clock, ns: that of a bench, whose time is virtual. Its wall clock was set
+/// by so many ns, and its random numbers follow from the seed.
+pub fn set_clock(clock: Option<fn() -> u64>, wall_set: i64, seed: u64) {
     CLOCK.set(clock);
+    WALL_SET.set((wall_set, wall_set));
+    RANDOM.set(seed);
+}
+
+/// A person sets the virtual wall clock: it is now so many ns from where it would be.
+pub fn set_wall(by: i64) {
+    WALL_SET.set((WALL_SET.get().0, by));
+}
+
+/// By how much the virtual wall clock was set since the clock was given, ns.
+#[must_use]
+pub fn wall_set_since() -> i64 {
+    let (before, now) = WALL_SET.get();
+    now - before
+}
+
+/// Random bytes: the system's, or those of a bench's seed. Returns whether there were any.
+#[must_use]
+pub fn random(bytes: &mut [u8]) -> bool {
+    if !is_virtual() {
+        return getrandom(&mut *bytes, GetRandomFlags::empty()) == Ok(bytes.len());
+    }
+    for byte in bytes {
+        // SplitMix64.
+        let state = RANDOM.get().wrapping_add(0x9e37_79b9_7f4a_7c15);
+        RANDOM.set(state);
+        let mixed = (state ^ (state >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        *byte = ((mixed ^ (mixed >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb) >> 56) as u8;
+    }
+    true
 }
 
 /// Whether this thread has a virtual clock. It then does all work itself, and waits for no other thread.
@@ -54,7 +90,7 @@ impl HostInstant {
     pub fn now_with_wall() -> (Self, u64) {
         if is_virtual() {
             let now = Self::now();
-            return (now, VIRTUAL_WALL_NS + now.as_ns());
+            return (now, (VIRTUAL_WALL_NS + now.as_ns()).saturating_add_signed(WALL_SET.get().1));
         }
         let read = |_| {
             let before = Self::now();

@@ -9,11 +9,10 @@ use crate::daemon::net::body;
 use crate::daemon::net::request_log::LoggedRequest;
 use crate::daemon::net::server::Ordered;
 use crate::daemon::plays::terms::edge_at;
-use crate::daemon::sessions::caller::Caller;
-use crate::session_record::Peer;
+use crate::daemon::sessions::caller::{Asker, Caller};
 use axum::Json;
 use axum::body::Body;
-use axum::extract::{Extension, State};
+use axum::extract::Extension;
 use meissner_api::{
     ArmRequest, Code, DisarmRequest, EdgeRequest, Event, Problem, ResetRequest, Status, parse_empty,
 };
@@ -26,32 +25,28 @@ const ESTOP_BODY: Duration = Duration::from_millis(100);
 /// Carries out a command that takes no arguments.
 async fn simple_command(
     app: &App,
-    peer: Peer,
+    by: &Asker,
     body: Body,
     name: &'static str,
     command: Command,
     timeout: Duration,
 ) -> Answer<Json<Status>> {
-    let logged = LoggedRequest::new(&app.engine, name, peer);
+    let logged = LoggedRequest::new(&app.engine, name, by.peer());
     let result = async {
         parse_empty(&body::read_command(body).await?)?;
-        carry_out(app, command, timeout).await
+        carry_out(app, by, command, timeout).await
     };
     logged.result(result.await)
 }
 
-async fn carry_out(app: &App, command: Command, timeout: Duration) -> Answer<Json<Status>> {
-    app.engine.carry_out(command, timeout).await?;
-    Ok(Json(app.engine.status()))
+async fn carry_out(app: &App, by: &Asker, command: Command, timeout: Duration) -> Answer<Json<Status>> {
+    app.engine.carry_out(by, command, timeout).await?;
+    Ok(Json(app.engine.status(Some(by))))
 }
 
-pub(in crate::daemon) async fn stop(
-    State(app): State<App>,
-    Extension(caller): Extension<Caller>,
-    body: Body,
-) -> Answer<Json<Status>> {
-    let done = simple_command(&app, caller.peer, body, "stop", Command::Stop, TIMEOUT).await?;
-    tell_owner(&app, &caller, "stop");
+pub(in crate::daemon) async fn stop(Call { app, by }: Call, body: Body) -> Answer<Json<Status>> {
+    let done = simple_command(&app, &by, body, "stop", Command::Stop, TIMEOUT).await?;
+    tell_owner(&app, &by.caller, "stop");
     Ok(done)
 }
 
@@ -66,22 +61,22 @@ fn tell_owner(app: &App, caller: &Caller, name: &str) {
 
 /// Orders the stop before it reads the body, which may hold anything. The acceptor may have ordered it already.
 pub(in crate::daemon) async fn estop(
-    Call { app, peer }: Call,
+    Call { app, by }: Call,
     ordered: Option<Extension<Ordered>>,
     body: Body,
 ) -> Answer<Json<Status>> {
-    let logged = LoggedRequest::new(&app.engine, "estop", peer);
+    let logged = LoggedRequest::new(&app.engine, "estop", by.peer());
     let result = match ordered {
         Some(Extension(Ordered(number))) => app.engine.estop_answer(number).await,
-        None => app.engine.estop(Origin::of(peer)).await,
+        None => app.engine.estop(Origin::of(by.peer())).await,
     };
     // Read the body only now, so that a client that sends it separately does not find the connection closed.
     let _ = tokio::time::timeout(ESTOP_BODY, body::read_command(body)).await;
-    logged.result(result.map(|()| Json(app.engine.status())).map_err(ErrorResponse::from))
+    logged.result(result.map(|()| Json(app.engine.status(Some(&by)))).map_err(ErrorResponse::from))
 }
 
-pub(in crate::daemon) async fn reset(Call { app, peer }: Call, body: Body) -> Answer<Json<Status>> {
-    let mut logged = LoggedRequest::new(&app.engine, "reset", peer);
+pub(in crate::daemon) async fn reset(Call { app, by }: Call, body: Body) -> Answer<Json<Status>> {
+    let mut logged = LoggedRequest::new(&app.engine, "reset", by.peer());
     let result = async {
         let request = ResetRequest::parse(&body::read_command(body).await?)?;
         let force = request.force;
@@ -95,14 +90,14 @@ pub(in crate::daemon) async fn reset(Call { app, peer }: Call, body: Body) -> An
         }
         if force {
             logged.set_title("reset, forced,".to_owned());
-        } else if guard.has_another(Origin::of(peer)) {
+        } else if guard.has_another(Origin::of(by.peer())) {
             let detail = "since the last reset another terminal or program has ordered an emergency stop: find out why; then a \
                           person may reset with `meissner reset --force`, or \"force\": true";
             return Err(Problem::new(Code::RecentEStop, detail).into());
         }
         let keep = request.keep;
         let timeout = if keep { TIMEOUT } else { app.engine.home_timeout() };
-        let status = carry_out(&app, Command::Reset { estops_seen, keep }, timeout).await?;
+        let status = carry_out(&app, &by, Command::Reset { estops_seen, keep }, timeout).await?;
         app.engine.estops.reset(guard);
         Ok(status)
     }
@@ -110,8 +105,8 @@ pub(in crate::daemon) async fn reset(Call { app, peer }: Call, body: Body) -> An
     logged.result(result)
 }
 
-pub(in crate::daemon) async fn arm(Call { app, peer }: Call, body: Body) -> Answer<Json<Status>> {
-    let mut logged = LoggedRequest::new(&app.engine, "arm", peer);
+pub(in crate::daemon) async fn arm(Call { app, by }: Call, body: Body) -> Answer<Json<Status>> {
+    let mut logged = LoggedRequest::new(&app.engine, "arm", by.peer());
     let result = async {
         let request = ArmRequest::parse(&body::read_command(body).await?)?;
         logged.set_arguments(&request);
@@ -130,48 +125,44 @@ pub(in crate::daemon) async fn arm(Call { app, peer }: Call, body: Body) -> Answ
             (true, None) => Command::ArmUnchecked,
             (assume_rest, _) => Command::Arm { assume_rest },
         };
-        app.engine.arm(command, silence, peer).await?;
-        Ok(Json(app.engine.status()))
+        app.engine.arm(&by, command, silence).await?;
+        Ok(Json(app.engine.status(Some(&by))))
     }
     .await;
     logged.result(result)
 }
 
-pub(in crate::daemon) async fn disarm(
-    State(app): State<App>,
-    Extension(caller): Extension<Caller>,
-    body: Body,
-) -> Answer<Json<Status>> {
-    let mut logged = LoggedRequest::new(&app.engine, "disarm", caller.peer);
+pub(in crate::daemon) async fn disarm(Call { app, by }: Call, body: Body) -> Answer<Json<Status>> {
+    let mut logged = LoggedRequest::new(&app.engine, "disarm", by.peer());
     let result = async {
         let request = DisarmRequest::parse(&body::read_command(body).await?)?;
         logged.set_arguments(&request);
-        if request.own && app.engine.lock().give_back_armed(&caller) {
-            return Ok((Json(app.engine.status()), false));
+        if request.own && app.engine.lock().give_back_armed(&by.caller) {
+            return Ok((Json(app.engine.status(Some(&by))), false));
         }
-        Ok((carry_out(&app, Command::Disarm, TIMEOUT).await?, true))
+        Ok((carry_out(&app, &by, Command::Disarm, TIMEOUT).await?, true))
     };
     let result: Answer<_> = result.await;
     let (done, is_off) = logged.result(result)?;
     if is_off {
-        tell_owner(&app, &caller, "disarm");
+        tell_owner(&app, &by.caller, "disarm");
     }
     Ok(done)
 }
 
 /// Answers when the pins are at rest.
-pub(in crate::daemon) async fn home(Call { app, peer }: Call, body: Body) -> Answer<Json<Status>> {
+pub(in crate::daemon) async fn home(Call { app, by }: Call, body: Body) -> Answer<Json<Status>> {
     let timeout = app.engine.home_timeout();
-    simple_command(&app, peer, body, "home", Command::Home, timeout).await
+    simple_command(&app, &by, body, "home", Command::Home, timeout).await
 }
 
 /// Makes an edge at the trigger input of a simulated array.
-pub(in crate::daemon) async fn edge(Call { app, peer }: Call, body: Body) -> Answer<Json<Status>> {
-    let mut logged = LoggedRequest::new(&app.engine, "edge", peer);
+pub(in crate::daemon) async fn edge(Call { app, by }: Call, body: Body) -> Answer<Json<Status>> {
+    let mut logged = LoggedRequest::new(&app.engine, "edge", by.peer());
     let result = async {
         let request = EdgeRequest::parse(&body::read_command(body).await?)?;
         logged.set_arguments(&request);
-        carry_out(&app, Command::Edge { at: edge_at(&request), by: 0 }, TIMEOUT).await
+        carry_out(&app, &by, Command::Edge { at: edge_at(&request), by: 0 }, TIMEOUT).await
     }
     .await;
     logged.result(result)

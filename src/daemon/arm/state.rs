@@ -11,7 +11,7 @@
 
 use crate::daemon::core::commands::Reply;
 use crate::daemon::core::state::State;
-use crate::daemon::sessions::caller::{Asker, Caller};
+use crate::daemon::sessions::caller::{Caller, DAEMON};
 use meissner_api::{ArmedStatus, EndCause, Event, Problem};
 use meissner_stream::queues::{Command, StreamEvent};
 use meissner_stream::time::HostInstant;
@@ -177,9 +177,13 @@ impl Armed {
 }
 
 impl State {
-    /// Notes that the motors are armed for the requesting client, by this name. Returns the number of its watch, if it needs one.
-    pub(in crate::daemon) fn hold_armed(&mut self, name: String, silence: Silence) -> Option<u64> {
-        let Asker { caller, .. } = Asker::find()?;
+    /// Notes that the motors are armed for this client, by this name. Returns the number of its watch, if it needs one.
+    pub(in crate::daemon) fn hold_armed(
+        &mut self,
+        caller: Caller,
+        name: String,
+        silence: Silence,
+    ) -> Option<u64> {
         // The motors may have been disarmed again.
         let number = self.is_armed().then(|| self.armed.hold(caller, name, silence))?;
         (silence != Silence::Unattended).then_some(number)
@@ -212,7 +216,7 @@ impl State {
             self.publish(&event);
         }
         self.armed.was_silent = true;
-        Some(self.send(Command::Disarm, None))
+        Some(self.send(DAEMON, Command::Disarm, None))
     }
 
     /// Follows the device's state, and names the silence as the cause of a play's end.

@@ -5,7 +5,6 @@
 use crate::daemon::arm::state::Silence;
 use crate::daemon::core::engine::{Engine, TIMEOUT, answer};
 use crate::daemon::sessions::caller::Asker;
-use crate::session_record::Peer;
 use meissner_api::{Code, Problem};
 use meissner_stream::queues::Command;
 use std::sync::Arc;
@@ -16,31 +15,27 @@ use tracing::warn;
 const AGAIN: Duration = Duration::from_secs(1);
 
 impl Engine {
-    /// Arms, by this command, for the requesting client, which may then be silent as long as `silence` says.
+    /// Arms, by this command, for this client, which may then be silent as long as `silence` says.
     pub(in crate::daemon) async fn arm(
         self: &Arc<Self>,
+        by: &Asker,
         command: Command,
         silence: Silence,
-        client: Peer,
     ) -> Result<(), Problem> {
         let timeout = self.seek_timeout();
-        let reply = self.send(command)?;
-        let (engine, name) = (Arc::clone(self), self.names.client(client));
+        let reply = self.send(Some(by), command)?;
+        let (engine, name, caller) = (Arc::clone(self), self.names.client(by.peer()), by.caller.clone());
         let work = async move {
             answer(reply, timeout).await?;
-            let watch = engine.lock().hold_armed(name, silence);
+            let watch = engine.lock().hold_armed(caller, name, silence);
             if let Some(number) = watch {
                 tokio::spawn(async move { engine.watch_silence(number).await });
             }
             Ok(())
         };
         // On a separate task, because the client may hang up before the device has answered.
-        let work = match Asker::find() {
-            Some(asker) => tokio::spawn(asker.ask(work)),
-            None => tokio::spawn(work),
-        };
         let broken = |_| Problem::new(Code::ShuttingDown, "the daemon is ending: start it again");
-        work.await.unwrap_or_else(|error| Err(broken(error)))
+        tokio::spawn(work).await.unwrap_or_else(|error| Err(broken(error)))
     }
 
     /// Stops and disarms when the client with this watch has been silent for too long.

@@ -10,7 +10,7 @@ use crate::daemon::calibration::stored::{
 use crate::daemon::core::engine::Engine;
 use crate::daemon::core::runtime::blocking;
 use crate::daemon::core::state::State;
-use crate::daemon::sessions::caller::Caller;
+use crate::daemon::sessions::caller::{Asker, Caller};
 use crate::daemon::sessions::rights::going_on;
 use crate::receipts::refusal;
 use meissner_api::{Code, Event, Problem, Route};
@@ -56,10 +56,11 @@ impl Engine {
     /// Stores a calibration that was measured elsewhere, and uses it. Returns the document of `GET /v1/calibration`.
     pub(in crate::daemon) async fn import_calibration(
         self: &Arc<Self>,
+        by: &Asker,
         new: Calibration,
     ) -> Result<Vec<u8>, Problem> {
         let engine = Arc::clone(self);
-        let used = self.changing(move || {
+        let used = self.changing(by, move || {
             engine.add_calibration(new, |state| {
                 if state.plays.receipts.device().is_none() {
                     return Err(refusal(CommandError::NoDevice));
@@ -160,7 +161,7 @@ impl Engine {
         let work = move || {
             let fitted = device.ok_or_else(|| "the device is gone: nothing was stored".to_owned());
             let fitted = fitted.and_then(|device| run.fit(&receipt, &device, &identity));
-            engine.store_calibration(id, run.by.as_ref(), fitted);
+            engine.store_calibration(id, &run.by, fitted);
         };
         tokio::spawn(async move {
             if let Err(problem) = blocking(work).await {
@@ -170,10 +171,9 @@ impl Engine {
     }
 
     /// Stores a calibration that this client has ordered, uses it and publishes the result, or publishes why there is none.
-    fn store_calibration(&self, id: u64, by: Option<&Caller>, fitted: Result<Calibration, String>) {
-        let still_may = |state: &State| match by {
-            Some(by) => state.check_right(by, going_on(Route::Calibrate.access())).map_err(|no| no.problem),
-            None => Ok(()),
+    fn store_calibration(&self, id: u64, by: &Caller, fitted: Result<Calibration, String>) {
+        let still_may = |state: &State| {
+            state.check_right(by, going_on(Route::Calibrate.access())).map_err(|no| no.problem)
         };
         let motors = fitted.iter().flat_map(|new| new.motors().iter().map(|fit| fit.motor)).collect();
         let added =
@@ -195,7 +195,6 @@ mod tests {
     use crate::daemon::core::runtime::PLAYS;
     use crate::daemon::exposure::state::Exposure;
     use crate::exposure::{Account, ParticipantLimits};
-    use crate::session_record::Peer;
     use crate::store::Stored;
     use meissner_api::{Item, LiveDrive, LiveRequest, Order, Terms};
     use meissner_array::pattern::Pattern;
@@ -281,7 +280,7 @@ mod tests {
             let stored = Stored::made(Pattern::parse(&text, "ramp").unwrap());
             let order = Order::new(Item::of("ramp"), Terms { open_loop, ..Terms::default() });
             let find = |_, _| ready(Ok((stored.clone(), ())));
-            runtime.block_on(engine.play(&order, Peer::local(1, 0), &PLAYS, find)).unwrap_err()
+            runtime.block_on(engine.play(&Asker::operator(), &order, &PLAYS, find)).unwrap_err()
         };
         // Nothing answers the play that is sent.
         assert_eq!(play(100.0, false).code, "timeout");
@@ -302,7 +301,8 @@ mod tests {
         calibrate(0.6);
         let drive = LiveDrive { motor: 9, frequency_hz: 60.0, amplitude_um: 80.0, phase: 0.0 };
         let request = LiveRequest { drives: vec![drive], ..LiveRequest::default() };
-        let live = engine.start_live(&request, None, Peer::local(1, 0));
+        let by = Asker::operator();
+        let live = engine.start_live(&by, &request, None);
         let refused = runtime.block_on(live).unwrap_err();
         assert!(
             refused.detail.contains("`the live play` asks for 80 um, whose pulses reach 104.0 um"),

@@ -17,16 +17,16 @@ use serde_json::json;
 
 /// Answers when the streamer accepts the plan; the event `calibrated` reports the result.
 pub(in crate::daemon) async fn calibrate(
-    Call { app, peer }: Call,
+    Call { app, by }: Call,
     body: Body,
 ) -> Answer<(StatusCode, Json<PlayAccepted>)> {
-    let mut logged = LoggedRequest::new(&app.engine, "calibrate", peer);
+    let mut logged = LoggedRequest::new(&app.engine, "calibrate", by.peer());
     let result = async {
         let request = CalibrateRequest::parse(&body::read_command(body).await?)?;
         logged.set_arguments(&request);
         let array = app.engine.lock().settings.array;
         let plan = calibration_plan(array, &request)?;
-        let accepted = app.engine.calibrate(plan, request.laser, request.session.as_deref(), peer).await?;
+        let accepted = app.engine.calibrate(&by, plan, request.laser, request.session.as_deref()).await?;
         logged.set_play(accepted.id);
         Ok((StatusCode::ACCEPTED, Json(accepted)))
     }
@@ -40,8 +40,8 @@ pub(in crate::daemon) async fn show(State(app): State<App>) -> Answer<Response> 
     Ok(json_response(json))
 }
 
-pub(in crate::daemon) async fn store(Call { app, peer }: Call, body: Body) -> Answer<Response> {
-    let mut logged = LoggedRequest::new(&app.engine, "store-calibration", peer);
+pub(in crate::daemon) async fn store(Call { app, by }: Call, body: Body) -> Answer<Response> {
+    let mut logged = LoggedRequest::new(&app.engine, "store-calibration", by.peer());
     let result = async {
         let bad = |detail: String| Problem::new(Code::BadRequest, detail);
         let text = String::from_utf8(body::read(body, MAX_BYTES).await?)
@@ -50,7 +50,7 @@ pub(in crate::daemon) async fn store(Call { app, peer }: Call, body: Body) -> An
         let new = new.map_err(|error| bad(error.to_string()))?;
         let motors: Vec<u8> = new.motors().iter().map(|fit| fit.motor).collect();
         logged.set_arguments(&json!({"motors": motors, "telemetry": new.provenance().telemetry}));
-        Ok::<_, ErrorResponse>(json_response(app.engine.import_calibration(new).await?))
+        Ok::<_, ErrorResponse>(json_response(app.engine.import_calibration(&by, new).await?))
     }
     .await;
     logged.result(result)

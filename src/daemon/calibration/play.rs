@@ -5,8 +5,8 @@ use crate::daemon::core::engine::Engine;
 use crate::daemon::core::runtime::PLAYS;
 use crate::daemon::core::state::State;
 use crate::daemon::plays::begin::Compiled;
+use crate::daemon::sessions::caller::Asker;
 use crate::receipts::refusal;
-use crate::session_record::Peer;
 use crate::store::Stored;
 use meissner_api::{Code, Item, Order, PlayAccepted, Problem, Terms};
 use meissner_array::strokes::Surplus;
@@ -18,10 +18,10 @@ impl Engine {
     /// Begins a plan's play and waits until the streamer accepts it. With `laser` nothing is measured here.
     pub(in crate::daemon) async fn calibrate(
         &self,
+        by: &Asker,
         plan: Plan,
         laser: bool,
         session: Option<&str>,
-        client: Peer,
     ) -> Result<PlayAccepted, Problem> {
         if !laser && self.lock().calibration.file.is_none() {
             return Err(no_file());
@@ -39,7 +39,8 @@ impl Engine {
         }
         let basis = (settings, Surplus::None, reach);
         let compiled =
-            Compiled::of_order(&order, basis, client, &PLAYS, |_, _| ready(Ok((stored.clone(), ())))).await?;
+            Compiled::of_order(&order, basis, by.peer(), &PLAYS, |_, _| ready(Ok((stored.clone(), ()))))
+                .await?;
         // The plan is made anew for each request; the session record needs no text of it.
         let compiled = Compiled { texts: Vec::new(), ..compiled };
         let check = |state: &mut State| {
@@ -59,9 +60,9 @@ impl Engine {
         };
         let sent = |state: &mut State, id| {
             if !laser {
-                state.calibration.running = Some(CalibrationRun::new(id, plan));
+                state.calibration.running = Some(CalibrationRun::new(id, by.caller.clone(), plan));
             }
         };
-        self.begin(&order.terms, compiled, check, sent).await
+        self.begin(by, &order.terms, compiled, check, sent).await
     }
 }

@@ -5,9 +5,9 @@
 //!
 //! Invariant: the file is replaced atomically.
 
-use crate::daemon::sessions::caller::{Asker, Caller};
+use crate::clock::utc_text;
+use crate::daemon::sessions::caller::Caller;
 use crate::file::{self, read_regular};
-use crate::session_record::utc_now;
 use firmware_protocol::stroke::Direction;
 use firmware_protocol::tick::Tick;
 use meissner_api::{
@@ -38,14 +38,14 @@ pub(in crate::daemon) fn no_file() -> Problem {
 pub(in crate::daemon) struct CalibrationRun {
     pub(in crate::daemon) id: u64,
     /// The client that has ordered it.
-    pub(in crate::daemon) by: Option<Caller>,
+    pub(in crate::daemon) by: Caller,
     plan: Plan,
     bursts: Vec<MeasuredBurst>,
 }
 
 impl CalibrationRun {
-    pub(in crate::daemon) fn new(id: u64, plan: Plan) -> Self {
-        Self { id, by: Asker::find().map(|asker| asker.caller), plan, bursts: Vec::new() }
+    pub(in crate::daemon) fn new(id: u64, by: Caller, plan: Plan) -> Self {
+        Self { id, by, plan, bursts: Vec::new() }
     }
 
     pub(in crate::daemon) fn add(&mut self, burst: MeasuredBurst) {
@@ -81,7 +81,7 @@ impl CalibrationRun {
         let firmware = format!("{} ({})", device.firmware, device.build);
         let telemetry = if device.simulated { "plant" } else { "device" };
         let mut provenance = self.plan.provenance(kind, &firmware, identity, telemetry);
-        provenance.date = Some(utc_now());
+        provenance.date = Some(utc_text());
         let fits = fit(array, &travels_by_telemetry(&self.plan, onset, &self.bursts))
             .map_err(|error| error.to_string())?;
         if fits.is_empty() {

@@ -262,6 +262,7 @@ fn hand_over(mut state: MutexGuard<'_, State>, device: Box<Device>) -> Result<()
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::daemon::sessions::caller::DAEMON;
     use crossbeam_channel::TryRecvError;
     use meissner_stream::Settings;
     use meissner_stream::queues::queues;
@@ -302,7 +303,7 @@ mod tests {
         };
         engine.connect(device()).unwrap();
         engine.replace_mock(device()).unwrap();
-        drop(engine.send(Command::Arm { assume_rest: false }).unwrap());
+        drop(engine.send(DAEMON, Command::Arm { assume_rest: false }).unwrap());
         assert!(engine.lock().connection.armed_once && engine.replace_mock(device()).is_err());
         let jobs: Vec<Command> = std::iter::from_fn(|| port.pop()).map(|request| request.command).collect();
         assert!(

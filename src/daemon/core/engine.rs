@@ -18,6 +18,7 @@ use crate::daemon::jobs::state::Renderings;
 use crate::daemon::live::state::LivePlays;
 use crate::daemon::net::gate::Gate;
 use crate::daemon::plays::state::Plays;
+use crate::daemon::sessions::caller::{Asker, DAEMON};
 use crate::daemon::sessions::rights::Rights;
 use crate::daemon::sessions::state::Sessions;
 use crate::daemon::tokens::store::TokenStore;
@@ -156,17 +157,18 @@ impl Engine {
     }
 
     /// Sends a command to the streamer.
-    pub(in crate::daemon) fn send(&self, command: Command) -> Result<Reply, Problem> {
-        self.lock().send(command, None)
+    pub(in crate::daemon) fn send(&self, by: Option<&Asker>, command: Command) -> Result<Reply, Problem> {
+        self.lock().send(by, command, None)
     }
 
     /// Sends a command and waits for its answer.
     pub(in crate::daemon) async fn carry_out(
         &self,
+        by: &Asker,
         command: Command,
         timeout: Duration,
     ) -> Result<(), Problem> {
-        let reply = self.send(command)?;
+        let reply = self.send(Some(by), command)?;
         answer(reply, timeout).await
     }
 
@@ -200,7 +202,7 @@ impl Engine {
 
     /// Refuses further commands; has the streamer return the pins and switch the motors off.
     pub(in crate::daemon) async fn shut_down(&self) {
-        let reply = self.send(Command::Shutdown);
+        let reply = self.send(DAEMON, Command::Shutdown);
         self.lock().commands.close();
         match reply {
             Ok(reply) => {
@@ -249,7 +251,7 @@ mod tests {
     fn calls_that_wait_at_the_end_are_answered() {
         let (_port, commands, _events) = queues().unwrap();
         let engine = Engine::of_paper(commands);
-        let home = engine.send(Command::Home).unwrap();
+        let home = engine.send(DAEMON, Command::Home).unwrap();
         let number = engine.estops.request(Origin::UNKNOWN);
         let stop = engine.lock().commands.wait_for_estop(number);
         engine.lock().commands.abandon();
@@ -267,7 +269,7 @@ mod tests {
         let engine = Engine::of_paper(commands);
         let mut waiting = 0;
         let busy = loop {
-            match engine.send(Command::Stop) {
+            match engine.send(DAEMON, Command::Stop) {
                 Ok(_) => waiting += 1,
                 Err(problem) => break problem,
             }

@@ -13,10 +13,11 @@ use meissner_stream::queues::{EventQueue, StreamEvent};
 use std::io;
 use std::os::fd::{AsFd, OwnedFd};
 use std::sync::Arc;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 use tokio::io::Interest;
 use tokio::io::unix::AsyncFd;
 use tokio::sync::Notify;
+use tokio::time::Instant;
 
 /// How long after a calibration's end the loop wakes the streamer: by then the device has measured the last bursts.
 const MEASURED_AFTER: Duration = Duration::from_millis(300);
@@ -50,7 +51,7 @@ impl Engine {
             let next = due.as_ref().map(|due| due.at).into_iter().chain(untold).min();
             let wait = async {
                 match next {
-                    Some(at) => tokio::time::sleep_until(at.into()).await,
+                    Some(at) => tokio::time::sleep_until(at).await,
                     None => std::future::pending().await,
                 }
             };

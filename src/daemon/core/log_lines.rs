@@ -1,9 +1,10 @@
 //! Writes log lines about events and plays: one line for a play, at its end, and none for frequent events.
 
+use crate::clock;
 use crate::daemon::core::engine::Engine;
 use crate::doctor::device::ON_NO_BOARD;
 use crate::receipts::end_text;
-use jiff::{SignedDuration, Timestamp, Zoned};
+use jiff::{SignedDuration, Zoned};
 use meissner_api::{EndCause, Event, PlayState, Receipt};
 use meissner_stream::time::HostInstant;
 use std::fmt::Write;
@@ -64,7 +65,7 @@ impl Engine {
         let user = client.map_or_else(|| "the daemon".to_owned(), |client| self.names.user(client.uid));
         let (id, pattern, cause) = (receipt.id, &*receipt.name, receipt.cause.as_ref().map(EndCause::text));
         let (uid, tick) = (client.map(|client| client.uid), receipt.onset.map(|onset| onset.actual_tick));
-        let wall = Timestamp::now().to_zoned(self.names.zone.clone());
+        let wall = clock::now().1.to_zoned(self.names.zone.clone());
         let outcome = outcome(receipt, HostInstant::now(), &wall);
         // Plays take time on the device, which bounds the number of their lines.
         let always = true;

@@ -60,14 +60,15 @@ impl State {
     /// Sends a command, for the play of that id if it is about one.
     pub(in crate::daemon) fn send(
         &mut self,
+        by: Option<&Asker>,
         mut command: Command,
         play: Option<u64>,
     ) -> Result<Reply, Problem> {
-        self.check_asker()?;
+        self.check_asker(by)?;
         self.commands.accepts(&command)?;
         self.forget_unanswered();
         let held = self.hold_homing(&command)?;
-        let caller = Asker::find().map(|asker| asker.caller);
+        let caller = by.map(|by| by.caller.clone());
         let homes = caller.clone().filter(|_| matches!(command, Command::Home));
         match &mut command {
             Command::Arm { .. } | Command::ArmUnchecked => self.connection.armed_once = true,

@@ -26,13 +26,13 @@ const LEAST_S: f64 = 0.001;
 const SECONDS: f64 = 1.0;
 
 pub(in crate::daemon) async fn show(
-    Call { app, peer }: Call,
+    Call { app, by }: Call,
     Extension(activity): Extension<Arc<Activity>>,
     name: PathPart,
     uri: Uri,
 ) -> Answer<Response> {
     let (name, (from_s, seconds)) = (path(name)?, piece(uri.query().unwrap_or_default())?);
-    let _waits = app.waiting_place(peer)?;
+    let _waits = app.waiting_place(by.peer())?;
     let job = {
         let (stored, _place) = find(Arc::clone(&app.store), &app.engine, &OTHERS, &name, None).await?;
         if stored.text.len() > MAX_PATTERN {

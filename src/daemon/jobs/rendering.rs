@@ -4,6 +4,7 @@
 
 use crate::daemon::core::engine::Engine;
 use crate::daemon::jobs::process::RenderProcess;
+use crate::daemon::sessions::caller::Asker;
 use crate::render_process::{self, Job, MEMORY, Render, Report};
 use crate::store::Stored;
 use meissner_api::{Code, Problem, Rendered, Rendering, RenderingRequest};
@@ -20,6 +21,7 @@ impl Engine {
     /// Starts the rendering of an object of this name on a separate thread.
     pub(in crate::daemon) fn start_rendering(
         self: &Arc<Self>,
+        by: &Asker,
         request: &RenderingRequest,
         name: &str,
         render: Render,
@@ -29,7 +31,7 @@ impl Engine {
         let command = render_process::command().ok_or_else(|| {
             failed("this program is not meissner and cannot render: start `meissner daemon`".to_owned())
         })?;
-        let rendering = self.lock().begin_rendering(request, name)?;
+        let rendering = self.lock().begin_rendering(by, request, name)?;
         let (engine, id) = (Arc::clone(self), rendering.id);
         let work = move || {
             engine.run_rendering(id, command, job);

@@ -19,10 +19,10 @@ use serde_json::{Map, Value, json};
 use std::sync::Arc;
 
 pub(in crate::daemon) async fn start(
-    Call { app, peer }: Call,
+    Call { app, by }: Call,
     body: Body,
 ) -> Answer<(StatusCode, Json<Rendering>)> {
-    let mut logged = LoggedRequest::new(&app.engine, "render", peer);
+    let mut logged = LoggedRequest::new(&app.engine, "render", by.peer());
     let result = async {
         let (body, _places) = body::read_file(body, MAX_RENDERING_BODY, &body::ORDERS).await?;
         let (request, asked) = if body.len() <= body::MAX_COMMAND {
@@ -34,7 +34,7 @@ pub(in crate::daemon) async fn start(
         let object = keys(&request.object)?;
         let (request, name, render) = computing(move || checked(request, object)).await??;
         logged.set_title(format!("rendering of {name:?}"));
-        let rendering = app.engine.start_rendering(&request, &name, render)?;
+        let rendering = app.engine.start_rendering(&by, &request, &name, render)?;
         Ok((StatusCode::ACCEPTED, Json(rendering)))
     }
     .await;
@@ -82,12 +82,12 @@ pub(in crate::daemon) async fn show(State(app): State<App>, id: PathPart) -> Ans
     answer(rendering).await
 }
 
-pub(in crate::daemon) async fn cancel(Call { app, peer }: Call, id: PathPart) -> Answer<Response> {
-    let mut logged = LoggedRequest::new(&app.engine, "render-cancel", peer);
+pub(in crate::daemon) async fn cancel(Call { app, by }: Call, id: PathPart) -> Answer<Response> {
+    let mut logged = LoggedRequest::new(&app.engine, "render-cancel", by.peer());
     let result = async {
         let id: String = path(id)?.chars().take(100).collect();
         logged.set_arguments(&json!({"id": id}));
-        let rendering = app.engine.lock().cancel_rendering(&id)?;
+        let rendering = app.engine.lock().cancel_rendering(&by, &id)?;
         // A newer program may wait for the rendering to end.
         app.engine.changed.notify_one();
         Ok::<_, ErrorResponse>(rendering)

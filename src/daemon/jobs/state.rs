@@ -28,8 +28,8 @@ pub(in crate::daemon) struct Renderings {
 #[derive(Debug)]
 struct Running {
     rendering: Rendering,
-    /// The client that has started it; none: the daemon itself.
-    caller: Option<Caller>,
+    /// The client that has started it.
+    caller: Caller,
     begun: Instant,
     process: Option<Pid>,
     found: Option<Stored>,
@@ -44,7 +44,7 @@ struct Ended {
 impl Renderings {
     /// The client that has started the running rendering.
     pub(in crate::daemon) fn caller(&self) -> Option<&Caller> {
-        self.running.as_ref()?.caller.as_ref()
+        Some(&self.running.as_ref()?.caller)
     }
 
     /// The number of the newest rendering, if there was one.
@@ -102,10 +102,11 @@ impl State {
     /// Begins a rendering, if none runs.
     pub(in crate::daemon) fn begin_rendering(
         &mut self,
+        by: &Asker,
         request: &RenderingRequest,
         name: &str,
     ) -> Result<Rendering, Problem> {
-        self.check_asker()?;
+        self.check_asker(Some(by))?;
         if self.commands.is_closing() {
             return Err(Problem::new(Code::ShuttingDown, "the daemon is ending: start it again"));
         }
@@ -116,7 +117,7 @@ impl State {
             return Err(Problem::new(Code::RenderingRunning, detail));
         }
         self.renderings.last_id += 1;
-        let caller = Asker::find().map(|asker| asker.caller);
+        let caller = by.caller.clone();
         let rendering = Rendering {
             id: self.renderings.last_id,
             state: RenderingState::Running,
@@ -168,8 +169,12 @@ impl State {
     }
 
     /// Ends the rendering with this id, or the `last` one, if it runs.
-    pub(in crate::daemon) fn cancel_rendering(&mut self, id: &str) -> Result<Arc<Rendering>, Problem> {
-        self.check_asker()?;
+    pub(in crate::daemon) fn cancel_rendering(
+        &mut self,
+        by: &Asker,
+        id: &str,
+    ) -> Result<Arc<Rendering>, Problem> {
+        self.check_asker(Some(by))?;
         let shown = self.renderings.show(id)?;
         if shown.state == RenderingState::Running {
             self.cancel_running_rendering();

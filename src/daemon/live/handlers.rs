@@ -34,10 +34,10 @@ const UNREAD: Duration = Duration::from_secs(1);
 
 /// Starts a live play.
 pub(in crate::daemon) async fn start(
-    Call { app, peer }: Call,
+    Call { app, by }: Call,
     body: Body,
 ) -> Answer<(StatusCode, Json<LiveAccepted>)> {
-    let mut logged = LoggedRequest::new(&app.engine, "live", peer);
+    let mut logged = LoggedRequest::new(&app.engine, "live", by.peer());
     let result = async {
         let mut request = LiveRequest::parse(&body::read_command(body).await?)?;
         let session = &mut request.terms.session;
@@ -47,7 +47,7 @@ pub(in crate::daemon) async fn start(
             Some(object) => Some(find_object(object).await?),
             None => None,
         };
-        let accepted = app.engine.start_live(&request, object, peer).await?;
+        let accepted = app.engine.start_live(&by, &request, object).await?;
         logged.set_play(accepted.id);
         Ok((StatusCode::ACCEPTED, Json(accepted)))
     }
@@ -65,7 +65,7 @@ async fn find_object(object: &Value) -> Answer<Object> {
 
 /// Opens the connection of a live play.
 pub(in crate::daemon) async fn connect(
-    Call { app, peer }: Call,
+    Call { app, by }: Call,
     Extension(right): Extension<Right>,
     key: PathPart,
     websocket: Result<WebSocketUpgrade, WebSocketUpgradeRejection>,
@@ -73,7 +73,7 @@ pub(in crate::daemon) async fn connect(
     let key = path(key)?;
     let no_websocket = "the connection of a live play must be upgraded: send `Upgrade: websocket`";
     let upgrade = websocket.map_err(|_| Problem::new(Code::BadRequest, no_websocket))?;
-    let place = app.waiting_place(peer)?;
+    let place = app.waiting_place(by.peer())?;
     let engine = Arc::clone(&app.engine);
     let (id, answers) = engine.lock().live.connect(&key)?;
     let upgrade = upgrade.max_message_size(MAX_LIVE_MESSAGE).max_frame_size(MAX_LIVE_MESSAGE);

@@ -11,10 +11,10 @@ use crate::daemon::live::state::LivePlay;
 use crate::daemon::plays::begin::Compiled;
 use crate::daemon::plays::state::NewPlay;
 use crate::daemon::plays::terms::trigger;
+use crate::daemon::sessions::caller::Asker;
 use crate::daemon::sessions::right::Right;
 use crate::exposure::Vibration;
 use crate::receipts::PlannedItem;
-use crate::session_record::Peer;
 use crate::store::hash;
 use meissner_api::{
     Code, LIVE_TIMEOUT_MS, LIVE_UPDATES_HZ, LiveAccepted, LiveAnswer, LiveMessage, LivePose, LiveRecord,
@@ -41,9 +41,9 @@ impl Engine {
     /// Begins a live play and waits until the streamer accepts it.
     pub(in crate::daemon) async fn start_live(
         &self,
+        by: &Asker,
         request: &LiveRequest,
         object: Option<Object>,
-        client: Peer,
     ) -> Result<LiveAccepted, Problem> {
         let (settings, surplus, reach) = self.compiles_for(None, request.terms.open_loop)?;
         let options =
@@ -89,13 +89,14 @@ impl Engine {
             reach,
             memory: Vec::new(),
             largest: (live.largest_um(&reach), "the live play".to_owned()),
-            new: NewPlay { receipt, items: [item].into(), endless: None, client },
+            new: NewPlay { receipt, items: [item].into(), endless: None, client: by.peer() },
             texts: Vec::new(),
         };
         let path = format!("/v1/live/{}", live.key());
         let session = terms.session.as_deref();
         let sent = |state: &mut State, id| state.live.add(id, live);
-        let accepted = self.begin(terms, compiled, |state| state.check_before_play(session), sent).await?;
+        let accepted =
+            self.begin(by, terms, compiled, |state| state.check_before_play(session), sent).await?;
         Ok(LiveAccepted { id: accepted.id, path })
     }
 

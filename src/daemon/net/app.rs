@@ -4,6 +4,7 @@
 
 use crate::daemon::core::engine::Engine;
 use crate::daemon::net::acceptor::{Bounds, Counts};
+use crate::daemon::sessions::caller::Asker;
 use crate::daemon::status::doctor::Doctor;
 use crate::session_record::Peer;
 use crate::store::Store;
@@ -54,16 +55,16 @@ impl App {
 #[derive(Debug)]
 pub(in crate::daemon) struct Call {
     pub(in crate::daemon) app: App,
-    /// The client that has sent it.
-    pub(in crate::daemon) peer: Peer,
+    /// Who has sent it, with the access that the route needs.
+    pub(in crate::daemon) by: Asker,
 }
 
 impl FromRequestParts<App> for Call {
     type Rejection = ExtensionRejection;
 
     async fn from_request_parts(parts: &mut Parts, app: &App) -> Result<Self, ExtensionRejection> {
-        let Extension(peer) = Extension::from_request_parts(parts, app).await?;
-        Ok(Self { app: app.clone(), peer })
+        let Extension(by) = Extension::from_request_parts(parts, app).await?;
+        Ok(Self { app: app.clone(), by })
     }
 }
 

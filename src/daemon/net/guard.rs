@@ -44,9 +44,9 @@ pub(in crate::daemon) async fn guard(
     let _answering = Answering::new(&app.engine, &caller);
     let right = Right::new(Arc::clone(&app.engine), caller.clone(), going_on(access));
     request.extensions_mut().insert(right.clone());
-    let answer = Asker { caller, access, breaks }.ask(next.run(request));
+    request.extensions_mut().insert(Asker { caller, access, breaks });
     tokio::select! {
-        answer = answer => answer,
+        answer = next.run(request) => answer,
         NoRight { problem, .. } = right.ended(), if route.operation().waits => ErrorResponse(problem).into_response(),
     }
 }

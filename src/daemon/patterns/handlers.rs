@@ -35,12 +35,12 @@ pub(in crate::daemon) async fn show(State(app): State<App>, name: PathPart, uri:
 }
 
 pub(in crate::daemon) async fn import(
-    Call { app, peer }: Call,
+    Call { app, by }: Call,
     name: PathPart,
     uri: Uri,
     body: Body,
 ) -> Answer<(StatusCode, Json<ImportedPattern>)> {
-    let mut logged = LoggedRequest::new(&app.engine, "import", peer);
+    let mut logged = LoggedRequest::new(&app.engine, "import", by.peer());
     let result = async {
         let name = path(name)?;
         let shown: String = name.chars().take(100).collect();
@@ -51,7 +51,7 @@ pub(in crate::daemon) async fn import(
         let text = String::from_utf8(text)
             .map_err(|_| Problem::new(Code::BadPattern, "not UTF-8 text: write patterns as TOML in UTF-8"))?;
         let store = Arc::clone(&app.store);
-        let put = app.engine.changing(move || store.put(&name, &text, replace)).await??;
+        let put = app.engine.changing(&by, move || store.put(&name, &text, replace)).await??;
         let Put { stored, replaced: replaced_sha256 } = put;
         let sha256 = stored.sha256.clone();
         let done =
@@ -90,10 +90,10 @@ pub(in crate::daemon) fn replaces(uri: &Uri) -> Result<bool, Problem> {
 }
 
 pub(in crate::daemon) async fn remove(
-    Call { app, peer }: Call,
+    Call { app, by }: Call,
     name: PathPart,
 ) -> Answer<Json<RemovedPattern>> {
-    let mut logged = LoggedRequest::new(&app.engine, "remove", peer);
+    let mut logged = LoggedRequest::new(&app.engine, "remove", by.peer());
     let result = async {
         let name = path(name)?;
         let shown: String = name.chars().take(100).collect();
@@ -101,7 +101,7 @@ pub(in crate::daemon) async fn remove(
         logged.set_arguments(&json!({"name": shown}));
         let _place = body::file_place().await?;
         let (store, asked) = (Arc::clone(&app.store), name.clone());
-        let sha256 = app.engine.changing(move || store.remove(&asked)).await??;
+        let sha256 = app.engine.changing(&by, move || store.remove(&asked)).await??;
         logged.set_arguments(&json!({"name": shown, "sha256": sha256}));
         Ok(Json(RemovedPattern { name, sha256 }))
     }

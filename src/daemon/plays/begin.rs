@@ -112,12 +112,13 @@ impl Engine {
     /// the play's id before the streamer reports anything about it.
     pub(in crate::daemon) async fn begin(
         &self,
+        by: &Asker,
         terms: &Terms,
         compiled: Compiled,
         check: impl Fn(&mut State) -> Result<(), Problem> + Send,
         sent: impl FnOnce(&mut State, u64) + Send,
     ) -> Result<PlayAccepted, Problem> {
-        let held = self.hold(terms, &compiled, &check).await?;
+        let held = self.hold(by, terms, &compiled, &check).await?;
         let Compiled { strokes, items, live, bandwidth, hold, settings, memory, new, texts, .. } = compiled;
         let (at, &Terms { late, replace, open_loop, stop_on_edge, .. }) = (onset(terms), terms);
         let play = Play {
@@ -137,7 +138,7 @@ impl Engine {
             let mut state = self.lock();
             held.check(&state)?;
             check(&mut state)?;
-            let (id, reply) = state.send_play(play, &settings, new)?;
+            let (id, reply) = state.send_play(by, play, &settings, new)?;
             state.plays.hold_memory(id, memory);
             held.begin(&mut state, id);
             sent(&mut state, id);
@@ -157,11 +158,11 @@ impl Engine {
     /// Reserves the time of a play that `check` accepts, and waits until it is in the sums on the disk.
     async fn hold(
         &self,
+        by: &Asker,
         terms: &Terms,
         compiled: &Compiled,
         check: &(impl Fn(&mut State) -> Result<(), Problem> + Send),
     ) -> Result<Held<'_>, Problem> {
-        let breaks = Asker::find().map_or_else(|| self.lock().commands.breaks(), |asker| asker.breaks);
         let turn = self.orders.lock().await;
         let (held, saved) = {
             let mut state = self.lock();
@@ -177,7 +178,7 @@ impl Engine {
             let number = state.hold_vibration(&compiled.vibration, terms.replace, onset(terms))?;
             let saved = state.save_exposure(Now::read());
             let waits = !state.exposure.is_disk_silent();
-            (Held { engine: self, number, breaks, _turn: turn }, saved.filter(|_| waits))
+            (Held { engine: self, number, breaks: by.breaks, _turn: turn }, saved.filter(|_| waits))
         };
         if let Some(mut saved) = saved {
             let answer = tokio::time::timeout(DISK, &mut saved).await.ok().map(|saved| saved == Ok(true));
@@ -207,6 +208,7 @@ impl State {
     /// arrives.
     fn send_play(
         &mut self,
+        by: &Asker,
         play: Play,
         compiled_for: &Settings,
         new: NewPlay,
@@ -223,8 +225,8 @@ impl State {
             ));
         }
         let id = self.plays.add(new);
-        self.rights.add_play(id);
-        let sent = self.send(Command::Play(Box::new(Play { id, ..play })), Some(id));
+        self.rights.add_play(id, by.caller.clone());
+        let sent = self.send(Some(by), Command::Play(Box::new(Play { id, ..play })), Some(id));
         if sent.is_err() {
             self.settle_play(id, false);
         }
@@ -237,10 +239,10 @@ mod tests {
     use super::*;
     use crate::daemon::core::runtime::{CHECKS, OTHERS, PLAYS, STORED};
     use crate::daemon::runtime;
-    use crate::daemon::sessions::caller::Caller;
-    use crate::session_record::{Location, Peer, SessionRecord};
+    use crate::daemon::sessions::caller::DAEMON;
+    use crate::session_record::{Location, SessionRecord};
     use crate::store::{Store, Stored};
-    use meissner_api::{Item, Order, Route, SessionRequest};
+    use meissner_api::{Item, Order, SessionRequest};
     use meissner_stream::queues::{Emit, StreamEvent, queues};
 
     /// A play without end.
@@ -259,9 +261,10 @@ mod tests {
         let (mut port, commands, mut events) = queues().unwrap();
         let engine = Engine::of_paper(commands);
         let session = SessionRequest { participant: "P07".to_owned(), ..SessionRequest::default() };
-        let id = engine.lock().start_session(session, None).unwrap().0.id;
+        let id = engine.lock().start_session(DAEMON, session, None).unwrap().0.id;
         let order = pin(Some(id));
-        let played = engine.play(&order, Peer::local(1, 0), &STORED, find);
+        let by = Asker::operator();
+        let played = engine.play(&by, &order, &STORED, find);
         assert_eq!(runtime().unwrap().block_on(played).unwrap_err().code, "timeout");
         let ticket = port.pop().unwrap().ticket;
         port.event(StreamEvent::Answer { ticket, result: Ok(()) });
@@ -275,13 +278,10 @@ mod tests {
         let (mut port, commands, _events) = queues().unwrap();
         let engine = Engine::of_paper(commands);
         let order = pin(None);
-        let client = Peer::local(1, 0);
-        let caller = Caller::new(client, None, None, None);
-        let breaks = engine.lock().commands.breaks();
-        let asker = Asker { caller, access: Route::Play.access(), breaks };
+        let by = Asker::operator();
         // A stop comes while the play's body or file is still being read.
         engine.lock().commands.send_unanswered(Command::Stop).unwrap();
-        let played = asker.ask(engine.play(&order, client, &STORED, find));
+        let played = engine.play(&by, &order, &STORED, find);
         assert_eq!(runtime().unwrap().block_on(played).unwrap_err().code, "busy");
         assert!(matches!(port.pop().unwrap().command, Command::Stop) && port.pop().is_none());
     }
@@ -299,7 +299,8 @@ mod tests {
         let engine = engine.recording(record.clone(), Arc::default());
         let mut play = || {
             let order = pin(None);
-            let played = engine.play(&order, Peer::local(1, 0), &STORED, find);
+            let by = Asker::operator();
+            let played = engine.play(&by, &order, &STORED, find);
             let problem = runtime().unwrap().block_on(played).unwrap_err();
             (problem.code, port.pop().is_some())
         };
@@ -327,7 +328,8 @@ mod tests {
             }
             tokio::task::yield_now().await;
             let order = pin(None);
-            let played = engine.play(&order, Peer::local(1, 0), &STORED, find);
+            let by = Asker::operator();
+            let played = engine.play(&by, &order, &STORED, find);
             // It reaches the streamer, of which there is none here.
             assert_eq!(played.await.unwrap_err().code, "timeout");
             assert!(matches!(port.pop().unwrap().command, Command::Play(_)));

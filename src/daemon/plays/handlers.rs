@@ -30,10 +30,10 @@ use tokio::sync::SemaphorePermit;
 pub(in crate::daemon) const RECORDED: Duration = Duration::from_secs(4);
 
 pub(in crate::daemon) async fn play(
-    Call { app, peer }: Call,
+    Call { app, by }: Call,
     body: Body,
 ) -> Answer<(StatusCode, Json<PlayAccepted>)> {
-    let mut logged = LoggedRequest::new(&app.engine, "play", peer);
+    let mut logged = LoggedRequest::new(&app.engine, "play", by.peer());
     let result = async {
         let ReadOrder { mut order, inlines, _places } =
             read_order(&app, (&PLAYS, &body::ORDERS), body).await?;
@@ -43,7 +43,7 @@ pub(in crate::daemon) async fn play(
         logged.set_arguments(&order.recorded());
         let lane = if order.one().is_some() && inlines.is_empty() { &STORED } else { &PLAYS };
         let find = |name, sha256| find_for(&app, lane, &inlines, name, sha256);
-        let accepted = app.engine.play(&order, peer, lane, find).await?;
+        let accepted = app.engine.play(&by, &order, lane, find).await?;
         logged.set_play(accepted.id);
         Ok((StatusCode::ACCEPTED, Json(accepted)))
     }
@@ -105,7 +105,7 @@ async fn find_for(
     }
 }
 
-pub(in crate::daemon) async fn check(Call { app, peer }: Call, body: Body) -> Answer<Json<PlanCheck>> {
+pub(in crate::daemon) async fn check(Call { app, by }: Call, body: Body) -> Answer<Json<PlanCheck>> {
     let _checks = match check_place() {
         Ok(place) => place,
         Err(problem) => {
@@ -115,11 +115,11 @@ pub(in crate::daemon) async fn check(Call { app, peer }: Call, body: Body) -> An
     };
     let ReadOrder { order, inlines, _places } = read_order(&app, (&CHECKS, &body::READS), body).await?;
     let find = |name, sha256| find_for(&app, &CHECKS, &inlines, name, sha256);
-    Ok(Json(app.engine.check_order(&order, peer, find).await?))
+    Ok(Json(app.engine.check_order(&order, by.peer(), find).await?))
 }
 
 pub(in crate::daemon) async fn receipt(
-    Call { app, peer }: Call,
+    Call { app, by }: Call,
     Extension(activity): Extension<Arc<Activity>>,
     uri: Uri,
     id: PathPart,
@@ -127,7 +127,7 @@ pub(in crate::daemon) async fn receipt(
     let wait = wait(&uri)?;
     let receipt = find_receipt(&app.engine, &path(id)?)?;
     let Some(wait) = wait.filter(|_| !receipt.state.is_over()) else { return Ok(Json(receipt)) };
-    let _place = app.waiting_place(peer)?;
+    let _place = app.waiting_place(by.peer())?;
     let id = receipt.id.to_string();
     tokio::select! {
         receipt = ended(&app.engine, &id) => receipt,
@@ -150,13 +150,13 @@ async fn ended(engine: &Engine, id: &str) -> Answer<Json<Receipt>> {
     }
 }
 
-pub(in crate::daemon) async fn withdraw(Call { app, peer }: Call, id: PathPart) -> Answer<Json<Receipt>> {
-    let mut logged = LoggedRequest::new(&app.engine, "withdraw", peer);
+pub(in crate::daemon) async fn withdraw(Call { app, by }: Call, id: PathPart) -> Answer<Json<Receipt>> {
+    let mut logged = LoggedRequest::new(&app.engine, "withdraw", by.peer());
     let result = async {
         let Receipt { id, state, .. } = find_receipt(&app.engine, &path(id)?)?;
         logged.set_play(id);
         if !state.is_over() {
-            app.engine.carry_out(Command::Withdraw(id), TIMEOUT).await?;
+            app.engine.carry_out(&by, Command::Withdraw(id), TIMEOUT).await?;
         }
         ended(&app.engine, &id.to_string()).await
     }
@@ -166,11 +166,11 @@ pub(in crate::daemon) async fn withdraw(Call { app, peer }: Call, id: PathPart) 
 
 /// The record keeps the answer in a line of its own, whole.
 pub(in crate::daemon) async fn answer(
-    Call { app, peer }: Call,
+    Call { app, by }: Call,
     id: PathPart,
     body: Body,
 ) -> Answer<Json<AnswerTaken>> {
-    let logged = LoggedRequest::new(&app.engine, "answer", peer);
+    let logged = LoggedRequest::new(&app.engine, "answer", by.peer());
     let result = async {
         let body = body::read_command(body).await?;
         let id = path(id)?.parse().map_err(|_| {
@@ -179,7 +179,7 @@ pub(in crate::daemon) async fn answer(
                 "the address: a play's id is a number, as the answer to the play says",
             )
         })?;
-        let recorded = app.engine.lock().answer(id, PlayAnswer::parse(&body)?)?;
+        let recorded = app.engine.lock().answer(Some(&by), id, PlayAnswer::parse(&body)?)?;
         match tokio::time::timeout(RECORDED, recorded).await {
             Ok(Ok(())) => Ok(Json(AnswerTaken {})),
             _ => Err(app.engine.lock().unrecorded(id).into()),

@@ -10,6 +10,7 @@ use crate::daemon::exposure::limits::check_limits;
 use crate::daemon::plays::begin::{Basis, Compiled};
 use crate::daemon::plays::state::{NewPlay, check_samples};
 use crate::daemon::plays::terms::trigger;
+use crate::daemon::sessions::caller::Asker;
 use crate::exposure::Vibration;
 use crate::receipts::{Outline, PlannedItem, counts, fit, motions, motions_of_items, too_slow, walk};
 use crate::session_record::Peer;
@@ -455,14 +456,14 @@ impl Engine {
     /// Begins a play and waits until the streamer accepts it.
     pub(in crate::daemon) async fn play<P, F: Future<Output = Result<(Stored, P), Problem>>>(
         &self,
+        by: &Asker,
         order: &Order,
-        client: Peer,
         lane: &'static Lane,
         find: impl Fn(String, Option<String>) -> F,
     ) -> Result<PlayAccepted, Problem> {
         let basis = self.compiles_for(order.terms.boot, order.terms.open_loop)?;
-        let compiled = Compiled::of_order(order, basis, client, lane, find).await?;
+        let compiled = Compiled::of_order(order, basis, by.peer(), lane, find).await?;
         let session = order.terms.session.as_deref();
-        self.begin(&order.terms, compiled, |state| state.check_before_play(session), |_, _| {}).await
+        self.begin(by, &order.terms, compiled, |state| state.check_before_play(session), |_, _| {}).await
     }
 }

@@ -1,21 +1,14 @@
 //! The sender of a request: the right by which it acts, and the identity by which it is recognised again.
 //!
-//! [`Caller::is_same`] decides for which client a request is a sign of life; [`Asker`] is the caller of the request that a task
-//! carries out.
+//! [`Caller::is_same`] decides for which client a request is a sign of life; [`Asker`] is who acts: each change takes it as an argument.
 //!
 //! Invariant: a caller holds the tokens that the request showed when it came. Each use checks whether they are still valid
-//! ([`State::check_right`](super::State::check_right)).
+//! ([`State::check_right`](crate::daemon::core::state::State::check_right)).
 
 use crate::session_record::{Peer, TokenId};
 use meissner_api::access::Access;
-use std::future::Future;
 use std::net::IpAddr;
 use std::sync::Arc;
-
-tokio::task_local! {
-    /// The caller of the request that this task carries out, and the access that its route needs.
-    static ASKER: Asker;
-}
 
 /// See the module.
 #[derive(Clone, Debug)]
@@ -69,26 +62,30 @@ impl Caller {
     }
 }
 
-/// The caller for whom a task works.
+/// The client that acts, by a request.
 #[derive(Clone, Debug)]
 pub(in crate::daemon) struct Asker {
     pub(in crate::daemon) caller: Caller,
     /// The access that the route needs.
     pub(in crate::daemon) access: Access,
-    /// The number of stops before its request came ([`Commands::breaks`](super::commands::Commands::breaks)): a later stop also
+    /// The number of stops before its request came ([`Commands::breaks`](crate::daemon::core::commands::Commands::breaks)): a later stop also
     /// applies to this request.
     pub(in crate::daemon) breaks: u64,
 }
 
+/// The daemon itself acts: it may do anything.
+pub(in crate::daemon) const DAEMON: Option<&Asker> = None;
+
 impl Asker {
-    /// Carries out a request, during which [`Self::find`] returns this caller.
-    pub(in crate::daemon) fn ask<T>(self, work: impl Future<Output = T>) -> impl Future<Output = T> {
-        ASKER.scope(self, work)
+    pub(in crate::daemon) const fn peer(&self) -> Peer {
+        self.caller.peer
     }
 
-    /// The caller for whom this task works; none outside a request, when the daemon itself acts.
-    pub(in crate::daemon) fn find() -> Option<Self> {
-        ASKER.try_with(Clone::clone).ok()
+    /// A local client that may operate, before any stop.
+    #[cfg(test)]
+    pub(in crate::daemon) fn operator() -> Self {
+        let caller = Caller::new(Peer::local(1, 0), None, None, None);
+        Self { caller, access: meissner_api::Route::Play.access(), breaks: 0 }
     }
 }
 

@@ -32,16 +32,16 @@ const WRITTEN: Duration = Duration::from_secs(50);
 const WRITTEN_AT_END: Duration = Duration::from_secs(2);
 
 pub(in crate::daemon) async fn start(
-    Call { app, peer }: Call,
+    Call { app, by }: Call,
     body: Body,
 ) -> Answer<(StatusCode, Json<SessionStarted>)> {
-    let mut logged = LoggedRequest::new(&app.engine, "session-start", peer);
+    let mut logged = LoggedRequest::new(&app.engine, "session-start", by.peer());
     let result = async {
         let request = SessionRequest::parse(&body::read_command(body).await?)?;
         logged.set_arguments(&request);
         let exclusive = request.exclusive;
-        let owner = app.engine.names.users.known(peer.uid).flatten();
-        let (started, recorded) = app.engine.lock().start_session(request, owner)?;
+        let owner = app.engine.names.users.known(by.peer().uid).flatten();
+        let (started, recorded) = app.engine.lock().start_session(Some(&by), request, owner)?;
         let (engine, id) = (Arc::clone(&app.engine), started.id.clone());
         // Goes on if the client hangs up.
         let known = tokio::spawn(async move {
@@ -78,15 +78,15 @@ async fn release_in_time(engine: Arc<Engine>, id: String) {
 }
 
 pub(in crate::daemon) async fn end(
-    Call { app, peer }: Call,
+    Call { app, by }: Call,
     id: PathPart,
     body: Body,
 ) -> Answer<Json<Session>> {
-    let logged = LoggedRequest::new(&app.engine, "session-end", peer);
+    let logged = LoggedRequest::new(&app.engine, "session-end", by.peer());
     let result = async {
         let id = path(id)?;
         parse_empty(&body::read_command(body).await?)?;
-        let mut ended = app.engine.lock().end_session(&id)?;
+        let mut ended = app.engine.lock().end_session(Some(&by), &id)?;
         // A newer program may wait for the session to end.
         app.engine.changed.notify_one();
         let (record, id) = (app.engine.session_record(), ended.id.clone());

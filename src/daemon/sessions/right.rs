@@ -44,16 +44,15 @@ impl Right {
 }
 
 impl Engine {
-    /// Makes a change that waits for a disk, on another thread, if the requesting client still may when its turn has come.
+    /// Makes a change that waits for a disk, on another thread, if this client still may when its turn has come.
     pub(in crate::daemon) async fn changing<T: Send + 'static>(
         self: &Arc<Self>,
+        by: &Asker,
         change: impl FnOnce() -> T + Send + 'static,
     ) -> Result<T, Problem> {
-        let (engine, asker) = (Arc::clone(self), Asker::find());
+        let (engine, by) = (Arc::clone(self), by.clone());
         let work = move || {
-            if let Some(Asker { caller, access, .. }) = asker {
-                engine.lock().check_right(&caller, access).map_err(|no| no.problem)?;
-            }
+            engine.lock().check_asker(Some(&by))?;
             Ok(change())
         };
         blocking(work).await?

@@ -65,11 +65,9 @@ impl Rights {
         self.plays.iter().filter(|(_, by)| by.is_same(caller)).map(|(&id, _)| id).collect()
     }
 
-    /// Notes that a play is about to be sent for the requesting client.
-    pub(in crate::daemon) fn add_play(&mut self, id: u64) {
-        if let Some(Asker { caller, .. }) = Asker::find() {
-            self.plays.insert(id, caller);
-        }
+    /// Notes that a play is about to be sent for this client.
+    pub(in crate::daemon) fn add_play(&mut self, id: u64, caller: Caller) {
+        self.plays.insert(id, caller);
     }
 
     /// The number by which the edges of a client can be withdrawn: the same for all with its rights.
@@ -134,18 +132,18 @@ impl State {
         checked.map_err(|problem| NoRight { problem, cause: &EndCause::OwnerReturned })
     }
 
-    /// What the requesting client may do, and whether it shows the token of the running session. The daemon itself may do anything.
-    pub(in crate::daemon) fn asker(&self) -> (Role, bool) {
-        let Some(Asker { caller, .. }) = Asker::find() else { return (Role::Operate, false) };
+    /// What this client may do, and whether it shows the token of the running session. The daemon itself may do anything.
+    pub(in crate::daemon) fn role_of(&self, by: Option<&Asker>) -> (Role, bool) {
+        let Some(Asker { caller, .. }) = by else { return (Role::Operate, false) };
         let role = caller.access.map_or(Some(Role::Operate), |id| self.rights.tokens.role(id));
         (role.unwrap_or(Role::Observe), self.sessions.is_owner(caller.session()))
     }
 
     /// Refuses a change by a client that may no longer make it: since its request came, a session may have begun, or its token may
-    /// have been revoked. Outside a request the daemon itself acts, which may do anything.
-    pub(in crate::daemon) fn check_asker(&self) -> Result<(), Problem> {
-        let Some(Asker { caller, access, .. }) = Asker::find() else { return Ok(()) };
-        self.check_right(&caller, access).map_err(|no| no.problem)
+    /// have been revoked. The daemon itself may do anything.
+    pub(in crate::daemon) fn check_asker(&self, by: Option<&Asker>) -> Result<(), Problem> {
+        let Some(Asker { caller, access, .. }) = by else { return Ok(()) };
+        self.check_right(caller, *access).map_err(|no| no.problem)
     }
 
     /// Notes that a request or message of this client came.
@@ -207,6 +205,7 @@ mod tests {
     use crate::daemon::core::engine::Engine;
     use crate::daemon::core::runtime::blocking;
     use crate::daemon::runtime;
+    use crate::daemon::sessions::caller::DAEMON;
     use crate::session_record::Peer;
     use meissner_api::{Session, SessionRequest};
     use meissner_array::spec::Array;
@@ -237,14 +236,13 @@ mod tests {
 
     /// Sends a command for a client, which then hangs up.
     fn order(engine: &Engine, caller: Caller, route: Route, command: Command) {
-        let sent = asker(caller, route).ask(async { engine.send(command).map(drop) });
-        runtime().unwrap().block_on(sent).unwrap();
+        drop(engine.send(Some(&asker(caller, route)), command).unwrap());
     }
 
     fn exclusive(engine: &Engine) -> String {
         let request =
             SessionRequest { participant: "P07".to_owned(), exclusive: true, ..SessionRequest::default() };
-        engine.lock().start_session(request, None).unwrap().0.token
+        engine.lock().start_session(DAEMON, request, None).unwrap().0.token
     }
 
     fn commands(port: &mut ThreadQueues) -> Vec<String> {
@@ -301,8 +299,8 @@ mod tests {
             let readers: Vec<_> = (0..8).map(|_| tokio::spawn(stuck())).collect();
             tokio::task::yield_now().await;
             let (changed, changes) = mpsc::channel();
-            let change = engine.changing(move || changed.send(()).unwrap());
-            let mut change = pin!(asker(client(None), Route::Import).ask(change));
+            let by = asker(client(None), Route::Import);
+            let mut change = pin!(engine.changing(&by, move || changed.send(()).unwrap()));
             tokio::select! {
                 biased;
                 _ = &mut change => panic!("it waits"),

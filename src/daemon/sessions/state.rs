@@ -6,17 +6,17 @@
 //!
 //! Invariant: at most one session runs; it begins and ends while no play runs or waits, unless the daemon ends.
 
+use crate::clock;
 use crate::daemon::core::state::State;
+use crate::daemon::sessions::caller::Asker;
 use crate::receipts::KEPT;
-use crate::session_record::{Entry, Note, local_time};
+use crate::session_record::{Entry, Note};
 use crate::store::hexadecimal;
-use jiff::Timestamp;
 use meissner_api::{
     Code, Event, PlayAnswer, PlayState, Problem, Receipt, Session, SessionRequest, SessionStarted,
 };
 use meissner_input::message;
-use meissner_stream::time::HostInstant;
-use rustix::rand::{GetRandomFlags, getrandom};
+use meissner_stream::time::{HostInstant, random};
 use std::collections::BTreeSet;
 use std::time::Duration;
 use tokio::sync::oneshot;
@@ -126,10 +126,11 @@ impl State {
     /// fails if it has none; then call [`Self::session_recorded`].
     pub(in crate::daemon) fn start_session(
         &mut self,
+        by: Option<&Asker>,
         request: SessionRequest,
         owner: Option<String>,
     ) -> Result<(SessionStarted, Option<oneshot::Receiver<()>>), Problem> {
-        self.check_asker()?;
+        self.check_asker(by)?;
         if self.commands.is_closing() {
             return Err(Problem::new(Code::ShuttingDown, "the daemon is ending: start it again"));
         }
@@ -148,7 +149,7 @@ impl State {
         let no_numbers = || Problem::new(Code::Store, "the system gives no random numbers for the token");
         let (token, unique) =
             (random_hex::<16>().ok_or_else(no_numbers)?, random_hex::<3>().ok_or_else(no_numbers)?);
-        let now = Timestamp::from_nanosecond(HostInstant::now_with_wall().1.into()).unwrap_or_default();
+        let now = clock::now().1;
         let SessionRequest { participant, experiment, labels, seed, exclusive } = request;
         let session = Session {
             id: format!("{}-{unique}", now.strftime("%Y%m%dT%H%M%SZ")),
@@ -158,7 +159,7 @@ impl State {
             seed,
             exclusive,
             owner,
-            started: local_time(),
+            started: clock::local_text(),
             ..Session::default()
         };
         let started = SessionStarted {
@@ -208,8 +209,12 @@ impl State {
     }
 
     /// Ends the running session, which a client named by its id or as `running`.
-    pub(in crate::daemon) fn end_session(&mut self, id: &str) -> Result<Session, Problem> {
-        self.check_asker()?;
+    pub(in crate::daemon) fn end_session(
+        &mut self,
+        by: Option<&Asker>,
+        id: &str,
+    ) -> Result<Session, Problem> {
+        self.check_asker(by)?;
         self.check_session(id)?;
         self.check_nothing_plays()?;
         self.close_session("request").ok_or_else(|| no_session(id))
@@ -219,7 +224,7 @@ impl State {
     pub(in crate::daemon) fn close_session(&mut self, reason: &str) -> Option<Session> {
         let mut session = self.session()?;
         session.vibration_s = self.exposure.end_session();
-        (session.ended, session.reason) = (Some(local_time()), Some(reason.to_owned()));
+        (session.ended, session.reason) = (Some(clock::local_text()), Some(reason.to_owned()));
         session.release_in_s = None;
         self.sessions.running = None;
         self.rights_changed();
@@ -256,10 +261,11 @@ impl State {
     /// fails if it has none.
     pub(in crate::daemon) fn answer(
         &mut self,
+        by: Option<&Asker>,
         play: u64,
         answer: PlayAnswer,
     ) -> Result<oneshot::Receiver<()>, Problem> {
-        self.check_asker()?;
+        self.check_asker(by)?;
         let receipt = self.plays.receipts.receipt(play).ok_or_else(|| no_play(&play.to_string()))?;
         let running = self.sessions.running.as_mut();
         let Some(running) =
@@ -370,6 +376,5 @@ pub(in crate::daemon) fn no_session(id: &str) -> Problem {
 /// Random bytes in hexadecimal.
 pub(in crate::daemon) fn random_hex<const BYTES: usize>() -> Option<String> {
     let mut bytes = [0; BYTES];
-    let got = getrandom(&mut bytes, GetRandomFlags::empty()).ok()?;
-    (got == BYTES).then(|| hexadecimal(&bytes))
+    random(&mut bytes).then(|| hexadecimal(&bytes))
 }

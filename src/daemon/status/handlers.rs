@@ -3,6 +3,7 @@
 use crate::array::details;
 use crate::daemon::net::answer::Answer;
 use crate::daemon::net::app::{App, Call};
+use crate::daemon::sessions::caller::DAEMON;
 use crate::daemon::sessions::handlers::look_for_losses;
 use crate::doctor::check;
 use axum::Json;
@@ -17,20 +18,20 @@ use std::time::Duration;
 /// How long the doctor reads the session record; the status of a later report has what is found after that.
 const READ: Duration = Duration::from_secs(3);
 
-pub(in crate::daemon) async fn status(State(app): State<App>) -> Json<Status> {
+pub(in crate::daemon) async fn status(Call { app, by }: Call) -> Json<Status> {
     app.engine.session_record().look().await;
-    Json(app.engine.status())
+    Json(app.engine.status(Some(&by)))
 }
 
 pub(in crate::daemon) async fn array(State(app): State<App>) -> Json<ArrayDetails> {
     Json(details(app.engine.lock().settings.array))
 }
 
-pub(in crate::daemon) async fn doctor(Call { app, peer }: Call) -> Answer<Json<DoctorReport>> {
-    let _place = app.waiting_place(peer)?;
+pub(in crate::daemon) async fn doctor(Call { app, by }: Call) -> Answer<Json<DoctorReport>> {
+    let _place = app.waiting_place(by.peer())?;
     let engine = Arc::clone(&app.engine);
     look_for_losses(&engine, READ).await;
-    let checks = move || check(Path::new("/"), &engine.status());
+    let checks = move || check(Path::new("/"), &engine.status(DAEMON));
     Ok(Json(app.doctor.report(checks).await?))
 }
 

@@ -3,6 +3,7 @@
 //! Invariant: a status is read under one lock, so its parts are consistent.
 
 use crate::daemon::core::engine::Engine;
+use crate::daemon::sessions::caller::Asker;
 use crate::exposure::Now;
 use crate::receipts::{DeviceState, board_status};
 use meissner_api::{
@@ -14,8 +15,8 @@ use meissner_stream::time::HostInstant;
 use std::fmt::Write as _;
 
 impl Engine {
-    /// `GET /v1/status`.
-    pub(in crate::daemon) fn status(&self) -> Status {
+    /// `GET /v1/status` for this client.
+    pub(in crate::daemon) fn status(&self, by: Option<&Asker>) -> Status {
         let daemon = self.lock();
         let receipts = &daemon.plays.receipts;
         let DeviceState { state, cause, position } = receipts.device_state();
@@ -23,7 +24,7 @@ impl Engine {
         let snapshot = receipts.snapshot();
         let used = daemon.calibration.in_use().map(|stored| &stored.calibration);
         let is_calibrated = |motor: u8| used.is_some_and(|calibration| calibration.motor(motor).is_some());
-        let (role, mine) = daemon.asker();
+        let (role, mine) = daemon.role_of(by);
         let motor = |at: &Snapshot, motor: u8| {
             let index = usize::from(motor);
             MotorStatus {

@@ -6,6 +6,7 @@
 
 use crate::config::Config;
 use crate::daemon::core::check;
+use crate::daemon::core::connection::ConnectorMessage;
 use crate::daemon::core::engine::Engine;
 use crate::daemon::core::event_loop::readable;
 use crate::daemon::core::service::{Manager, StatusReporter};
@@ -13,14 +14,19 @@ use crate::daemon::fuzzed;
 use crate::daemon::net::acceptor::{Bounds, Counts};
 use crate::daemon::net::app::App;
 use crate::daemon::routes::router;
-use crate::session_record::{Peer, Recorder, SessionRecord};
+use crate::daemon::sessions::caller::Caller;
+use crate::daemon::sessions::right::Right;
+use crate::daemon::sessions::rights::going_on;
+use crate::session_record::{Peer, Recorder, SessionRecord, Users};
 use axum::Router;
 use axum::body::{Body, Bytes};
 use axum::http::Request;
 use http_body_util::BodyExt;
-use meissner_api::{CLIENT_HEADER, Event, PlayAccepted, Problem, Receipt, SESSION_HEADER, Status};
+use meissner_api::{
+    CLIENT_HEADER, Event, LiveAnswer, PlayAccepted, Problem, Receipt, Route, SESSION_HEADER, Status,
+};
 use meissner_stream::Turns;
-use meissner_stream::device::{Device, WallMock};
+use meissner_stream::device::{Device, Faults, WallMock};
 use meissner_stream::queues::queues;
 use meissner_stream::time::{HostInstant, set_clock};
 use serde::Serialize;
@@ -29,25 +35,50 @@ use serde_json::{Value, json};
 use std::cell::Cell;
 use std::path::PathBuf;
 use std::rc::Rc;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::Duration;
 use tempfile::TempDir;
 use tokio::runtime::Runtime;
-use tokio::sync::broadcast;
+use tokio::sync::broadcast::error::TryRecvError;
+use tokio::sync::{broadcast, mpsc};
 use tokio::time::Instant;
 
 /// What the clock reads at the start of a bench.
 const BEGIN: Duration = Duration::from_secs(1000);
+/// How often the connector looks.
+const CONNECTS: Duration = Duration::from_millis(250);
 /// How often the session record writes what waits.
 const WRITES: Duration = Duration::from_millis(1);
 
 thread_local! {
-    static BEGAN: Cell<Option<Instant>> = const { Cell::new(None) };
+    /// When the bench began, and what its clock read then.
+    static BEGAN: Cell<Option<(Instant, Duration)>> = const { Cell::new(None) };
+    /// Whether the disk of the session record takes nothing for now.
+    pub(super) static DISK_STALLS: Cell<bool> = const { Cell::new(false) };
 }
 
 fn clock() -> u64 {
-    let now = BEGAN.get().map_or(Duration::ZERO, |began| Instant::now() - began);
-    (BEGIN + now).as_nanos() as u64
+    BEGAN.get().map_or(BEGIN, |(began, at)| at + (Instant::now() - began)).as_nanos() as u64
+}
+
+/// The machine on which daemons start, one after the other.
+#[derive(Clone)]
+pub(super) struct Machine {
+    pub(super) dir: Arc<TempDir>,
+    /// What its clock reads when the next daemon starts.
+    pub(super) at: Duration,
+    /// By how much somebody has set its wall clock, ns.
+    pub(super) wall_set: i64,
+    /// Of its random numbers.
+    pub(super) seed: u64,
+    /// Whether the array's line and the array can be made to fail.
+    pub(super) faults: bool,
+}
+
+impl Machine {
+    pub(super) fn new(dir: Arc<TempDir>) -> Self {
+        Self { dir, at: BEGIN, wall_set: 0, seed: 0, faults: false }
+    }
 }
 
 /// A daemon with a simulated array. See the module.
@@ -59,6 +90,7 @@ struct Parts {
     engine: Arc<Engine>,
     router: Router,
     dir: Arc<TempDir>,
+    faults: Arc<Mutex<Faults>>,
     clients: Cell<u32>,
 }
 
@@ -75,6 +107,12 @@ impl Bench {
 
     /// One in a directory that another one may have used.
     pub(super) fn in_dir(dir: Arc<TempDir>, config: &str) -> Self {
+        Self::on(&Machine::new(dir), config)
+    }
+
+    /// One on this machine.
+    pub(super) fn on(machine: &Machine, config: &str) -> Self {
+        let Machine { dir, at: begin, wall_set, seed, faults } = machine.clone();
         let mut runtime = tokio::runtime::Builder::new_current_thread();
         let runtime = runtime.enable_all().start_paused(true).build().unwrap();
         let at = |name: &str| dir.path().join(name);
@@ -83,31 +121,48 @@ impl Bench {
             format!("patterns_dir = {:?}\nlogbook_dir = {:?}\n{config}", at("patterns"), at("logbook"));
         let config = Config::parse(&text, &at("meissner.toml")).unwrap();
         let store = Arc::new(check::store(&config).unwrap());
-        let (engine, router) = runtime.block_on(async {
-            BEGAN.set(Some(Instant::now()));
-            set_clock(Some(clock));
+        let (engine, router, faults) = runtime.block_on(async {
+            BEGAN.set(Some((Instant::now(), begin)));
+            set_clock(Some(clock), wall_set, seed);
             let (thread, commands, events) = queues().unwrap();
-            let users = Arc::default();
+            let users: Arc<Users> = Arc::default();
+            while users.known(0).is_none() {
+                // Otherwise an entry waits for the name by the real clock.
+                users.look_up(0);
+                std::thread::yield_now();
+            }
             let (record, recorder) =
                 SessionRecord::turned(config.logbook.clone().unwrap(), Arc::clone(&users));
             let engine = Arc::new(Engine::of(&config, commands, record, users));
             tokio::spawn(stream(Turns::new(config.settings, thread)));
             tokio::spawn(write(recorder));
+            tokio::spawn(connect_again(Arc::clone(&engine)));
             let reporter = StatusReporter::new(Manager::find().unwrap());
             tokio::spawn(Arc::clone(&engine).event_loop(events, reporter));
             let mock = WallMock::new(config.settings.array, &config.mock, HostInstant::now()).unwrap();
+            let (mock, faults) = if faults { mock.with_faults(seed) } else { (mock, Arc::default()) };
             assert!(engine.connect(Box::new(Device::Mock(Box::new(mock)))).is_ok(), "the queue has room");
             engine.first_device().await;
             let app =
                 App::new(Arc::clone(&engine), store, &Bounds::of_process(), Arc::new(Counts::default()));
-            (engine, router(app))
+            (engine, router(app), faults)
         });
-        Self(Rc::new(Parts { runtime, engine, router, dir, clients: Cell::new(0) }))
+        Self(Rc::new(Parts { runtime, engine, router, dir, faults, clients: Cell::new(0) }))
+    }
+
+    /// What is done to the array and its line.
+    pub(super) fn faults(&self) -> MutexGuard<'_, Faults> {
+        self.0.faults.lock().unwrap()
     }
 
     /// A file in its directory.
     pub(super) fn path(&self, name: &str) -> PathBuf {
         self.0.dir.path().join(name)
+    }
+
+    /// Does this at the bench's time.
+    pub(super) fn now<T>(&self, act: impl FnOnce() -> T) -> T {
+        self.0.runtime.block_on(async { act() })
     }
 
     /// Lets so much time pass.
@@ -143,7 +198,7 @@ impl Bench {
 
 impl Drop for Parts {
     fn drop(&mut self) {
-        set_clock(None);
+        set_clock(None, 0, 0);
         BEGAN.set(None);
     }
 }
@@ -162,8 +217,27 @@ async fn stream(mut turns: Turns) {
 /// The session record's thread.
 async fn write(mut recorder: Recorder) {
     loop {
-        recorder.turn();
+        if !DISK_STALLS.get() {
+            recorder.turn();
+        }
         tokio::time::sleep(WRITES).await;
+    }
+}
+
+/// The connector's thread: connects the array again once its cable is in.
+async fn connect_again(engine: Arc<Engine>) {
+    let (sender, gone) = crossbeam_channel::bounded(4);
+    engine.lock().connection.set_connector(sender);
+    let mut device = None;
+    loop {
+        if let Ok(ConnectorMessage::Gone(Some(gone))) = gone.try_recv() {
+            device = Some(gone);
+        }
+        device = device.and_then(|mut held: Box<Device>| match held.read(HostInstant::now(), &mut []) {
+            Ok(_) => engine.connect(held).err(),
+            Err(_) => Some(held),
+        });
+        tokio::time::sleep(CONNECTS).await;
     }
 }
 
@@ -179,6 +253,10 @@ impl Client {
     /// From here on it shows this session's token.
     pub(super) fn set_token(&mut self, token: Option<String>) {
         self.token = token;
+    }
+
+    pub(super) fn token(&self) -> Option<&str> {
+        self.token.as_deref()
     }
 
     pub(super) fn get<T: DeserializeOwned>(&self, path: &str) -> Result<T, Problem> {
@@ -209,6 +287,17 @@ impl Client {
 
     /// The status and the body of an answer.
     pub(super) fn answer(&self, method: &str, path: &str, body: Vec<u8>) -> (u16, Bytes) {
+        self.answer_within(Duration::MAX, method, path, body).unwrap()
+    }
+
+    /// As [`Self::answer`]; after this time the client hangs up.
+    pub(super) fn answer_within(
+        &self,
+        time: Duration,
+        method: &str,
+        path: &str,
+        body: Vec<u8>,
+    ) -> Option<(u16, Bytes)> {
         let Parts { runtime, engine, router, .. } = &*self.bench.0;
         let mut request = Request::builder().method(method).uri(path).header("host", "localhost");
         request = request.header(CLIENT_HEADER, &self.name);
@@ -217,10 +306,22 @@ impl Client {
         }
         let request = request.body(Body::from(body)).unwrap();
         runtime.block_on(async {
-            let answer = fuzzed::answer(engine, router, request, Peer::local(1, 0)).await.unwrap();
-            let status = answer.status().as_u16();
-            (status, answer.into_body().collect().await.unwrap().to_bytes())
+            let answer = async {
+                let answer = fuzzed::answer(engine, router, request, Peer::local(1, 0)).await.unwrap();
+                let status = answer.status().as_u16();
+                (status, answer.into_body().collect().await.unwrap().to_bytes())
+            };
+            tokio::time::timeout(time, answer).await.ok()
         })
+    }
+
+    /// Opens the connection of a live play, which the answer to its start has named, without a socket.
+    pub(super) fn live(&self, path: &str) -> Result<Live, Problem> {
+        let engine = &self.bench.0.engine;
+        let (id, answers) = engine.lock().live.connect(path.rsplit('/').next().unwrap())?;
+        let caller = Caller::new(Peer::local(1, 0), None, self.token.as_deref(), Some(&self.name));
+        let right = Right::new(Arc::clone(engine), caller, going_on(Route::LiveConnection.access()));
+        Ok(Live { bench: self.bench.clone(), id, right, _answers: answers })
     }
 
     /// Orders a play, and returns the answer and the receipt of its end.
@@ -232,8 +333,30 @@ impl Client {
 
     /// The events from now on; the state comes first.
     pub(super) fn events(&self) -> Events {
-        let (first, frames) = self.bench.0.engine.subscribe().unwrap();
+        let (first, frames) = self.bench.now(|| self.bench.0.engine.subscribe().unwrap());
         Events { bench: self.bench.clone(), first: Some(first), frames }
+    }
+}
+
+/// The connection of a live play. The play ends when it is dropped.
+pub(super) struct Live {
+    bench: Bench,
+    pub(super) id: u64,
+    right: Right,
+    _answers: mpsc::Receiver<LiveAnswer>,
+}
+
+impl Live {
+    /// Sends a message, and returns the answer if it is known at once.
+    pub(super) fn send(&self, message: &Value) -> Option<LiveAnswer> {
+        let (engine, text) = (&self.bench.0.engine, message.to_string());
+        self.bench.now(|| engine.live_message(&self.right, self.id, text.as_bytes(), HostInstant::now()))
+    }
+}
+
+impl Drop for Live {
+    fn drop(&mut self) {
+        self.bench.now(|| self.bench.0.engine.end_live(self.id));
     }
 }
 
@@ -242,6 +365,17 @@ pub(super) struct Events {
     bench: Bench,
     first: Option<Bytes>,
     frames: broadcast::Receiver<Bytes>,
+}
+
+impl Events {
+    /// The next event that has come, as it is sent.
+    pub(super) fn come(&mut self) -> Option<Bytes> {
+        self.first.take().or_else(|| match self.frames.try_recv() {
+            Ok(frame) => Some(frame),
+            Err(TryRecvError::Lagged(_)) => panic!("events are lost: look more often"),
+            Err(_) => None,
+        })
+    }
 }
 
 /// Lets time pass until an event comes for which `wanted` returns a value, and returns that value.

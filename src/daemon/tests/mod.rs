@@ -1,13 +1,22 @@
 //! The whole daemon on a bench: what it answers, plays and records, in virtual time.
 
+#[cfg(test)]
 mod api;
 mod bench;
+#[cfg(test)]
 mod drift;
+#[cfg(test)]
 mod lower_stop;
+#[cfg(test)]
 mod motions;
+#[cfg(test)]
 mod now;
+#[cfg(test)]
 mod participant;
-mod seeds;
+pub(super) mod seeds;
+#[cfg(test)]
 mod sequences;
+#[cfg(test)]
 mod sessions;
+#[cfg(test)]
 mod stimuli;

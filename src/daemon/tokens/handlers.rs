@@ -13,15 +13,16 @@ use serde_json::json;
 use std::sync::Arc;
 
 pub(in crate::daemon) async fn create(
-    Call { app, peer }: Call,
+    Call { app, by }: Call,
     body: Body,
 ) -> Answer<(StatusCode, Json<TokenCreated>)> {
-    let mut logged = LoggedRequest::new(&app.engine, "token-create", peer);
+    let mut logged = LoggedRequest::new(&app.engine, "token-create", by.peer());
     let result = async {
         let request = TokenRequest::parse(&body::read_command(body).await?)?;
         logged.set_arguments(&request);
         let gate = Arc::clone(&app.engine.gate);
-        let created = app.engine.changing(move || gate.tokens.create(request.role, &request.name)).await??;
+        let created =
+            app.engine.changing(&by, move || gate.tokens.create(request.role, &request.name)).await??;
         // Never record the token itself.
         logged.set_arguments(&created.info);
         Ok((StatusCode::CREATED, Json(created)))
@@ -34,13 +35,13 @@ pub(in crate::daemon) async fn list(State(app): State<App>) -> Json<TokenList> {
     Json(TokenList { tokens: app.engine.gate.tokens.list() })
 }
 
-pub(in crate::daemon) async fn revoke(Call { app, peer }: Call, id: PathPart) -> Answer<Json<TokenInfo>> {
-    let mut logged = LoggedRequest::new(&app.engine, "token-revoke", peer);
+pub(in crate::daemon) async fn revoke(Call { app, by }: Call, id: PathPart) -> Answer<Json<TokenInfo>> {
+    let mut logged = LoggedRequest::new(&app.engine, "token-revoke", by.peer());
     let result = async {
         let id: String = path(id)?.chars().take(100).collect();
         logged.set_arguments(&json!({"id": id}));
         let engine = Arc::clone(&app.engine);
-        let revoked = app.engine.changing(move || {
+        let revoked = app.engine.changing(&by, move || {
             let revoked = engine.gate.tokens.revoke(&id);
             // Do this even if the file could not be written: the token is no longer valid.
             engine.lock().rights_changed();

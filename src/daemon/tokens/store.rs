@@ -8,14 +8,15 @@
 //!
 //! Invariant: a file that cannot be read or locked admits no token, and is not overwritten.
 
+use crate::clock::utc_text;
 use crate::file::{self, read_regular};
-use crate::session_record::{TokenId, utc_now};
+use crate::session_record::TokenId;
 use crate::store::hexadecimal;
 use arc_swap::ArcSwap;
 use meissner_api::{Code, MAX_TOKENS, Problem, Role, TOKEN_PREFIX, TokenCreated, TokenInfo};
+use meissner_stream::time::random;
 use rustix::fs::{FlockOperation, flock};
 use rustix::io::Errno;
-use rustix::rand::{GetRandomFlags, getrandom};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use std::fs::{File, OpenOptions};
@@ -126,8 +127,7 @@ impl TokenStore {
     /// Creates a token. It waits for the disk.
     pub(in crate::daemon) fn create(&self, role: Role, name: &str) -> Result<TokenCreated, Problem> {
         let mut bytes = [0; 36];
-        let got = getrandom(&mut bytes, GetRandomFlags::empty());
-        if got != Ok(bytes.len()) {
+        if !random(&mut bytes) {
             return Err(Problem::new(
                 Code::Store,
                 "the system gives no random numbers for the token: try again",
@@ -138,7 +138,7 @@ impl TokenStore {
             TokenId(u32::from_be_bytes(id.try_into().unwrap_or_default())),
             format!("{TOKEN_PREFIX}{}", hexadecimal(secret)),
         );
-        let info = TokenInfo { id: id.to_string(), role, name: name.to_owned(), created: utc_now() };
+        let info = TokenInfo { id: id.to_string(), role, name: name.to_owned(), created: utc_text() };
         let sha256 = Sha256::digest(&token).into();
         let mut state = self.lock();
         let mut tokens = self.current(&mut state)?;

@@ -144,6 +144,12 @@ impl SimulatedMotors {
         self.pins[usize::from(motor)].shaft.position_um(self.now.into())
     }
 
+    /// How many there are.
+    #[must_use]
+    pub fn count(&self) -> u8 {
+        self.pins.len() as u8
+    }
+
     /// Pulses that pushed a pin against its lower stop.
     ///
     /// # Panics

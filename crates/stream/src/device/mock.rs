@@ -143,6 +143,12 @@ impl Mock {
         self.motors.position_um(motor)
     }
 
+    /// As [`Self::position_um`], of every pin.
+    #[must_use]
+    pub fn positions_um(&self) -> Vec<f64> {
+        (0..self.motors.count()).map(|motor| self.position_um(motor)).collect()
+    }
+
     /// The runs played since [`Self::record`] or the last call: for each its first tick, lines and length.
     pub fn take_trace(&mut self) -> Vec<(Tick, Run)> {
         self.trace.as_mut().map(std::mem::take).unwrap_or_default()

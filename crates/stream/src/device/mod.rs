@@ -53,7 +53,7 @@ use std::io;
 use std::sync::Arc;
 pub use terminal::{Received, Terminal};
 pub use usb::{UsbPort, watch};
-pub use wall_mock::WallMock;
+pub use wall_mock::{Faults, WallMock};
 
 /// An open device.
 #[derive(Debug)]
@@ -192,7 +192,11 @@ impl Device {
         match self {
             Self::Mock(mock) => {
                 mock.run(now);
-                Ok(mock.read(bytes))
+                if mock.is_unplugged() {
+                    Err(io::ErrorKind::NotConnected.into())
+                } else {
+                    Ok(mock.read(bytes))
+                }
             }
             Self::Pty(port, _) | Self::Serial(port) => port.read(bytes),
             Self::Usb(port) => port.read(bytes),

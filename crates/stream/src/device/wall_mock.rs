@@ -5,16 +5,18 @@
 
 use crate::device::error::DeviceError;
 use crate::device::mock::{Mock, TruePositions};
+use crate::faulty::{Direction, Liar, Line};
 use crate::link::LineRate;
 use crate::queues::{At, CommandError};
-use crate::time::HostInstant;
+use crate::time::{HostInstant, random};
+use firmware_protocol::controller::Run;
+use firmware_protocol::message::Cause;
 use firmware_protocol::tick::Tick;
 use meissner_array::simulated::SimulatedMotorsConfig;
 use meissner_array::spec::Array;
 use meissner_array::units::TickRate;
 use std::collections::VecDeque;
-use std::hash::{BuildHasher, Hasher, RandomState};
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 /// A mock whose clock follows the host's.
@@ -27,6 +29,33 @@ pub struct WallMock {
     started: HostInstant,
     /// The line to it and from it; `None`: bytes take no time.
     usb: Option<Usb>,
+    /// What a bench does to it and its line.
+    faults: Option<Arc<Mutex<Faults>>>,
+}
+
+/// What a bench does to a mock and its line, and sees of its pins.
+#[derive(Debug, Default)]
+pub struct Faults {
+    /// The line towards the device.
+    pub to_device: Direction,
+    /// The line towards the host.
+    pub to_host: Direction,
+    /// Changes what the device says.
+    pub liar: Option<Liar>,
+    /// The device does nothing, and its lines are low.
+    pub hangs: bool,
+    /// The cable is out.
+    pub is_unplugged: bool,
+    /// The device finds a fault of its own.
+    pub fault: Option<Cause>,
+    /// The pulses that it has played since this was emptied.
+    pub played: Vec<(Tick, Run)>,
+    /// Where its pins come to rest, µm.
+    pub heights_um: Vec<f64>,
+    inbox: VecDeque<u8>,
+    now: HostInstant,
+    /// The device knows that its cable is out.
+    is_out: bool,
 }
 
 /// Bytes that one way of the line holds: as a kernel does for a serial port.
@@ -68,8 +97,11 @@ impl WallMock {
     /// # Errors
     /// If the settings of the simulated motors are out of range.
     pub fn new(array: Array, motors: &SimulatedMotorsConfig, now: HostInstant) -> Result<Self, DeviceError> {
-        let boot = RandomState::new().build_hasher().finish() as u32;
-        Ok(Self { rate: array.rate(), mock: Mock::new(array, *motors, boot)?, started: now, usb: None })
+        let mut boot = [0; 4];
+        // Without random numbers another boot may look the same.
+        let _ = random(&mut boot);
+        let mock = Mock::new(array, *motors, u32::from_le_bytes(boot))?;
+        Ok(Self { rate: array.rate(), mock, started: now, usb: None, faults: None })
     }
 
     /// A mock as a board is: it has no telemetry, whatever the settings say, and its bytes take the time of full-speed USB.
@@ -83,6 +115,59 @@ impl WallMock {
     ) -> Result<Self, DeviceError> {
         let blind = SimulatedMotorsConfig { telemetry_hz: 0, ..*motors };
         Ok(Self { usb: Some(Usb::new(now)), ..Self::new(array, &blind, now)? })
+    }
+
+    /// The same mock behind a line that is good until its owner changes that.
+    #[must_use]
+    pub fn with_faults(mut self, seed: u64) -> (Self, Arc<Mutex<Faults>>) {
+        self.mock.record();
+        let line = |seed| Direction::new(Line::default(), seed);
+        let faults = Faults { to_device: line(seed), to_host: line(!seed), ..Faults::default() };
+        let faults = Arc::new(Mutex::new(faults));
+        self.faults = Some(Arc::clone(&faults));
+        (self, faults)
+    }
+
+    /// Whether a bench has pulled its cable.
+    pub(super) fn is_unplugged(&self) -> bool {
+        self.faults().is_some_and(|faults| faults.is_unplugged)
+    }
+
+    fn faults(&self) -> Option<MutexGuard<'_, Faults>> {
+        Some(self.faults.as_ref()?.lock().unwrap_or_else(PoisonError::into_inner))
+    }
+
+    /// Runs it up to `now`, as its faults let it.
+    fn run_with(&mut self, faults: &mut Faults, now: HostInstant) {
+        let until = Tick::BOOT + self.rate.duration_to_ticks(now.since(self.started));
+        faults.now = now;
+        if std::mem::replace(&mut faults.is_out, faults.is_unplugged) < faults.is_unplugged {
+            self.mock.unplug();
+            (faults.to_device.clear(), faults.to_host.clear(), faults.inbox.clear());
+        }
+        let bytes = faults.to_device.arrived(now);
+        if faults.hangs {
+            return;
+        }
+        self.mock.write(&bytes);
+        if let Some(cause) = faults.fault.take() {
+            self.mock.fault(cause);
+        }
+        self.mock.run(until);
+        let mut bytes = [0; HELD];
+        while let len @ 1.. = self.mock.read(&mut bytes) {
+            match &mut faults.liar {
+                Some(liar) => liar.change(&bytes[..len], |frame| faults.to_host.send(now, frame)),
+                None => faults.to_host.send(now, &bytes[..len]),
+            }
+        }
+        if faults.is_unplugged {
+            faults.to_host.clear();
+        }
+        faults.inbox.extend(faults.to_host.arrived(now));
+        let pulses = |(_, run): &(Tick, Run)| run.drivers && !run.lines.pulsing().is_empty();
+        faults.played.extend(self.mock.take_trace().into_iter().filter(pulses));
+        faults.heights_um = self.mock.positions_um();
     }
 
     /// Whether it is [`Self::like_a_board`].
@@ -131,6 +216,9 @@ impl WallMock {
 
     /// Takes in the bytes that were written, and runs up to `now`.
     pub(super) fn run(&mut self, now: HostInstant) {
+        if let Some(faults) = self.faults.clone() {
+            return self.run_with(&mut faults.lock().unwrap_or_else(PoisonError::into_inner), now);
+        }
         let carries = self.usb.as_mut().map_or(0, |usb| usb.carries(now));
         if let Some(Usb { to_device, .. }) = &mut self.usb {
             let bytes = to_device.make_contiguous();
@@ -149,6 +237,11 @@ impl WallMock {
 
     /// Writes bytes to it, and returns how many it has taken.
     pub(super) fn write(&mut self, bytes: &[u8]) -> usize {
+        if let Some(mut faults) = self.faults() {
+            let now = faults.now;
+            faults.to_device.send(now, bytes);
+            return bytes.len();
+        }
         let Some(Usb { to_device, .. }) = &mut self.usb else { return self.mock.write(bytes) };
         let len = bytes.len().min(HELD - to_device.len());
         to_device.extend(&bytes[..len]);
@@ -157,6 +250,11 @@ impl WallMock {
 
     /// Reads the bytes that have come from it, and returns how many.
     pub(super) fn read(&mut self, bytes: &mut [u8]) -> usize {
+        if let Some(mut faults) = self.faults() {
+            let len = bytes.len().min(faults.inbox.len());
+            bytes.iter_mut().zip(faults.inbox.drain(..len)).for_each(|(to, from)| *to = from);
+            return len;
+        }
         let Some(Usb { to_host, arrived, .. }) = &mut self.usb else { return self.mock.read(bytes) };
         let len = bytes.len().min(*arrived);
         for (to, from) in bytes.iter_mut().zip(to_host.drain(..len)) {

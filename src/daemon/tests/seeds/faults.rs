@@ -1,0 +1,215 @@
+//! What goes wrong, and ends again after a while.
+
+use super::World;
+use crate::daemon::tests::bench::DISK_STALLS;
+use crate::session_record::simulated_disk::{FAILS, ROOM};
+use firmware_protocol::message::{Cause, DeviceMessage, State};
+use meissner_stream::Line;
+use meissner_stream::faulty::Liar;
+use meissner_stream::time::set_wall;
+use meissner_test_support::random::Random;
+use std::time::Duration;
+
+/// A day, ns.
+pub(super) const DAY_NS: i64 = 86_400 * 1_000_000_000;
+
+/// A fault that ends.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Fault {
+    Line,
+    Unplugged,
+    Hangs,
+    Lies,
+    Disk,
+    Stall,
+}
+
+/// The faults now.
+#[derive(Debug, Default)]
+pub(super) struct Trouble {
+    /// Those that end, and when, s.
+    ends: Vec<(f64, Fault)>,
+    /// Until when the array or its line may be bad, and what was said by it wrong, s.
+    array_until_s: f64,
+    /// Until when the disk is bad, s.
+    disk_until_s: f64,
+}
+
+/// How long the effects of a fault last, s: the link needs some seconds to trust a device again.
+const AFTER_S: f64 = 8.0;
+
+impl Trouble {
+    /// Whether the array and its line are good, and have been for a while.
+    pub(super) fn array_is_good(&self, now_s: f64) -> bool {
+        now_s > self.array_until_s
+    }
+
+    /// Whether the disk takes all, and has for a while.
+    pub(super) fn disk_is_good(&self, now_s: f64) -> bool {
+        now_s > self.disk_until_s
+    }
+
+    /// The array is a new one, the disk is the same.
+    pub(super) fn after_kill(mut self) -> Self {
+        self.ends.retain(|(_, fault)| [Fault::Disk, Fault::Stall].contains(fault));
+        self
+    }
+}
+
+/// Begins one.
+pub(super) fn begin(world: &mut World) {
+    world.report.faults += 1;
+    let (random, now_s) = (&mut world.random, world.daemon.now(super::seconds));
+    let which = random.below(10);
+    let mut shared = world.daemon.faults();
+    let (fault, longest_s) = match which {
+        0 | 1 => {
+            let line = Line {
+                loss: if random.chance(0.5) { random.between(0.0, 0.5) } else { 0.0 },
+                corrupt: if random.chance(0.5) { random.between(0.0, 0.5) } else { 0.0 },
+                repeat: if random.chance(0.3) { 0.3 } else { 0.0 },
+                byte_loss: if random.chance(0.3) { 0.01 } else { 0.0 },
+                delay: Duration::from_secs_f64(if random.chance(0.5) {
+                    random.between(0.0, 0.3)
+                } else {
+                    0.0
+                }),
+                jitter: Duration::from_secs_f64(if random.chance(0.3) {
+                    random.between(0.0, 0.1)
+                } else {
+                    0.0
+                }),
+                bytes_per_s: 0,
+                holds: random.chance(0.2),
+            };
+            (shared.to_device.line, shared.to_host.line) = (line, line);
+            (Fault::Line, 3.0)
+        }
+        2 => {
+            shared.is_unplugged = true;
+            (Fault::Unplugged, 5.0)
+        }
+        3 => {
+            shared.hangs = true;
+            (Fault::Hangs, 3.0)
+        }
+        4 => {
+            shared.fault = Some([Cause::Output, Cause::Panic, Cause::Watchdog][random.below(3)]);
+            (Fault::Lies, 0.1)
+        }
+        5 => {
+            shared.liar = Some(Liar::new(lie(random.below(1 << 20) as u64)));
+            (Fault::Lies, 3.0)
+        }
+        6 => {
+            ROOM.set(random.below(2000));
+            (Fault::Disk, 20.0)
+        }
+        7 => {
+            FAILS.set(true);
+            (Fault::Disk, 10.0)
+        }
+        8 => {
+            DISK_STALLS.set(true);
+            (Fault::Stall, 8.0)
+        }
+        _ => {
+            drop(shared);
+            return set_clock(world);
+        }
+    };
+    drop(shared);
+    let until_s = now_s + random.between(0.0, longest_s);
+    match fault {
+        Fault::Disk | Fault::Stall => {
+            world.trouble.disk_until_s = world.trouble.disk_until_s.max(until_s + 3.0);
+        }
+        _ => world.trouble.array_until_s = world.trouble.array_until_s.max(until_s + AFTER_S),
+    }
+    world.trouble.ends.push((until_s, fault));
+    world.trace(&format!("{fault:?} until {until_s}"));
+}
+
+/// Somebody sets the wall clock, or it is set right again.
+fn set_clock(world: &mut World) {
+    let (random, hour_ns) = (&mut world.random, DAY_NS / 24);
+    world.machine.wall_set += match random.below(5) {
+        0 => DAY_NS * (1 + random.below(40) as i64),
+        1 => -DAY_NS * (1 + random.below(3) as i64),
+        2 => hour_ns,
+        3 => -hour_ns,
+        _ => {
+            // A minute before midnight.
+            let now = world.daemon.now(crate::clock::local);
+            let midnight = now.tomorrow().unwrap().start_of_day().unwrap();
+            now.duration_until(&midnight).as_nanos() as i64 - 60_000_000_000
+        }
+    };
+    let set = world.machine.wall_set;
+    set_wall(set);
+    world.trace(&format!("the clock is set by {set}"));
+}
+
+/// Ends those whose time is over.
+pub(super) fn end_due(world: &mut World) {
+    let now_s = world.daemon.now(super::seconds);
+    for (_, fault) in world.trouble.ends.extract_if(.., |(until_s, _)| *until_s <= now_s).collect::<Vec<_>>()
+    {
+        let mut shared = world.daemon.faults();
+        match fault {
+            Fault::Line => (shared.to_device.line, shared.to_host.line) = Default::default(),
+            Fault::Unplugged => shared.is_unplugged = false,
+            Fault::Hangs => shared.hangs = false,
+            Fault::Lies => shared.liar = None,
+            Fault::Disk => heal_disk(),
+            Fault::Stall => DISK_STALLS.set(false),
+        }
+    }
+}
+
+fn heal_disk() {
+    ROOM.set(usize::MAX);
+    FAILS.set(false);
+}
+
+/// Ends all.
+pub(super) fn end_all(world: &mut World) {
+    let now_s = world.daemon.now(super::seconds);
+    world.trouble.ends.iter_mut().for_each(|(until_s, _)| *until_s = now_s);
+    end_due(world);
+}
+
+/// The disk of this thread is good again, after the last day.
+pub(super) fn heal() {
+    heal_disk();
+    DISK_STALLS.set(false);
+}
+
+/// A device that says one thing wrong, in some of its messages.
+fn lie(seed: u64) -> impl FnMut(&mut DeviceMessage) + Send {
+    let mut random = Random::new(seed);
+    let (kind, share) = (random.below(8), random.between(0.05, 1.0));
+    move |message| {
+        if !random.chance(share) {
+            return;
+        }
+        let any = random.below(1 << 16) as u16;
+        match message {
+            DeviceMessage::Hello(hello) => hello.boot ^= 1,
+            DeviceMessage::Status(status) => match kind {
+                0 => {
+                    let states = [State::Disarmed, State::Armed, State::Returning, State::Faulted];
+                    status.state = states[random.below(4)];
+                }
+                1 => status.tick.0[2] = status.tick.0[2].wrapping_add(1 + any as u8 / 2),
+                2 => status.counters.played += u64::from(any),
+                3 => status.next_seq = status.next_seq.wrapping_add(any),
+                4 => status.credits = any,
+                5 => status.outstanding = any.into(),
+                6 => status.position_known = !status.position_known,
+                _ => status.epoch = status.epoch.wrapping_add(1),
+            },
+            _ => {}
+        }
+    }
+}

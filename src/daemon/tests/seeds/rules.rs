@@ -1,0 +1,232 @@
+//! The rules that hold whatever happens, each in a sentence.
+
+use super::{Life, World};
+use crate::daemon::tests::bench::{Client, DISK_STALLS};
+use meissner_api::{PlayState, Receipt, Session, SessionList, SessionPlays, Status};
+use serde_json::{Value, json};
+use std::collections::BTreeSet;
+use std::time::Duration;
+
+/// By how much vibration may pass a limit without a pause, s: a stop or disarm is never refused, its return counts, and up to half a
+/// second before it.
+const CONTINUOUS_OVER_S: f64 = 0.6;
+/// The same in a day.
+const DAY_OVER_S: f64 = 6.0;
+/// A pin lower than this is at rest, µm: bursts are not exact.
+const REST_UM: f64 = 5.0;
+
+/// What was known before a kill.
+#[derive(Debug)]
+pub(super) struct Before {
+    at_s: f64,
+    /// Vibration of the day, of whom and when, if the disk had it.
+    day_used_s: Option<f64>,
+    stalls: bool,
+}
+
+/// Who shows the token of a session that is over may change nothing, and during an exclusive session only its owner may.
+pub(super) fn may_act(world: &World, client: &Client) -> bool {
+    let token = client.token();
+    let is_old = token.is_some_and(|token| world.old_tokens.iter().any(|old| old == token));
+    let is_out = world.life.session.as_ref().is_some_and(|session| {
+        session.exclusive && token != Some(&*session.token) && world.now_s() < session.heard_s + 19.0
+    });
+    !is_old && !is_out
+}
+
+/// Whom [`may_act`] keeps out gets nothing done.
+pub(super) fn keeps_out(may: bool, what: &str, done: bool) {
+    assert!(may || !done, "{what} of a client that may not");
+}
+
+/// After a stop was answered, pins come down and nothing moves until the next order.
+pub(super) fn stops(world: &mut World) {
+    world.pass(Duration::from_secs(4));
+    let now_s = world.now_s();
+    let quiet = world.truth.last_s < now_s - 1.0;
+    assert!(quiet || !world.trouble.array_is_good(now_s), "a stop is obeyed");
+}
+
+/// No limit for participants is passed by the lines, and after an emergency stop no line is high until a reset.
+pub(super) fn after_look(world: &World) {
+    let truth = &world.truth;
+    assert!(truth.stretch_s <= 4.0 + CONTINUOUS_OVER_S, "{} s without a pause", truth.stretch_s);
+    for (of, day_s) in &truth.days {
+        assert!(*day_s <= 60.0 + DAY_OVER_S, "{day_s} s of {of:?}");
+    }
+    if let Some(stopped_s) = world.life.estopped_s
+        && world.trouble.array_is_good(world.now_s())
+    {
+        assert!(
+            truth.last_s <= stopped_s + 0.02,
+            "a line is high {} s after an e-stop",
+            truth.last_s - stopped_s
+        );
+    }
+}
+
+/// What holds after each step.
+pub(super) fn hold(world: &mut World) {
+    let status = world.status();
+    let (now_s, good) = (world.now_s(), world.trouble.array_is_good(world.now_s()));
+    world.state.clone_from(&status.state);
+    world.truth.person = status.session.as_ref().map(|session| session.participant.clone());
+    nothing_plays_unarmed(&status);
+    silence_disarms(world, &status, now_s);
+    if good {
+        no_pin_stays_up(world, &status, now_s);
+    }
+}
+
+/// While the motors are off or an emergency stop is latched, nothing plays or waits.
+fn nothing_plays_unarmed(status: &Status) {
+    if status.state == "disarmed" || status.state == "faulted" {
+        assert!(status.play.is_none() && status.queued.is_empty(), "nothing plays: {status:?}");
+    }
+}
+
+/// Motors do not stay armed when all clients are silent.
+fn silence_disarms(world: &World, status: &Status, now_s: f64) {
+    let silent = now_s > world.life.heard_s + 30.0 + 3.0;
+    assert!(!silent || status.state != "armed", "armed, and silent since {}", world.life.heard_s);
+}
+
+/// No pin stays up without a move: a minute in a play, and seconds outside of one, but after an emergency stop or a fault.
+fn no_pin_stays_up(world: &World, status: &Status, now_s: f64) {
+    let is_idle = status.play.is_none() && status.queued.is_empty();
+    let longest_s = if is_idle { 5.0 } else { 65.0 };
+    let faults = world.daemon.faults();
+    for (motor, &height_um) in faults.heights_um.iter().enumerate() {
+        let rests_s = now_s - world.truth.pulsed_s[motor].max(world.life.began_s);
+        let up = height_um > REST_UM && rests_s > longest_s && status.position == "known";
+        assert!(!up || status.state == "faulted", "pin {motor} is at {height_um} um since {rests_s} s");
+    }
+}
+
+/// What must be true after the kill that comes now.
+pub(super) fn before_kill(world: &mut World) -> Before {
+    let (status, at_s) = (world.status(), world.now_s());
+    let is_set = world.machine.wall_set != world.life.wall_set;
+    let known = status.session.is_none() && world.trouble.disk_is_good(at_s) && !is_set;
+    Before { at_s, day_used_s: known.then_some(status.participant.day_used_s), stalls: DISK_STALLS.get() }
+}
+
+/// What must be true after a kill.
+pub(super) fn recorded(world: &mut World, before: &Before, life: &Life) {
+    let lines = world.read_record(before.at_s);
+    let of = |event: &str, place: &str| -> Vec<u64> {
+        let all = lines.iter().filter(|line| line["event"] == event);
+        all.filter_map(|line| line.pointer(place)?.as_u64()).collect()
+    };
+    each_answer_is_recorded(life, &of("answered", "/play"));
+    let lost = of("lost", "/entries").iter().sum();
+    each_play_is_recorded_or_lost(world, before, life, &of("ended", "/receipt/id"), lost);
+    sums_survive(world, before);
+    sessions_are_whole_or_not_complete(world, before, life);
+}
+
+/// An answer that was acknowledged has a line, and one only.
+fn each_answer_is_recorded(life: &Life, lines: &[u64]) {
+    let kept: BTreeSet<u64> = lines.iter().copied().collect();
+    assert_eq!(kept.len(), lines.len(), "an answer has one line");
+    assert!(life.answered.is_subset(&kept), "acknowledged: {:?}, recorded: {kept:?}", life.answered);
+    let unknown: Vec<_> = kept.difference(&life.answered).collect();
+    assert!(
+        unknown.iter().all(|id| life.unsure_answers.contains(id)),
+        "nobody has given answers {unknown:?}"
+    );
+}
+
+/// Each play whose end was told has a line, and one only, or the record says that entries are lost.
+fn each_play_is_recorded_or_lost(world: &mut World, before: &Before, life: &Life, lines: &[u64], lost: u64) {
+    let kept: BTreeSet<u64> = lines.iter().copied().collect();
+    assert_eq!(kept.len(), lines.len(), "a play has one line");
+    let unknown = kept.iter().filter(|id| !life.accepted.contains_key(id)).count() as u64;
+    assert!(unknown <= life.unsure, "plays that nobody has ordered: {kept:?}");
+    // The record's thread writes every millisecond, unless the disk stalls.
+    let due = |at_s: f64| !before.stalls && at_s < before.at_s - 0.1;
+    let missing = life.ended.iter().filter(|&(id, &at_s)| due(at_s) && !kept.contains(id)).count() as u64;
+    if missing > lost {
+        let status = world.status();
+        assert!(
+            status.daemon.logbook_problem.is_some(),
+            "{missing} plays are missing, {lost} entries are said to be"
+        );
+    }
+}
+
+/// A kill makes no sum of vibration smaller.
+fn sums_survive(world: &mut World, before: &Before) {
+    let after = world.status().participant;
+    if let Some(used_s) = before.day_used_s {
+        let same_day = world.now_s() < before.at_s + 60.0;
+        assert!(!same_day || after.day_used_s > used_s - 0.01, "{used_s} s were {} s", after.day_used_s);
+    }
+}
+
+/// A session whose record counts as complete has all of its plays, and one whose daemon was killed never counts as complete.
+fn sessions_are_whole_or_not_complete(world: &mut World, before: &Before, life: &Life) {
+    let observer = world.observer.clone();
+    let known = life.ended_sessions.iter().map(|(id, plays)| (id, plays, true));
+    let open = life.session.iter().map(|session| (&session.id, &session.plays, false));
+    for (id, plays, has_ended) in known.chain(open) {
+        let path = format!("/v1/sessions/{id}/plays");
+        let shown =
+            world.call::<SessionPlays>(&observer, super::NEVER, ("GET", &path, &Value::Null)).unwrap();
+        let Ok(shown) = shown else {
+            assert!(!world.trouble.disk_is_good(before.at_s), "session {id} is not in the record");
+            continue;
+        };
+        let told: BTreeSet<u64> = shown.plays.iter().map(|play| play.receipt.id).collect();
+        assert!(has_ended || !shown.complete, "session {id} was open when the daemon was killed");
+        assert!(shown.session.reason.is_some(), "session {id} was over before this daemon");
+        let all = plays.is_subset(&told) && told.len() as u64 <= plays.len() as u64 + life.unsure;
+        assert!(!shown.complete || all, "session {id} has {plays:?}, and is shown complete with {told:?}");
+        if has_ended && world.trouble.disk_is_good(before.at_s) && life.disk_was_good {
+            assert!(shown.complete, "session {id}: {:?}", shown.missing);
+        }
+    }
+    let list = world.call::<SessionList>(&observer, super::NEVER, ("GET", "/v1/sessions", &Value::Null));
+    let list = list.unwrap().unwrap();
+    let mut ids: Vec<&String> = list.sessions.iter().map(|Session { id, .. }| id).collect();
+    ids.sort();
+    ids.dedup();
+    assert_eq!(ids.len(), list.sessions.len(), "each session is listed once");
+}
+
+/// Whether every pin is at rest.
+pub(super) fn are_down(world: &World) -> bool {
+    world.daemon.faults().heights_um.iter().all(|height_um| height_um.abs() < REST_UM)
+}
+
+/// When all faults are over, the accounts of all plays close, pins are down, and the motors can be armed.
+pub(super) fn at_rest(world: &mut World) {
+    let client = world.observer.clone();
+    let status = world.status();
+    assert!(status.play.is_none() && status.queued.is_empty() && status.session.is_none(), "{status:?}");
+    let are_down = are_down(world);
+    assert!(are_down || status.position != "known", "all pins are down: {status:?}");
+    let ids: Vec<(u64, bool)> = world.life.accepted.iter().map(|(id, has_end)| (*id, *has_end)).collect();
+    for (id, has_end) in ids {
+        let path = format!("/v1/plays/{id}");
+        let receipt =
+            world.call::<Receipt>(&client, super::NEVER, ("GET", &path, &Value::Null)).unwrap().unwrap();
+        if let Some(bursts) = receipt.counts.bursts {
+            let sum = bursts.played + bursts.late + bursts.dropped + bursts.refused + bursts.replaced;
+            assert_eq!(bursts.planned, sum, "{receipt:?}");
+        }
+        assert!(receipt.state.is_over() && world.life.ended.contains_key(&id), "{receipt:?}");
+        assert_eq!(receipt.cause.is_none(), receipt.state == PlayState::Done, "{receipt:?}");
+        let passes = receipt.cause == Some(meissner_api::EndCause::ParticipantLimit) && has_end;
+        assert!(
+            !passes || !world.life.array_was_good,
+            "a play that was accepted and has an end passes no limit: {receipt:?}"
+        );
+    }
+    if !are_down {
+        return;
+    }
+    let armed = world.asked::<Value>(&client, "/v1/arm", &json!({"assume_rest": true, "checked": "Ada"}));
+    assert!(armed.is_ok(), "{armed:?}");
+    let _ = world.asked::<Value>(&client, "/v1/disarm", &json!({})).unwrap();
+}
