@@ -6,6 +6,7 @@
 
 use crate::config::Config;
 use crate::daemon::core::check;
+use crate::daemon::core::connector;
 use crate::daemon::core::engine::Engine;
 use crate::daemon::core::event_loop::readable;
 use crate::daemon::core::service::{Manager, StatusReporter};
@@ -96,7 +97,10 @@ impl Bench {
             let reporter = StatusReporter::new(Manager::find().unwrap());
             tokio::spawn(Arc::clone(&engine).event_loop(events, reporter));
             let mock = WallMock::new(config.settings.array, &config.mock, HostInstant::now()).unwrap();
-            assert!(engine.connect(Box::new(Device::Mock(Box::new(mock)))).is_ok(), "the queue has room");
+            assert!(
+                connector::connect(&engine, Box::new(Device::Mock(Box::new(mock)))).is_ok(),
+                "the queue has room"
+            );
             engine.first_device().await;
             let app =
                 App::new(Arc::clone(&engine), store, &Bounds::of_process(), Arc::new(Counts::default()));
