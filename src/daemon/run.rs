@@ -6,6 +6,7 @@
 //! Invariant: before the daemon ends, it returns the pins, switches the motors off and removes its socket.
 
 use crate::config::Config;
+use crate::daemon::calibration::apply;
 use crate::daemon::core::check;
 use crate::daemon::core::connection::ConnectorMessage;
 use crate::daemon::core::connector;
@@ -217,7 +218,7 @@ impl Engine {
             state.sessions.set_silence(Duration::from_secs_f64(config.session_silence_s));
             state.armed.set_default(Duration::from_secs_f64(config.armed_silence_s));
         }
-        engine.load_calibration(None);
+        apply::load_calibration(&engine, None);
         engine
     }
 }

@@ -2,6 +2,7 @@
 
 use crate::daemon::arm::estop::Origin;
 use crate::daemon::arm::state::Silence;
+use crate::daemon::arm::watch;
 use crate::daemon::core::engine::TIMEOUT;
 use crate::daemon::net::answer::{Answer, ErrorResponse};
 use crate::daemon::net::app::{App, Call};
@@ -10,6 +11,7 @@ use crate::daemon::net::request_log::LoggedRequest;
 use crate::daemon::net::server::Ordered;
 use crate::daemon::plays::terms::edge_at;
 use crate::daemon::sessions::caller::{Asker, Caller};
+use crate::daemon::status::report;
 use axum::Json;
 use axum::body::Body;
 use axum::extract::Extension;
@@ -41,7 +43,7 @@ async fn simple_command(
 
 async fn carry_out(app: &App, by: &Asker, command: Command, timeout: Duration) -> Answer<Json<Status>> {
     app.engine.carry_out(by, command, timeout).await?;
-    Ok(Json(app.engine.status(Some(by))))
+    Ok(Json(report::status(&app.engine, Some(by))))
 }
 
 pub(in crate::daemon) async fn stop(Call { app, by }: Call, body: Body) -> Answer<Json<Status>> {
@@ -72,7 +74,7 @@ pub(in crate::daemon) async fn estop(
     };
     // Read the body only now, so that a client that sends it separately does not find the connection closed.
     let _ = tokio::time::timeout(ESTOP_BODY, body::read_command(body)).await;
-    logged.result(result.map(|()| Json(app.engine.status(Some(&by)))).map_err(ErrorResponse::from))
+    logged.result(result.map(|()| Json(report::status(&app.engine, Some(&by)))).map_err(ErrorResponse::from))
 }
 
 pub(in crate::daemon) async fn reset(Call { app, by }: Call, body: Body) -> Answer<Json<Status>> {
@@ -125,8 +127,8 @@ pub(in crate::daemon) async fn arm(Call { app, by }: Call, body: Body) -> Answer
             (true, None) => Command::ArmUnchecked,
             (assume_rest, _) => Command::Arm { assume_rest },
         };
-        app.engine.arm(&by, command, silence).await?;
-        Ok(Json(app.engine.status(Some(&by))))
+        watch::arm(&app.engine, &by, command, silence).await?;
+        Ok(Json(report::status(&app.engine, Some(&by))))
     }
     .await;
     logged.result(result)
@@ -138,7 +140,7 @@ pub(in crate::daemon) async fn disarm(Call { app, by }: Call, body: Body) -> Ans
         let request = DisarmRequest::parse(&body::read_command(body).await?)?;
         logged.set_arguments(&request);
         if request.own && app.engine.lock().give_back_armed(&by.caller) {
-            return Ok((Json(app.engine.status(Some(&by))), false));
+            return Ok((Json(report::status(&app.engine, Some(&by))), false));
         }
         Ok((carry_out(&app, &by, Command::Disarm, TIMEOUT).await?, true))
     };

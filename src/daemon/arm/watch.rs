@@ -14,51 +14,49 @@ use tracing::warn;
 /// How often a watch checks whether it is over, and how soon the daemon disarms again if the device did not take the command.
 const AGAIN: Duration = Duration::from_secs(1);
 
-impl Engine {
-    /// Arms, by this command, for this client, which may then be silent as long as `silence` says.
-    pub(in crate::daemon) async fn arm(
-        self: &Arc<Self>,
-        by: &Asker,
-        command: Command,
-        silence: Silence,
-    ) -> Result<(), Problem> {
-        let timeout = self.seek_timeout();
-        let reply = self.send(Some(by), command)?;
-        let (engine, name, caller) = (Arc::clone(self), self.names.client(by.peer()), by.caller.clone());
-        let work = async move {
-            answer(reply, timeout).await?;
-            let watch = engine.lock().hold_armed(caller, name, silence);
-            if let Some(number) = watch {
-                tokio::spawn(async move { engine.watch_silence(number).await });
-            }
-            Ok(())
-        };
-        // On a separate task, because the client may hang up before the device has answered.
-        let broken = |_| Problem::new(Code::ShuttingDown, "the daemon is ending: start it again");
-        tokio::spawn(work).await.unwrap_or_else(|error| Err(broken(error)))
-    }
-
-    /// Stops and disarms when the client with this watch has been silent for too long.
-    async fn watch_silence(&self, number: u64) {
-        loop {
-            let Some(left) = self.lock().armed.until_silent(number) else { return };
-            if !left.is_zero() {
-                // A newer watch may have taken its place.
-                tokio::time::sleep(left.min(AGAIN)).await;
-                continue;
-            }
-            let Some(disarmed) = self.lock().disarm_silent(number) else { continue };
-            let disarmed = match disarmed {
-                Ok(reply) => answer(reply, TIMEOUT).await,
-                Err(problem) => Err(problem),
-            };
-            match disarmed {
-                Ok(()) => warn!("the client that armed was silent for too long: the motors are disarmed"),
-                Err(problem) => {
-                    warn!("the client that armed was silent for too long, and disarming failed: {problem}");
-                }
-            }
-            tokio::time::sleep(AGAIN).await;
+/// Arms, by this command, for this client, which may then be silent as long as `silence` says.
+pub(in crate::daemon) async fn arm(
+    engine: &Arc<Engine>,
+    by: &Asker,
+    command: Command,
+    silence: Silence,
+) -> Result<(), Problem> {
+    let timeout = engine.seek_timeout();
+    let reply = engine.send(Some(by), command)?;
+    let (engine, name, caller) = (Arc::clone(engine), engine.names.client(by.peer()), by.caller.clone());
+    let work = async move {
+        answer(reply, timeout).await?;
+        let watch = engine.lock().hold_armed(caller, name, silence);
+        if let Some(number) = watch {
+            tokio::spawn(async move { watch_silence(&engine, number).await });
         }
+        Ok(())
+    };
+    // On a separate task, because the client may hang up before the device has answered.
+    let broken = |_| Problem::new(Code::ShuttingDown, "the daemon is ending: start it again");
+    tokio::spawn(work).await.unwrap_or_else(|error| Err(broken(error)))
+}
+
+/// Stops and disarms when the client with this watch has been silent for too long.
+async fn watch_silence(engine: &Engine, number: u64) {
+    loop {
+        let Some(left) = engine.lock().armed.until_silent(number) else { return };
+        if !left.is_zero() {
+            // A newer watch may have taken its place.
+            tokio::time::sleep(left.min(AGAIN)).await;
+            continue;
+        }
+        let Some(disarmed) = engine.lock().disarm_silent(number) else { continue };
+        let disarmed = match disarmed {
+            Ok(reply) => answer(reply, TIMEOUT).await,
+            Err(problem) => Err(problem),
+        };
+        match disarmed {
+            Ok(()) => warn!("the client that armed was silent for too long: the motors are disarmed"),
+            Err(problem) => {
+                warn!("the client that armed was silent for too long, and disarming failed: {problem}");
+            }
+        }
+        tokio::time::sleep(AGAIN).await;
     }
 }

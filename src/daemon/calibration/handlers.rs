@@ -1,5 +1,7 @@
 //! Calibrations: measures one, shows the one in use, and stores one that was measured elsewhere.
 
+use crate::daemon::calibration::apply;
+use crate::daemon::calibration::play;
 use crate::daemon::core::runtime::computing;
 use crate::daemon::net::answer::{Answer, ErrorResponse, json_response};
 use crate::daemon::net::app::{App, Call};
@@ -26,7 +28,8 @@ pub(in crate::daemon) async fn calibrate(
         logged.set_arguments(&request);
         let array = app.engine.lock().settings.array;
         let plan = calibration_plan(array, &request)?;
-        let accepted = app.engine.calibrate(&by, plan, request.laser, request.session.as_deref()).await?;
+        let accepted =
+            play::calibrate(&app.engine, &by, plan, request.laser, request.session.as_deref()).await?;
         logged.set_play(accepted.id);
         Ok((StatusCode::ACCEPTED, Json(accepted)))
     }
@@ -36,7 +39,7 @@ pub(in crate::daemon) async fn calibrate(
 
 pub(in crate::daemon) async fn show(State(app): State<App>) -> Answer<Response> {
     // Making the document of a long file takes milliseconds, during which an emergency stop must not wait.
-    let json = computing(move || app.engine.calibration_json()).await??;
+    let json = computing(move || apply::calibration_json(&app.engine)).await??;
     Ok(json_response(json))
 }
 
@@ -50,7 +53,7 @@ pub(in crate::daemon) async fn store(Call { app, by }: Call, body: Body) -> Answ
         let new = new.map_err(|error| bad(error.to_string()))?;
         let motors: Vec<u8> = new.motors().iter().map(|fit| fit.motor).collect();
         logged.set_arguments(&json!({"motors": motors, "telemetry": new.provenance().telemetry}));
-        Ok::<_, ErrorResponse>(json_response(app.engine.import_calibration(&by, new).await?))
+        Ok::<_, ErrorResponse>(json_response(apply::import_calibration(&app.engine, &by, new).await?))
     }
     .await;
     logged.result(result)

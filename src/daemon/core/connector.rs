@@ -10,6 +10,7 @@
 //!
 //! Invariant: at most one board is open; the old one is closed before the next is opened.
 
+use crate::daemon::calibration::apply;
 use crate::daemon::core::connection::ConnectorMessage;
 use crate::daemon::core::engine::Engine;
 use crate::daemon::core::state::State;
@@ -77,7 +78,7 @@ impl Connector {
             let gone = match device::open(&self.spec, self.array, &self.motors) {
                 Ok(device) => {
                     self.note_opened(&device);
-                    match self.engine.connect(Box::new(device)) {
+                    match connect(&self.engine, Box::new(device)) {
                         Ok(()) => self.wait_until_gone(),
                         Err(device) => Some(ConnectorMessage::Gone(Some(device))),
                     }
@@ -197,7 +198,7 @@ impl Connector {
             match device::open(&Spec::Board, self.array, &self.motors) {
                 Ok(device) => {
                     let kind = device.kind();
-                    if self.engine.replace_mock(Box::new(device)).is_ok() {
+                    if replace_mock(&self.engine, Box::new(device)).is_ok() {
                         info!("opened {kind}, in the mock's place");
                         (self.spec, self.opened) = (Spec::Board, kind);
                         return;
@@ -214,30 +215,28 @@ impl Connector {
     }
 }
 
-impl Engine {
-    /// Hands a device to the streamer, with its calibration; returns it if too many commands wait.
-    pub(in crate::daemon) fn connect(&self, device: Box<Device>) -> Result<(), Box<Device>> {
-        self.load_calibration(Some(&device.identity()));
-        hand_over(self.lock(), device)
-    }
+/// Hands a device to the streamer, with its calibration; returns it if too many commands wait.
+pub(in crate::daemon) fn connect(engine: &Engine, device: Box<Device>) -> Result<(), Box<Device>> {
+    apply::load_calibration(engine, Some(&device.identity()));
+    hand_over(engine.lock(), device)
+}
 
-    /// Replaces the mock by a board; if a client has ever requested to arm, returns the board instead.
-    fn replace_mock(&self, board: Box<Device>) -> Result<(), Box<Device>> {
-        let mock = self.lock().calibration.identity.clone();
-        self.load_calibration(Some(&board.identity()));
-        let state = self.lock();
-        let refused = if state.connection.armed_once {
-            drop(state);
-            board
-        } else {
-            match hand_over(state, board) {
-                Ok(()) => return Ok(()),
-                Err(board) => board,
-            }
-        };
-        self.load_calibration(Some(&mock));
-        Err(refused)
-    }
+/// Replaces the mock by a board; if a client has ever requested to arm, returns the board instead.
+fn replace_mock(engine: &Engine, board: Box<Device>) -> Result<(), Box<Device>> {
+    let mock = engine.lock().calibration.identity.clone();
+    apply::load_calibration(engine, Some(&board.identity()));
+    let state = engine.lock();
+    let refused = if state.connection.armed_once {
+        drop(state);
+        board
+    } else {
+        match hand_over(state, board) {
+            Ok(()) => return Ok(()),
+            Err(board) => board,
+        }
+    };
+    apply::load_calibration(engine, Some(&mock));
+    Err(refused)
 }
 
 fn hand_over(mut state: MutexGuard<'_, State>, device: Box<Device>) -> Result<(), Box<Device>> {
@@ -301,10 +300,10 @@ mod tests {
         let device = || {
             Box::new(device::open(&Spec::Mock, Array::paper(), &SimulatedMotorsConfig::default()).unwrap())
         };
-        engine.connect(device()).unwrap();
-        engine.replace_mock(device()).unwrap();
+        connect(&engine, device()).unwrap();
+        replace_mock(&engine, device()).unwrap();
         drop(engine.send(DAEMON, Command::Arm { assume_rest: false }).unwrap());
-        assert!(engine.lock().connection.armed_once && engine.replace_mock(device()).is_err());
+        assert!(engine.lock().connection.armed_once && replace_mock(&engine, device()).is_err());
         let jobs: Vec<Command> = std::iter::from_fn(|| port.pop()).map(|request| request.command).collect();
         assert!(
             matches!(jobs[..], [Command::Connect(_), Command::Connect(_), Command::Arm { .. }]),

@@ -4,7 +4,9 @@
 //!
 //! Invariant: no event waits for the log, a listener or the disk.
 
+use crate::daemon::calibration::apply;
 use crate::daemon::core::engine::Engine;
+use crate::daemon::core::log_lines;
 use crate::daemon::core::service::StatusReporter;
 use crate::exposure::{Account, Now};
 use crate::receipts::counts_until;
@@ -87,7 +89,7 @@ impl Engine {
                 }
                 // Log after publishing and outside the lock, because the log may be slow.
                 if let Some(event) = event.filter(|_| is_new) {
-                    self.log(&event);
+                    log_lines::log(&self, &event);
                 }
             }
             untold = self.tell_record(&mut told);
@@ -95,7 +97,7 @@ impl Engine {
             let now = Instant::now();
             if let Some(over) = due.take_if(|due| due.at <= now) {
                 if over.woken {
-                    self.finish_calibration(over.play);
+                    apply::finish_calibration(&self, over.play);
                 } else {
                     due = Some(Due { at: now + READ_AFTER, woken: true, ..over });
                     self.lock().commands.wake_streamer();

@@ -7,6 +7,7 @@
 //! Invariant: no watchdog notification without a new run of the streamer's loop.
 
 use crate::daemon::core::engine::Engine;
+use crate::daemon::status::report;
 use crossbeam_channel::{Receiver, Sender, bounded};
 use sd_notify::NotifyState;
 use std::ffi::OsStr;
@@ -93,7 +94,7 @@ impl StatusReporter {
             return;
         }
         // A line break would end the value in this protocol.
-        let line = engine.status_line().replace(char::is_control, " ");
+        let line = report::status_line(&engine).replace(char::is_control, " ");
         if line != self.last {
             self.last.clone_from(&line);
             self.manager.notify_status(line);

@@ -17,70 +17,68 @@ use std::thread;
 /// Characters of a failed rendering's problem, at most.
 const MAX_PROBLEM: usize = 300;
 
-impl Engine {
-    /// Starts the rendering of an object of this name on a separate thread.
-    pub(in crate::daemon) fn start_rendering(
-        self: &Arc<Self>,
-        by: &Asker,
-        request: &RenderingRequest,
-        name: &str,
-        render: Render,
-    ) -> Result<Rendering, Problem> {
-        let job = Job::render(render, self.lock().settings.array);
-        let failed = |detail: String| Problem::new(Code::Store, detail);
-        let command = render_process::command().ok_or_else(|| {
-            failed("this program is not meissner and cannot render: start `meissner daemon`".to_owned())
-        })?;
-        let rendering = self.lock().begin_rendering(by, request, name)?;
-        let (engine, id) = (Arc::clone(self), rendering.id);
-        let work = move || {
-            engine.run_rendering(id, command, job);
-            engine.changed.notify_one();
-        };
-        if let Err(error) = thread::Builder::new().name("rendering".into()).spawn(work) {
-            let detail = format!("the rendering's thread cannot start: {error}");
-            self.lock().end_rendering(id, Err(detail.clone()));
-            return Err(failed(detail));
-        }
-        Ok(rendering)
+/// Starts the rendering of an object of this name on a separate thread.
+pub(in crate::daemon) fn start_rendering(
+    engine: &Arc<Engine>,
+    by: &Asker,
+    request: &RenderingRequest,
+    name: &str,
+    render: Render,
+) -> Result<Rendering, Problem> {
+    let job = Job::render(render, engine.lock().settings.array);
+    let failed = |detail: String| Problem::new(Code::Store, detail);
+    let command = render_process::command().ok_or_else(|| {
+        failed("this program is not meissner and cannot render: start `meissner daemon`".to_owned())
+    })?;
+    let rendering = engine.lock().begin_rendering(by, request, name)?;
+    let (works, id) = (Arc::clone(engine), rendering.id);
+    let work = move || {
+        run_rendering(&works, id, command, job);
+        works.changed.notify_one();
+    };
+    if let Err(error) = thread::Builder::new().name("rendering".into()).spawn(work) {
+        let detail = format!("the rendering's thread cannot start: {error}");
+        engine.lock().end_rendering(id, Err(detail.clone()));
+        return Err(failed(detail));
     }
+    Ok(rendering)
+}
 
-    fn run_rendering(&self, id: u64, command: Command, job: Job) {
-        let mut process = match RenderProcess::start(command) {
-            Ok(process) => process,
-            Err(error) => {
-                return self
-                    .lock()
-                    .end_rendering(id, Err(format!("the rendering's process cannot start: {error}")));
-            }
-        };
-        if self.lock().set_rendering_process(id, process.pid()) {
-            process.give(&job);
-            // An object's files are large.
-            drop(job);
-            let outcome = self.follow_rendering(id, &mut process);
-            self.lock().end_rendering(id, outcome);
+fn run_rendering(engine: &Engine, id: u64, command: Command, job: Job) {
+    let mut process = match RenderProcess::start(command) {
+        Ok(process) => process,
+        Err(error) => {
+            return engine
+                .lock()
+                .end_rendering(id, Err(format!("the rendering's process cannot start: {error}")));
         }
+    };
+    if engine.lock().set_rendering_process(id, process.pid()) {
+        process.give(&job);
+        // An object's files are large.
+        drop(job);
+        let outcome = follow_rendering(engine, id, &mut process);
+        engine.lock().end_rendering(id, outcome);
     }
+}
 
-    /// Reads the process's reports up to its result.
-    fn follow_rendering(&self, id: u64, process: &mut RenderProcess) -> Result<Box<Rendered>, String> {
-        let ended = || {
-            let mib = MEMORY >> 20;
-            format!(
-                "the rendering's process has ended without a result: it was killed, or needed more than {mib} MiB"
-            )
-        };
-        loop {
-            match process.report().ok_or_else(ended)? {
-                Report::Previewed(_) => return Err(ended()),
-                Report::Failed(problem) => return Err(cut(&problem, MAX_PROBLEM)),
-                Report::Found(text) => {
-                    let found = stored(&text)?;
-                    self.lock().set_rendering_found(id, found);
-                }
-                Report::Rendered(rendered) => return Ok(rendered),
+/// Reads the process's reports up to its result.
+fn follow_rendering(engine: &Engine, id: u64, process: &mut RenderProcess) -> Result<Box<Rendered>, String> {
+    let ended = || {
+        let mib = MEMORY >> 20;
+        format!(
+            "the rendering's process has ended without a result: it was killed, or needed more than {mib} MiB"
+        )
+    };
+    loop {
+        match process.report().ok_or_else(ended)? {
+            Report::Previewed(_) => return Err(ended()),
+            Report::Failed(problem) => return Err(cut(&problem, MAX_PROBLEM)),
+            Report::Found(text) => {
+                let found = stored(&text)?;
+                engine.lock().set_rendering_found(id, found);
             }
+            Report::Rendered(rendered) => return Ok(rendered),
         }
     }
 }

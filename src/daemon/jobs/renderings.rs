@@ -1,6 +1,7 @@
 //! Renderings: starts one, shows how it stands, and cancels it.
 
 use crate::daemon::core::runtime::computing;
+use crate::daemon::jobs::rendering;
 use crate::daemon::net::answer::{Answer, ErrorResponse, PathPart, json_response, path};
 use crate::daemon::net::app::{App, Call};
 use crate::daemon::net::body;
@@ -34,7 +35,7 @@ pub(in crate::daemon) async fn start(
         let object = keys(&request.object)?;
         let (request, name, render) = computing(move || checked(request, object)).await??;
         logged.set_title(format!("rendering of {name:?}"));
-        let rendering = app.engine.start_rendering(&by, &request, &name, render)?;
+        let rendering = rendering::start_rendering(&app.engine, &by, &request, &name, render)?;
         Ok((StatusCode::ACCEPTED, Json(rendering)))
     }
     .await;

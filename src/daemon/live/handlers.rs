@@ -7,6 +7,7 @@
 use crate::daemon::core::engine::Engine;
 use crate::daemon::core::runtime::PLAYS;
 use crate::daemon::jobs::renderings::keys;
+use crate::daemon::live::play;
 use crate::daemon::net::answer::{Answer, PathPart, path};
 use crate::daemon::net::app::Call;
 use crate::daemon::net::body;
@@ -47,7 +48,7 @@ pub(in crate::daemon) async fn start(
             Some(object) => Some(find_object(object).await?),
             None => None,
         };
-        let accepted = app.engine.start_live(&by, &request, object).await?;
+        let accepted = play::start_live(&app.engine, &by, &request, object).await?;
         logged.set_play(accepted.id);
         Ok((StatusCode::ACCEPTED, Json(accepted)))
     }
@@ -79,7 +80,7 @@ pub(in crate::daemon) async fn connect(
     let upgrade = upgrade.max_message_size(MAX_LIVE_MESSAGE).max_frame_size(MAX_LIVE_MESSAGE);
     Ok(upgrade.on_upgrade(move |socket| async move {
         speak(&engine, &right, id, socket, answers).await;
-        engine.end_live(id);
+        play::end_live(&engine, id);
         drop(place);
     }))
 }
@@ -92,14 +93,14 @@ async fn speak(
     mut socket: WebSocket,
     mut answers: mpsc::Receiver<LiveAnswer>,
 ) {
-    let mut ends = pin!(engine.end_with(right, id));
+    let mut ends = pin!(play::end_with(&engine, right, id));
     loop {
         // Messages that have come already would otherwise keep other clients waiting.
         consume_budget().await;
         let answer = tokio::select! {
             message = socket.recv() => match message {
-                Some(Ok(Message::Text(text))) => engine.live_message(right, id, text.as_bytes(), HostInstant::now()),
-                Some(Ok(Message::Binary(bytes))) => engine.live_message(right, id, &bytes, HostInstant::now()),
+                Some(Ok(Message::Text(text))) => play::live_message(&engine, right, id, text.as_bytes(), HostInstant::now()),
+                Some(Ok(Message::Binary(bytes))) => play::live_message(&engine, right, id, &bytes, HostInstant::now()),
                 Some(Ok(Message::Ping(_) | Message::Pong(_))) => None,
                 Some(Ok(Message::Close(_)) | Err(_)) | None => return,
             },

@@ -8,6 +8,7 @@ use crate::daemon::core::engine::Engine;
 use crate::daemon::core::runtime::PLAYS;
 use crate::daemon::core::state::State;
 use crate::daemon::live::state::LivePlay;
+use crate::daemon::plays::begin;
 use crate::daemon::plays::begin::Compiled;
 use crate::daemon::plays::state::NewPlay;
 use crate::daemon::plays::terms::trigger;
@@ -37,129 +38,126 @@ const LIVE: &str = "live";
 /// How soon the daemon again orders the end of a play, if it could not do so before.
 const END_AGAIN: Duration = Duration::from_millis(100);
 
-impl Engine {
-    /// Begins a live play and waits until the streamer accepts it.
-    pub(in crate::daemon) async fn start_live(
-        &self,
-        by: &Asker,
-        request: &LiveRequest,
-        object: Option<Object>,
-    ) -> Result<LiveAccepted, Problem> {
-        let (settings, surplus, reach) = self.compiles_for(None, request.terms.open_loop)?;
-        let options =
-            StrokeOptions { scale: request.scale.unwrap_or(1.0), surplus, ..StrokeOptions::default() };
-        let most_hz = request.most_hz();
-        let mut live = LivePlay::new(settings.array, &request.drives, options, most_hz)?;
-        live = live.with_levels(request.levels).with_open_loop(request.terms.open_loop);
-        let levels = request.levels || object.is_some();
-        live = live.with_heights(self.heights(settings.array, object, &reach).await?);
-        live.check_at_once(&settings)?;
-        let waves = live.waves()?;
-        let updates_hz = request.updates_hz.unwrap_or(LIVE_UPDATES_HZ);
-        // This iterates over a minute of strokes.
-        let bandwidth = PLAYS
-            .computing(move || {
-                let drives = Bandwidth::of_live(most_hz, updates_hz, &settings)?;
-                Ok::<_, MotorError>(if levels { drives.with_levels(settings.array) } else { drives })
-            })
-            .await?
-            .map_err(|error| Problem::new(Code::BadRequest, error.to_string()))?;
-        let timeout = Duration::from_secs_f64(request.timeout_ms.unwrap_or(LIVE_TIMEOUT_MS) / 1000.0);
-        let terms = &request.terms;
-        // Plain data can be written.
-        let sha256 = hash(&serde_json::to_vec(request).unwrap_or_default());
-        let receipt = Receipt::new(LIVE, &sha256, 1, terms);
-        let receipt = Receipt { live: Some(LiveRecord::default()), ..receipt };
-        let item = PlannedItem {
-            pattern: LIVE.into(),
-            sha256: sha256.into(),
-            scale: request.scale.unwrap_or(1.0),
-            amplitude_um: None,
-            span: (0, None),
-        };
-        let compiled = Compiled {
-            strokes: Source::Live(Box::new(LiveStrokes::new(waves))),
-            items: vec![Item::new(trigger(request.trigger, settings.array.rate()))],
-            live: Some(timeout),
-            bandwidth,
-            hold: HOLD_ALWAYS,
-            settings,
-            vibration: Vibration::without_end(&settings),
-            endless: true,
-            reach,
-            memory: Vec::new(),
-            largest: (live.largest_um(&reach), "the live play".to_owned()),
-            new: NewPlay { receipt, items: [item].into(), endless: None, client: by.peer() },
-            texts: Vec::new(),
-        };
-        let path = format!("/v1/live/{}", live.key());
-        let session = terms.session.as_deref();
-        let sent = |state: &mut State, id| state.live.add(id, live);
-        let accepted =
-            self.begin(by, terms, compiled, |state| state.check_before_play(session), sent).await?;
-        Ok(LiveAccepted { id: accepted.id, path })
-    }
+/// Begins a live play and waits until the streamer accepts it.
+pub(in crate::daemon) async fn start_live(
+    engine: &Engine,
+    by: &Asker,
+    request: &LiveRequest,
+    object: Option<Object>,
+) -> Result<LiveAccepted, Problem> {
+    let (settings, surplus, reach) = begin::compiles_for(engine, None, request.terms.open_loop)?;
+    let options = StrokeOptions { scale: request.scale.unwrap_or(1.0), surplus, ..StrokeOptions::default() };
+    let most_hz = request.most_hz();
+    let mut live = LivePlay::new(settings.array, &request.drives, options, most_hz)?;
+    live = live.with_levels(request.levels).with_open_loop(request.terms.open_loop);
+    let levels = request.levels || object.is_some();
+    live = live.with_heights(heights(engine, settings.array, object, &reach).await?);
+    live.check_at_once(&settings)?;
+    let waves = live.waves()?;
+    let updates_hz = request.updates_hz.unwrap_or(LIVE_UPDATES_HZ);
+    // This iterates over a minute of strokes.
+    let bandwidth = PLAYS
+        .computing(move || {
+            let drives = Bandwidth::of_live(most_hz, updates_hz, &settings)?;
+            Ok::<_, MotorError>(if levels { drives.with_levels(settings.array) } else { drives })
+        })
+        .await?
+        .map_err(|error| Problem::new(Code::BadRequest, error.to_string()))?;
+    let timeout = Duration::from_secs_f64(request.timeout_ms.unwrap_or(LIVE_TIMEOUT_MS) / 1000.0);
+    let terms = &request.terms;
+    // Plain data can be written.
+    let sha256 = hash(&serde_json::to_vec(request).unwrap_or_default());
+    let receipt = Receipt::new(LIVE, &sha256, 1, terms);
+    let receipt = Receipt { live: Some(LiveRecord::default()), ..receipt };
+    let item = PlannedItem {
+        pattern: LIVE.into(),
+        sha256: sha256.into(),
+        scale: request.scale.unwrap_or(1.0),
+        amplitude_um: None,
+        span: (0, None),
+    };
+    let compiled = Compiled {
+        strokes: Source::Live(Box::new(LiveStrokes::new(waves))),
+        items: vec![Item::new(trigger(request.trigger, settings.array.rate()))],
+        live: Some(timeout),
+        bandwidth,
+        hold: HOLD_ALWAYS,
+        settings,
+        vibration: Vibration::without_end(&settings),
+        endless: true,
+        reach,
+        memory: Vec::new(),
+        largest: (live.largest_um(&reach), "the live play".to_owned()),
+        new: NewPlay { receipt, items: [item].into(), endless: None, client: by.peer() },
+        texts: Vec::new(),
+    };
+    let path = format!("/v1/live/{}", live.key());
+    let session = terms.session.as_deref();
+    let sent = |state: &mut State, id| state.live.add(id, live);
+    let accepted =
+        begin::begin(engine, by, terms, compiled, |state| state.check_before_play(session), sent).await?;
+    Ok(LiveAccepted { id: accepted.id, path })
+}
 
-    /// Solves the contact of an object. Plays of stored patterns do not wait for it. No pin goes above what participants may get.
-    async fn heights(
-        &self,
-        array: Array,
-        object: Option<Object>,
-        reach: &[f64],
-    ) -> Result<Option<Arc<Poses>>, Problem> {
-        let Some(object) = object else { return Ok(None) };
-        let most_mm = self.lock().most_amplitude_um() / reach.iter().copied().fold(1.0, f64::max) / 1000.0;
-        let made = PLAYS.computing(move || Poses::new(array, &object)).await?;
-        made.map(|heights| Some(Arc::new(heights.at_most(most_mm))))
-            .map_err(|error| Problem::new(Code::BadRequest, error.to_string()))
-    }
+/// Solves the contact of an object. Plays of stored patterns do not wait for it. No pin goes above what participants may get.
+async fn heights(
+    engine: &Engine,
+    array: Array,
+    object: Option<Object>,
+    reach: &[f64],
+) -> Result<Option<Arc<Poses>>, Problem> {
+    let Some(object) = object else { return Ok(None) };
+    let most_mm = engine.lock().most_amplitude_um() / reach.iter().copied().fold(1.0, f64::max) / 1000.0;
+    let made = PLAYS.computing(move || Poses::new(array, &object)).await?;
+    made.map(|heights| Some(Arc::new(heights.at_most(most_mm))))
+        .map_err(|error| Problem::new(Code::BadRequest, error.to_string()))
+}
 
-    /// Carries out a message, if its client still may send it; returns the answer if it is known at once.
-    pub(in crate::daemon) fn live_message(
-        &self,
-        right: &Right,
-        id: u64,
-        text: &[u8],
-        received_at: HostInstant,
-    ) -> Option<LiveAnswer> {
-        let message = match LiveMessage::parse(text) {
-            Ok(message) => message,
-            Err(problem) => return Some(LiveAnswer::refused(LiveMessage::seq(text), problem)),
-        };
-        // Without the lock: a pose takes some tens of microseconds.
-        let heights = self.lock().live.heights(id);
-        let seq = message.seq;
-        let message = match heights.map_or(Ok(message.clone()), |heights| touched(message, &heights)) {
-            Ok(message) => message,
-            Err(problem) => return Some(LiveAnswer::refused(Some(seq), problem)),
-        };
-        if message.end {
-            self.end_live(id);
-            return None;
-        }
-        let mut state = self.lock();
-        let allowed = state.check_right(&right.caller, right.access).map_err(|no| no.problem);
-        let result = allowed.and_then(|()| {
-            state.hear(&right.caller);
-            state.live_message(id, &message, received_at)
-        });
-        result.err().map(|problem| LiveAnswer::refused(Some(message.seq), problem))
+/// Carries out a message, if its client still may send it; returns the answer if it is known at once.
+pub(in crate::daemon) fn live_message(
+    engine: &Engine,
+    right: &Right,
+    id: u64,
+    text: &[u8],
+    received_at: HostInstant,
+) -> Option<LiveAnswer> {
+    let message = match LiveMessage::parse(text) {
+        Ok(message) => message,
+        Err(problem) => return Some(LiveAnswer::refused(LiveMessage::seq(text), problem)),
+    };
+    // Without the lock: a pose takes some tens of microseconds.
+    let heights = engine.lock().live.heights(id);
+    let seq = message.seq;
+    let message = match heights.map_or(Ok(message.clone()), |heights| touched(message, &heights)) {
+        Ok(message) => message,
+        Err(problem) => return Some(LiveAnswer::refused(Some(seq), problem)),
+    };
+    if message.end {
+        end_live(engine, id);
+        return None;
     }
+    let mut state = engine.lock();
+    let allowed = state.check_right(&right.caller, right.access).map_err(|no| no.problem);
+    let result = allowed.and_then(|()| {
+        state.hear(&right.caller);
+        state.live_message(id, &message, received_at)
+    });
+    result.err().map(|problem| LiveAnswer::refused(Some(message.seq), problem))
+}
 
-    /// Ends a live play once the client of its connection may not move it any more. The future never completes; drop it to stop.
-    pub(in crate::daemon) async fn end_with(&self, right: &Right, id: u64) -> Infallible {
-        let lost = right.ended().await;
-        loop {
-            // Repeat, in case too many commands waited before.
-            self.lock().cancel_play(id, lost.cause.clone());
-            tokio::time::sleep(END_AGAIN).await;
-        }
+/// Ends a live play once the client of its connection may not move it any more. The future never completes; drop it to stop.
+pub(in crate::daemon) async fn end_with(engine: &Engine, right: &Right, id: u64) -> Infallible {
+    let lost = right.ended().await;
+    loop {
+        // Repeat, in case too many commands waited before.
+        engine.lock().cancel_play(id, lost.cause.clone());
+        tokio::time::sleep(END_AGAIN).await;
     }
+}
 
-    /// Ends a live play. If too many commands wait, its client counts as silent soon.
-    pub(in crate::daemon) fn end_live(&self, id: u64) {
-        let _ = self.lock().commands.send_unanswered(Command::EndLive(id));
-    }
+/// Ends a live play. If too many commands wait, its client counts as silent soon.
+pub(in crate::daemon) fn end_live(engine: &Engine, id: u64) {
+    let _ = engine.lock().commands.send_unanswered(Command::EndLive(id));
 }
 
 /// A message to a live object: its pose becomes levels of all pins.

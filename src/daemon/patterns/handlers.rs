@@ -8,6 +8,7 @@ use crate::daemon::net::app::{App, Call};
 use crate::daemon::net::body;
 use crate::daemon::net::request_log::LoggedRequest;
 use crate::daemon::patterns::find;
+use crate::daemon::sessions::right;
 use crate::store::Put;
 use axum::Json;
 use axum::body::{Body, Bytes};
@@ -51,7 +52,7 @@ pub(in crate::daemon) async fn import(
         let text = String::from_utf8(text)
             .map_err(|_| Problem::new(Code::BadPattern, "not UTF-8 text: write patterns as TOML in UTF-8"))?;
         let store = Arc::clone(&app.store);
-        let put = app.engine.changing(&by, move || store.put(&name, &text, replace)).await??;
+        let put = right::changing(&app.engine, &by, move || store.put(&name, &text, replace)).await??;
         let Put { stored, replaced: replaced_sha256 } = put;
         let sha256 = stored.sha256.clone();
         let done =
@@ -101,7 +102,7 @@ pub(in crate::daemon) async fn remove(
         logged.set_arguments(&json!({"name": shown}));
         let _place = body::file_place().await?;
         let (store, asked) = (Arc::clone(&app.store), name.clone());
-        let sha256 = app.engine.changing(&by, move || store.remove(&asked)).await??;
+        let sha256 = right::changing(&app.engine, &by, move || store.remove(&asked)).await??;
         logged.set_arguments(&json!({"name": shown, "sha256": sha256}));
         Ok(Json(RemovedPattern { name, sha256 }))
     }

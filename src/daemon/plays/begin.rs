@@ -90,107 +90,105 @@ impl Drop for Held<'_> {
 /// What a play is compiled for: the settings, and what follows from the calibration.
 pub(in crate::daemon) type Basis = (Settings, Surplus, PerMotor<f64>);
 
-impl Engine {
-    /// The settings, the surplus and the reach to compile a play for. Refuses a play for another boot than the device's.
-    pub(in crate::daemon) fn compiles_for(
-        &self,
-        boot: Option<u32>,
-        open_loop: bool,
-    ) -> Result<Basis, Problem> {
-        let state = self.lock();
-        match (boot, state.plays.receipts.device().map(|device| device.boot)) {
-            (Some(asked), Some(now)) if asked != now => {
-                let detail =
-                    format!("`boot` is {asked}, but the device has restarted as {now}: read its tick again");
-                Err(Problem::new(Code::StaleBoot, detail))
-            }
-            _ => Ok((state.settings, state.surplus(), state.reach(open_loop))),
+/// The settings, the surplus and the reach to compile a play for. Refuses a play for another boot than the device's.
+pub(in crate::daemon) fn compiles_for(
+    engine: &Engine,
+    boot: Option<u32>,
+    open_loop: bool,
+) -> Result<Basis, Problem> {
+    let state = engine.lock();
+    match (boot, state.plays.receipts.device().map(|device| device.boot)) {
+        (Some(asked), Some(now)) if asked != now => {
+            let detail =
+                format!("`boot` is {asked}, but the device has restarted as {now}: read its tick again");
+            Err(Problem::new(Code::StaleBoot, detail))
         }
+        _ => Ok((state.settings, state.surplus(), state.reach(open_loop))),
     }
+}
 
-    /// Begins a play that `check` accepts, before its time is reserved and again after, and waits until the streamer accepts it. `sent` gets
-    /// the play's id before the streamer reports anything about it.
-    pub(in crate::daemon) async fn begin(
-        &self,
-        by: &Asker,
-        terms: &Terms,
-        compiled: Compiled,
-        check: impl Fn(&mut State) -> Result<(), Problem> + Send,
-        sent: impl FnOnce(&mut State, u64) + Send,
-    ) -> Result<PlayAccepted, Problem> {
-        let held = self.hold(by, terms, &compiled, &check).await?;
-        let Compiled { strokes, items, live, bandwidth, hold, settings, memory, new, texts, .. } = compiled;
-        let (at, &Terms { late, replace, open_loop, stop_on_edge, .. }) = (onset(terms), terms);
-        let play = Play {
-            items,
-            at,
-            late,
-            replace,
-            open_loop,
-            stop_on_edge,
-            live,
-            bandwidth,
-            hold,
-            ..Play::new(0, strokes)
-        };
-        let (duration, motions) = (new.receipt.duration_ms, new.receipt.reach.motions.clone());
-        let (id, reply) = {
-            let mut state = self.lock();
-            held.check(&state)?;
-            check(&mut state)?;
-            let (id, reply) = state.send_play(by, play, &settings, new)?;
-            state.plays.hold_memory(id, memory);
-            held.begin(&mut state, id);
-            sent(&mut state, id);
-            (id, reply)
-        };
-        // If the streamer refuses a play that replaces others, they go on, so the next order waits for its answer.
-        let held = replace.then_some(held);
-        for (sha256, text) in texts {
-            self.session_record().keep_text(&sha256, &text);
-        }
-        let answered = answer(reply, TIMEOUT).await;
-        drop(held);
-        answered?;
-        Ok(PlayAccepted { id, ordered_ms: duration.ordered, compiled_ms: duration.compiled, motions })
+/// Begins a play that `check` accepts, before its time is reserved and again after, and waits until the streamer accepts it. `sent` gets
+/// the play's id before the streamer reports anything about it.
+pub(in crate::daemon) async fn begin(
+    engine: &Engine,
+    by: &Asker,
+    terms: &Terms,
+    compiled: Compiled,
+    check: impl Fn(&mut State) -> Result<(), Problem> + Send,
+    sent: impl FnOnce(&mut State, u64) + Send,
+) -> Result<PlayAccepted, Problem> {
+    let held = hold(engine, by, terms, &compiled, &check).await?;
+    let Compiled { strokes, items, live, bandwidth, hold, settings, memory, new, texts, .. } = compiled;
+    let (at, &Terms { late, replace, open_loop, stop_on_edge, .. }) = (onset(terms), terms);
+    let play = Play {
+        items,
+        at,
+        late,
+        replace,
+        open_loop,
+        stop_on_edge,
+        live,
+        bandwidth,
+        hold,
+        ..Play::new(0, strokes)
+    };
+    let (duration, motions) = (new.receipt.duration_ms, new.receipt.reach.motions.clone());
+    let (id, reply) = {
+        let mut state = engine.lock();
+        held.check(&state)?;
+        check(&mut state)?;
+        let (id, reply) = state.send_play(by, play, &settings, new)?;
+        state.plays.hold_memory(id, memory);
+        held.begin(&mut state, id);
+        sent(&mut state, id);
+        (id, reply)
+    };
+    // If the streamer refuses a play that replaces others, they go on, so the next order waits for its answer.
+    let held = replace.then_some(held);
+    for (sha256, text) in texts {
+        engine.session_record().keep_text(&sha256, &text);
     }
+    let answered = answer(reply, TIMEOUT).await;
+    drop(held);
+    answered?;
+    Ok(PlayAccepted { id, ordered_ms: duration.ordered, compiled_ms: duration.compiled, motions })
+}
 
-    /// Reserves the time of a play that `check` accepts, and waits until it is in the sums on the disk.
-    async fn hold(
-        &self,
-        by: &Asker,
-        terms: &Terms,
-        compiled: &Compiled,
-        check: &(impl Fn(&mut State) -> Result<(), Problem> + Send),
-    ) -> Result<Held<'_>, Problem> {
-        let turn = self.orders.lock().await;
-        let (held, saved) = {
-            let mut state = self.lock();
-            check(&mut state)?;
-            if *state.reach(terms.open_loop) != *compiled.reach {
-                let detail = "the calibration has changed meanwhile: send the play again";
-                return Err(Problem::new(Code::Busy, detail));
-            }
-            let (largest_um, what) = &compiled.largest;
-            state.check_amplitude(what, *largest_um)?;
-            state.check_end(what, compiled.vibration.is_endless() && !compiled.endless)?;
-            state.plays.check_memory(&compiled.memory)?;
-            let number = state.hold_vibration(&compiled.vibration, terms.replace, onset(terms))?;
-            let saved = state.save_exposure(Now::read());
-            let waits = !state.exposure.is_disk_silent();
-            (Held { engine: self, number, breaks: by.breaks, _turn: turn }, saved.filter(|_| waits))
-        };
-        if let Some(mut saved) = saved {
-            let answer = tokio::time::timeout(DISK, &mut saved).await.ok().map(|saved| saved == Ok(true));
-            if answer.is_none() {
-                warn!(
-                    "the disk of the session record has not taken the vibration's sums for {DISK:?}; playing goes on"
-                );
-            }
-            self.lock().exposure.disk_answered(answer, saved);
+/// Reserves the time of a play that `check` accepts, and waits until it is in the sums on the disk.
+async fn hold<'e>(
+    engine: &'e Engine,
+    by: &Asker,
+    terms: &Terms,
+    compiled: &Compiled,
+    check: &(impl Fn(&mut State) -> Result<(), Problem> + Send),
+) -> Result<Held<'e>, Problem> {
+    let turn = engine.orders.lock().await;
+    let (held, saved) = {
+        let mut state = engine.lock();
+        check(&mut state)?;
+        if *state.reach(terms.open_loop) != *compiled.reach {
+            let detail = "the calibration has changed meanwhile: send the play again";
+            return Err(Problem::new(Code::Busy, detail));
         }
-        Ok(held)
+        let (largest_um, what) = &compiled.largest;
+        state.check_amplitude(what, *largest_um)?;
+        state.check_end(what, compiled.vibration.is_endless() && !compiled.endless)?;
+        state.plays.check_memory(&compiled.memory)?;
+        let number = state.hold_vibration(&compiled.vibration, terms.replace, onset(terms))?;
+        let saved = state.save_exposure(Now::read());
+        let waits = !state.exposure.is_disk_silent();
+        (Held { engine: engine, number, breaks: by.breaks, _turn: turn }, saved.filter(|_| waits))
+    };
+    if let Some(mut saved) = saved {
+        let answer = tokio::time::timeout(DISK, &mut saved).await.ok().map(|saved| saved == Ok(true));
+        if answer.is_none() {
+            warn!(
+                "the disk of the session record has not taken the vibration's sums for {DISK:?}; playing goes on"
+            );
+        }
+        engine.lock().exposure.disk_answered(answer, saved);
     }
+    Ok(held)
 }
 
 impl State {
@@ -238,6 +236,7 @@ impl State {
 mod tests {
     use super::*;
     use crate::daemon::core::runtime::{CHECKS, OTHERS, PLAYS, STORED};
+    use crate::daemon::plays::order;
     use crate::daemon::runtime;
     use crate::daemon::sessions::caller::DAEMON;
     use crate::session_record::{Location, SessionRecord};
@@ -264,7 +263,7 @@ mod tests {
         let id = engine.lock().start_session(DAEMON, session, None).unwrap().0.id;
         let order = pin(Some(id));
         let by = Asker::operator();
-        let played = engine.play(&by, &order, &STORED, find);
+        let played = order::play(&engine, &by, &order, &STORED, find);
         assert_eq!(runtime().unwrap().block_on(played).unwrap_err().code, "timeout");
         let ticket = port.pop().unwrap().ticket;
         port.event(StreamEvent::Answer { ticket, result: Ok(()) });
@@ -281,7 +280,7 @@ mod tests {
         let by = Asker::operator();
         // A stop comes while the play's body or file is still being read.
         engine.lock().commands.send_unanswered(Command::Stop).unwrap();
-        let played = engine.play(&by, &order, &STORED, find);
+        let played = order::play(&engine, &by, &order, &STORED, find);
         assert_eq!(runtime().unwrap().block_on(played).unwrap_err().code, "busy");
         assert!(matches!(port.pop().unwrap().command, Command::Stop) && port.pop().is_none());
     }
@@ -300,7 +299,7 @@ mod tests {
         let mut play = || {
             let order = pin(None);
             let by = Asker::operator();
-            let played = engine.play(&by, &order, &STORED, find);
+            let played = order::play(&engine, &by, &order, &STORED, find);
             let problem = runtime().unwrap().block_on(played).unwrap_err();
             (problem.code, port.pop().is_some())
         };
@@ -329,7 +328,7 @@ mod tests {
             tokio::task::yield_now().await;
             let order = pin(None);
             let by = Asker::operator();
-            let played = engine.play(&by, &order, &STORED, find);
+            let played = order::play(&engine, &by, &order, &STORED, find);
             // It reaches the streamer, of which there is none here.
             assert_eq!(played.await.unwrap_err().code, "timeout");
             assert!(matches!(port.pop().unwrap().command, Command::Play(_)));

@@ -8,6 +8,8 @@ use crate::daemon::net::app::{App, Call};
 use crate::daemon::net::body;
 use crate::daemon::net::request_log::LoggedRequest;
 use crate::daemon::patterns::find;
+use crate::daemon::plays::check;
+use crate::daemon::plays::order;
 use crate::daemon::plays::state::check_samples;
 use crate::daemon::sessions::state::no_play;
 use crate::store::Stored;
@@ -43,7 +45,7 @@ pub(in crate::daemon) async fn play(
         logged.set_arguments(&order.recorded());
         let lane = if order.one().is_some() && inlines.is_empty() { &STORED } else { &PLAYS };
         let find = |name, sha256| find_for(&app, lane, &inlines, name, sha256);
-        let accepted = app.engine.play(&by, &order, lane, find).await?;
+        let accepted = order::play(&app.engine, &by, &order, lane, find).await?;
         logged.set_play(accepted.id);
         Ok((StatusCode::ACCEPTED, Json(accepted)))
     }
@@ -115,7 +117,7 @@ pub(in crate::daemon) async fn check(Call { app, by }: Call, body: Body) -> Answ
     };
     let ReadOrder { order, inlines, _places } = read_order(&app, (&CHECKS, &body::READS), body).await?;
     let find = |name, sha256| find_for(&app, &CHECKS, &inlines, name, sha256);
-    Ok(Json(app.engine.check_order(&order, by.peer(), find).await?))
+    Ok(Json(check::check_order(&app.engine, &order, by.peer(), find).await?))
 }
 
 pub(in crate::daemon) async fn receipt(

@@ -7,6 +7,7 @@
 use crate::daemon::core::engine::Engine;
 use crate::daemon::core::runtime::Lane;
 use crate::daemon::exposure::limits::check_limits;
+use crate::daemon::plays::begin;
 use crate::daemon::plays::begin::{Basis, Compiled};
 use crate::daemon::plays::state::{NewPlay, check_samples};
 use crate::daemon::plays::terms::trigger;
@@ -452,18 +453,17 @@ fn sha256(items: &[Item]) -> String {
     hash(&serde_json::to_vec(items).unwrap_or_default())
 }
 
-impl Engine {
-    /// Begins a play and waits until the streamer accepts it.
-    pub(in crate::daemon) async fn play<P, F: Future<Output = Result<(Stored, P), Problem>>>(
-        &self,
-        by: &Asker,
-        order: &Order,
-        lane: &'static Lane,
-        find: impl Fn(String, Option<String>) -> F,
-    ) -> Result<PlayAccepted, Problem> {
-        let basis = self.compiles_for(order.terms.boot, order.terms.open_loop)?;
-        let compiled = Compiled::of_order(order, basis, by.peer(), lane, find).await?;
-        let session = order.terms.session.as_deref();
-        self.begin(by, &order.terms, compiled, |state| state.check_before_play(session), |_, _| {}).await
-    }
+/// Begins a play and waits until the streamer accepts it.
+pub(in crate::daemon) async fn play<P, F: Future<Output = Result<(Stored, P), Problem>>>(
+    engine: &Engine,
+    by: &Asker,
+    order: &Order,
+    lane: &'static Lane,
+    find: impl Fn(String, Option<String>) -> F,
+) -> Result<PlayAccepted, Problem> {
+    let basis = begin::compiles_for(engine, order.terms.boot, order.terms.open_loop)?;
+    let compiled = Compiled::of_order(order, basis, by.peer(), lane, find).await?;
+    let session = order.terms.session.as_deref();
+    begin::begin(engine, by, &order.terms, compiled, |state| state.check_before_play(session), |_, _| {})
+        .await
 }

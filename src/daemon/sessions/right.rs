@@ -43,20 +43,18 @@ impl Right {
     }
 }
 
-impl Engine {
-    /// Makes a change that waits for a disk, on another thread, if this client still may when its turn has come.
-    pub(in crate::daemon) async fn changing<T: Send + 'static>(
-        self: &Arc<Self>,
-        by: &Asker,
-        change: impl FnOnce() -> T + Send + 'static,
-    ) -> Result<T, Problem> {
-        let (engine, by) = (Arc::clone(self), by.clone());
-        let work = move || {
-            engine.lock().check_asker(Some(&by))?;
-            Ok(change())
-        };
-        blocking(work).await?
-    }
+/// Makes a change that waits for a disk, on another thread, if this client still may when its turn has come.
+pub(in crate::daemon) async fn changing<T: Send + 'static>(
+    engine: &Arc<Engine>,
+    by: &Asker,
+    change: impl FnOnce() -> T + Send + 'static,
+) -> Result<T, Problem> {
+    let (engine, by) = (Arc::clone(engine), by.clone());
+    let work = move || {
+        engine.lock().check_asker(Some(&by))?;
+        Ok(change())
+    };
+    blocking(work).await?
 }
 
 /// A request that is being answered. While it exists, its client does not count as silent.

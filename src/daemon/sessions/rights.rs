@@ -206,6 +206,7 @@ mod tests {
     use crate::daemon::core::runtime::blocking;
     use crate::daemon::runtime;
     use crate::daemon::sessions::caller::DAEMON;
+    use crate::daemon::sessions::right;
     use crate::session_record::Peer;
     use meissner_api::{Session, SessionRequest};
     use meissner_array::spec::Array;
@@ -300,7 +301,7 @@ mod tests {
             tokio::task::yield_now().await;
             let (changed, changes) = mpsc::channel();
             let by = asker(client(None), Route::Import);
-            let mut change = pin!(engine.changing(&by, move || changed.send(()).unwrap()));
+            let mut change = pin!(right::changing(&engine, &by, move || changed.send(()).unwrap()));
             tokio::select! {
                 biased;
                 _ = &mut change => panic!("it waits"),

@@ -5,6 +5,7 @@ use crate::daemon::net::answer::Answer;
 use crate::daemon::net::app::{App, Call};
 use crate::daemon::sessions::caller::DAEMON;
 use crate::daemon::sessions::handlers::look_for_losses;
+use crate::daemon::status::report;
 use crate::doctor::check;
 use axum::Json;
 use axum::extract::State;
@@ -20,7 +21,7 @@ const READ: Duration = Duration::from_secs(3);
 
 pub(in crate::daemon) async fn status(Call { app, by }: Call) -> Json<Status> {
     app.engine.session_record().look().await;
-    Json(app.engine.status(Some(&by)))
+    Json(report::status(&app.engine, Some(&by)))
 }
 
 pub(in crate::daemon) async fn array(State(app): State<App>) -> Json<ArrayDetails> {
@@ -31,7 +32,7 @@ pub(in crate::daemon) async fn doctor(Call { app, by }: Call) -> Answer<Json<Doc
     let _place = app.waiting_place(by.peer())?;
     let engine = Arc::clone(&app.engine);
     look_for_losses(&engine, READ).await;
-    let checks = move || check(Path::new("/"), &engine.status(DAEMON));
+    let checks = move || check(Path::new("/"), &report::status(&engine, DAEMON));
     Ok(Json(app.doctor.report(checks).await?))
 }
 

@@ -4,4 +4,4 @@ pub(in crate::daemon) mod doctor;
 pub(in crate::daemon) mod events;
 pub(in crate::daemon) mod handlers;
 pub(in crate::daemon) mod metrics;
-pub(in crate::daemon) mod read;
+pub(in crate::daemon) mod report;

@@ -7,10 +7,12 @@
 use crate::config::Config;
 use crate::daemon::core::check;
 use crate::daemon::core::connection::ConnectorMessage;
+use crate::daemon::core::connector;
 use crate::daemon::core::engine::Engine;
 use crate::daemon::core::event_loop::readable;
 use crate::daemon::core::service::{Manager, StatusReporter};
 use crate::daemon::fuzzed;
+use crate::daemon::live::play::{end_live, live_message};
 use crate::daemon::net::acceptor::{Bounds, Counts};
 use crate::daemon::net::app::App;
 use crate::daemon::routes::router;
@@ -141,7 +143,10 @@ impl Bench {
             tokio::spawn(Arc::clone(&engine).event_loop(events, reporter));
             let mock = WallMock::new(config.settings.array, &config.mock, HostInstant::now()).unwrap();
             let (mock, faults) = if faults { mock.with_faults(seed) } else { (mock, Arc::default()) };
-            assert!(engine.connect(Box::new(Device::Mock(Box::new(mock)))).is_ok(), "the queue has room");
+            assert!(
+                connector::connect(&engine, Box::new(Device::Mock(Box::new(mock)))).is_ok(),
+                "the queue has room"
+            );
             engine.first_device().await;
             let app =
                 App::new(Arc::clone(&engine), store, &Bounds::of_process(), Arc::new(Counts::default()));
@@ -234,7 +239,7 @@ async fn connect_again(engine: Arc<Engine>) {
             device = Some(gone);
         }
         device = device.and_then(|mut held: Box<Device>| match held.read(HostInstant::now(), &mut []) {
-            Ok(_) => engine.connect(held).err(),
+            Ok(_) => connector::connect(&engine, held).err(),
             Err(_) => Some(held),
         });
         tokio::time::sleep(CONNECTS).await;
@@ -350,13 +355,13 @@ impl Live {
     /// Sends a message, and returns the answer if it is known at once.
     pub(super) fn send(&self, message: &Value) -> Option<LiveAnswer> {
         let (engine, text) = (&self.bench.0.engine, message.to_string());
-        self.bench.now(|| engine.live_message(&self.right, self.id, text.as_bytes(), HostInstant::now()))
+        self.bench.now(|| live_message(engine, &self.right, self.id, text.as_bytes(), HostInstant::now()))
     }
 }
 
 impl Drop for Live {
     fn drop(&mut self) {
-        self.bench.now(|| self.bench.0.engine.end_live(self.id));
+        self.bench.now(|| end_live(&self.bench.0.engine, self.id));
     }
 }
 

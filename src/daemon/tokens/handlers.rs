@@ -4,6 +4,7 @@ use crate::daemon::net::answer::{Answer, PathPart, path};
 use crate::daemon::net::app::{App, Call};
 use crate::daemon::net::body;
 use crate::daemon::net::request_log::LoggedRequest;
+use crate::daemon::sessions::right;
 use axum::Json;
 use axum::body::Body;
 use axum::extract::State;
@@ -22,7 +23,8 @@ pub(in crate::daemon) async fn create(
         logged.set_arguments(&request);
         let gate = Arc::clone(&app.engine.gate);
         let created =
-            app.engine.changing(&by, move || gate.tokens.create(request.role, &request.name)).await??;
+            right::changing(&app.engine, &by, move || gate.tokens.create(request.role, &request.name))
+                .await??;
         // Never record the token itself.
         logged.set_arguments(&created.info);
         Ok((StatusCode::CREATED, Json(created)))
@@ -41,7 +43,7 @@ pub(in crate::daemon) async fn revoke(Call { app, by }: Call, id: PathPart) -> A
         let id: String = path(id)?.chars().take(100).collect();
         logged.set_arguments(&json!({"id": id}));
         let engine = Arc::clone(&app.engine);
-        let revoked = app.engine.changing(&by, move || {
+        let revoked = right::changing(&app.engine, &by, move || {
             let revoked = engine.gate.tokens.revoke(&id);
             // Do this even if the file could not be written: the token is no longer valid.
             engine.lock().rights_changed();
