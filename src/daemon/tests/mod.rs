@@ -1,4 +1,11 @@
 //! The whole daemon on a bench: what it answers, plays and records, in virtual time.
+//!
+//! With the feature `bench` other packages can run [`seeds`], too.
+
+#![cfg_attr(
+    not(test),
+    expect(clippy::unwrap_used, dead_code, reason = "the program that runs the seeds ends with a panic")
+)]
 
 #[cfg(test)]
 mod api;

@@ -25,9 +25,9 @@ use std::sync::Arc;
 use std::time::Duration;
 
 /// Limits and silences that some orders meet, and motors whose every pulse counts the same: pins are where their pulses say.
-const CONFIG: &str = "session_silence_s = 20\narmed_silence_s = 30\n\
-    [mock]\ngain_sd = 0.0\nasymmetry_sd = 0.0\ntransient_gain = 1.0\ntelemetry_hz = 0\n\
-    [participant]\nmax_continuous_s = 4\npause_s = 1\nmax_day_s = 60\nmax_amplitude_um = 100\n";
+const CONFIG: &str = "session_silence_s = 20\narmed_silence_s = 30\ndrift_limit_um = 10000\n\
+    mock = {gain_sd = 0.0, asymmetry_sd = 0.0, transient_gain = 1.0, telemetry_hz = TELEMETRY}\n\
+    [participant]\nmax_continuous_s = 4\npause_s = 1\nmax_day_s = 15\nmax_amplitude_um = 100\n";
 const PATTERNS: [&str; 5] = ["pin-60", "edge-45", "disc", "wave", "no-such"];
 /// Without an answer for so long, an order counts as never answered.
 const NEVER: Duration = Duration::from_secs(600);
@@ -79,8 +79,9 @@ struct Life {
     answered: BTreeSet<u64>,
     /// When an emergency stop was acknowledged, s, until somebody asks for its reset.
     estopped_s: Option<f64>,
-    /// When a client was heard last, s.
+    /// When a client was heard last, and when one has ordered something, s.
     heard_s: f64,
+    ordered_s: f64,
     /// What the wall clock was set by when the daemon began, ns.
     wall_set: i64,
     /// Whether the disk has taken all so far.
@@ -98,6 +99,8 @@ struct World {
     observer: Client,
     events: Events,
     live: Option<(Live, u64)>,
+    /// Whether the array tells where its pins are, and is corrected by that.
+    telemetry: bool,
     /// The share of faults that happen on this day.
     badness: f64,
     trouble: Trouble,
@@ -122,9 +125,10 @@ pub fn run_days(seed: u64, days: u32, steps: u32) -> Report {
     let mut random = Random::new(seed);
     let mut machine = Machine::new(Arc::new(tempfile::tempdir().unwrap()));
     (machine.seed, machine.faults) = (seed, true);
+    let telemetry = random.chance(0.5);
     // The first day may be that of a change to or from daylight saving.
     machine.wall_set = [0, 80, 290][random.below(3)] * faults::DAY_NS;
-    let mut world = World::start(random, machine);
+    let mut world = World::start(random, machine, telemetry);
     for day in 0..days {
         world.report.days += 1;
         world.badness = [0.0, 0.2, 1.0][world.random.below(3)];
@@ -152,8 +156,8 @@ fn seconds() -> f64 {
 }
 
 impl World {
-    fn start(random: Random, machine: Machine) -> Self {
-        let daemon = Bench::on(&machine, CONFIG);
+    fn start(random: Random, machine: Machine, telemetry: bool) -> Self {
+        let daemon = Bench::on(&machine, &CONFIG.replace("TELEMETRY", if telemetry { "1000" } else { "0" }));
         let clients = (0..3).map(|_| daemon.client()).collect();
         let (observer, events) = (daemon.client(), daemon.client().events());
         let mut new = Self {
@@ -164,6 +168,7 @@ impl World {
             observer,
             events,
             live: None,
+            telemetry,
             badness: 0.0,
             trouble: Trouble::default(),
             state: String::new(),
@@ -212,6 +217,9 @@ impl World {
         }
         let answer = client.answer_within(patience, method, path, text.clone().into_bytes());
         self.life.heard_s = self.now_s();
+        if method != "GET" {
+            self.life.ordered_s = self.life.heard_s;
+        }
         let Some((status, answer)) = answer else {
             assert!(patience < NEVER, "{method} {path} {text} is never answered");
             self.trace(&format!("{method} {path} {text} -> nobody"));
@@ -297,7 +305,7 @@ impl World {
             7 | 8 => self.arm(&client),
             9 if self.random.chance(0.3) => self.simple(&client, "/v1/disarm"),
             10 if self.random.chance(0.3) => self.estop(&client),
-            11 => self.session(at),
+            11 | 23 => self.session(at),
             12 | 13 => self.answer(&client),
             14 => {
                 if let Some((&last, _)) = self.life.accepted.last_key_value() {
@@ -550,13 +558,13 @@ impl World {
         let before = rules::before_kill(&mut self);
         let ended = self.now_s();
         let Self { random, mut machine, daemon, clients, observer, events, live, life, .. } = self;
-        let Self { truth, mut old_tokens, read, trace, report, trouble, badness, .. } = self;
+        let Self { truth, mut old_tokens, read, trace, report, trouble, badness, telemetry, .. } = self;
         // The daemon goes with the last of these, and with it its clock.
         drop((live, clients, observer, events, daemon));
         machine.at = Duration::from_secs_f64(ended) + pause;
         machine.seed = machine.seed.wrapping_add(0x9e37_79b9);
         old_tokens.extend(life.session.as_ref().map(|session| session.token.clone()));
-        let new = Self::start(random, machine);
+        let new = Self::start(random, machine, telemetry);
         let truth = Truth { began: new.truth.began, ..truth };
         let mut new =
             Self { truth, old_tokens, read, trace, report, badness, trouble: trouble.after_kill(), ..new };

@@ -33,6 +33,8 @@ pub(super) struct Trouble {
     array_until_s: f64,
     /// Until when the disk is bad, s.
     disk_until_s: f64,
+    /// Since when it takes nothing, s.
+    nothing_since_s: Option<f64>,
 }
 
 /// How long the effects of a fault last, s: the link needs some seconds to trust a device again.
@@ -47,6 +49,14 @@ impl Trouble {
     /// Whether the disk takes all, and has for a while.
     pub(super) fn disk_is_good(&self, now_s: f64) -> bool {
         now_s > self.disk_until_s
+    }
+
+    /// Since when the disk takes nothing, s, if that was seen before.
+    pub(super) fn takes_nothing_since(&mut self, now_s: f64) -> Option<f64> {
+        let takes_nothing = !DISK_STALLS.get() && (FAILS.get() || ROOM.get() == 0);
+        let since_s = self.nothing_since_s.unwrap_or(now_s);
+        self.nothing_since_s = takes_nothing.then_some(since_s);
+        self.nothing_since_s
     }
 
     /// The array is a new one, the disk is the same.
