@@ -98,7 +98,7 @@ fn silence_disarms(world: &World, status: &Status, now_s: f64) {
 fn trouble_of_the_disk_is_said(world: &mut World, status: &Status, now_s: f64) {
     let Some(since_s) = world.trouble.takes_nothing_since(now_s) else { return };
     let due = since_s < world.life.ordered_s && world.life.ordered_s + 1.0 < now_s;
-    assert!(!due || status.logbook_problem.is_some(), "the disk takes nothing since {since_s}");
+    assert!(!due || status.daemon.logbook_problem.is_some(), "the disk takes nothing since {since_s}");
 }
 
 /// No pin stays up without a move: a minute in a play, and seconds outside of one, but after an emergency stop or a fault.
