@@ -178,3 +178,26 @@ fn no_files_import_each_other_in_a_circle() {
         found.iter().map(|(file, others)| format!("{file:?} imports {others:?}")).collect();
     assert!(lines.is_empty(), "circles of imports:\n{}", lines.join("\n").replace(&format!("{ROOT}/"), ""));
 }
+
+/// What a room does with the shared state is a function of the room, so that the state stays readable in one place.
+#[test]
+fn what_all_rooms_share_is_extended_in_few_files() {
+    let mut files = BTreeMap::new();
+    modules(&Path::new(ROOT).join("src/daemon"), &Module::new(), &mut files);
+    let extends = |name: &str| {
+        let is_impl = |item: &syn::Item| match item {
+            syn::Item::Impl(block) if block.trait_.is_none() => {
+                matches!(&*block.self_ty, syn::Type::Path(of) if of.path.is_ident(name))
+            }
+            _ => false,
+        };
+        let has = |file: &&PathBuf| {
+            syn::parse_file(&fs::read_to_string(file).unwrap()).unwrap().items.iter().any(is_impl)
+        };
+        files.values().filter(has).collect::<Vec<_>>()
+    };
+    for (name, most) in [("Engine", 3), ("State", 8)] {
+        let found = extends(name);
+        assert!((1..=most).contains(&found.len()), "impl {name} stands in {found:?}");
+    }
+}
