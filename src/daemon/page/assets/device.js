@@ -7,6 +7,11 @@ import { part } from "./views.js";
 
 const plural = (count, one, more = `${one}s`) => `${count} ${count === 1 ? one : more}`;
 
+/** The device's counters: what the status names beside these. */
+function counters({ reset, uptime_s, slack_ticks, high_at_boot, ...counters }) {
+  return Object.entries(counters).map(([name, count]) => `${count ?? "no count of"} ${name.replaceAll("_", " ")}`).join(", ");
+}
+
 function link(status) {
   const { device, line_bytes_per_s: line, board } = status;
   // Without an estimate and a known position, 0 means nothing.
@@ -21,7 +26,7 @@ function link(status) {
     ["Messages that cannot be true", status.contradictions],
     ["Clock", status.clock_uncertainty_us === null ? "not synchronised" : `synchronised to ±${status.clock_uncertainty_us.toFixed(1)} µs`],
     ["Host watchdog", `${status.lease_ms.toFixed(0)} ms without the daemon stop the device; strokes are sent ${status.lead_ms.toFixed(0)} ms ahead`],
-    ["Device runs", board ? `for ${(board.uptime_s / 60).toFixed(0)} min, started by ${board.reset}; ${plural(board.output_faults, "output fault")}, ${board.stalls ?? "no count of"} stalls` : "not known"],
+    ["Device runs", board ? `for ${(board.uptime_s / 60).toFixed(0)} min, started by ${board.reset}; ${counters(board)}` : "not known"],
   ];
 }
 
