@@ -1,6 +1,8 @@
-//! Files of a crate do not import each other in a circle.
+//! Files of a crate do not import each other in a circle, no struct has more than 16 fields, and no type has its methods in more than
+//! three files.
 //!
-//! Imports are read from the source with syn: `use`, and paths in code. What only tests use does not count.
+//! Imports are read from the source with syn: `use`, and paths in code, each followed through re-exports to the file that defines the
+//! item. What only tests use does not count.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -38,13 +40,19 @@ fn modules(folder: &Path, prefix: &Module, found: &mut BTreeMap<Module, PathBuf>
     }
 }
 
-/// Paths that a file names within its crate, modules that only tests have, and what it hands on of other modules.
+/// Paths that a file names within its crate, modules that only tests have, what names of other modules it has, and its types.
 #[derive(Default)]
 struct Names {
     module: Module,
+    /// Its modules with files of their own.
+    children: BTreeSet<String>,
     paths: Vec<Module>,
-    handed_on: BTreeMap<String, Module>,
+    imported: BTreeMap<String, Module>,
     test_modules: Vec<Module>,
+    /// Types with methods here.
+    methods: BTreeSet<Module>,
+    /// Structs and how many fields they have.
+    structs: Vec<(String, usize)>,
 }
 
 impl Names {
@@ -55,6 +63,7 @@ impl Names {
             "crate" => (&[][..], &path[1..]),
             "self" => (&self.module[..], &path[1..]),
             "super" => (&self.module[..above], &path[1..]),
+            child if path.len() > 1 && self.children.contains(child) => (&self.module[..], path),
             _ => return None,
         };
         Some([base, rest].concat())
@@ -77,12 +86,12 @@ impl Names {
         };
         let path: Module =
             so_far.iter().cloned().chain(leaf.as_ref().map(|(name, _)| name.clone())).collect();
-        if let (true, Some((_, alias))) = (handed_on, leaf) {
-            // `pub use child::Item`: the path begins here.
-            let whole = self.resolve(&path).unwrap_or_else(|| [&self.module[..], &path[..]].concat());
-            self.handed_on.insert(alias, whole);
-        } else if let Some(path) = self.resolve(&path) {
-            self.paths.push(path);
+        let Some(whole) = self.resolve(&path) else { return };
+        if let Some((_, alias)) = leaf {
+            self.imported.insert(alias, whole.clone());
+        }
+        if !handed_on {
+            self.paths.push(whole);
         }
     }
 }
@@ -111,6 +120,26 @@ impl<'ast> Visit<'ast> for Names {
         }
     }
 
+    fn visit_item_struct(&mut self, item: &'ast syn::ItemStruct) {
+        if !is_for_tests(&item.attrs) {
+            self.structs.push((item.ident.to_string(), item.fields.len()));
+            visit::visit_item_struct(self, item);
+        }
+    }
+
+    fn visit_item_impl(&mut self, item: &'ast syn::ItemImpl) {
+        if is_for_tests(&item.attrs) {
+            return;
+        }
+        if let (None, syn::Type::Path(of)) = (&item.trait_, &*item.self_ty) {
+            let name: Module = of.path.segments.iter().map(|segment| segment.ident.to_string()).collect();
+            let here = || [&self.module[..], &name[..]].concat();
+            let path = self.resolve(&name).or_else(|| self.imported.get(&name[0]).cloned());
+            self.methods.insert(path.unwrap_or_else(here));
+        }
+        visit::visit_item_impl(self, item);
+    }
+
     /// `pub(in crate::x)` imports nothing.
     fn visit_visibility(&mut self, _: &'ast syn::Visibility) {}
 
@@ -121,38 +150,65 @@ impl<'ast> Visit<'ast> for Names {
     }
 }
 
-/// Which file of a crate imports which.
-fn imports(src: &Path) -> BTreeMap<PathBuf, BTreeSet<PathBuf>> {
-    let mut files = BTreeMap::new();
-    modules(src, &Module::new(), &mut files);
-    let read = |(module, file): (&Module, &PathBuf)| {
-        let mut names = Names { module: module.clone(), ..Names::default() };
-        names.visit_file(&syn::parse_file(&fs::read_to_string(file).unwrap()).unwrap());
-        (module.clone(), names)
-    };
-    let names: BTreeMap<Module, Names> = files.iter().map(read).collect();
-    let for_tests: Vec<_> = names.values().flat_map(|names| &names.test_modules).collect();
-    // The file that defines what a path names: a module hands on names of others.
-    let owner = |path: &Module| {
+/// The files of a crate's product, and the names in them.
+struct Sources {
+    files: BTreeMap<Module, PathBuf>,
+    names: BTreeMap<Module, Names>,
+}
+
+impl Sources {
+    fn read(src: &Path) -> Self {
+        let mut files = BTreeMap::new();
+        modules(src, &Module::new(), &mut files);
+        let read = |(module, file): (&Module, &PathBuf)| {
+            let inner = files.keys().filter(|of| of.len() == module.len() + 1 && of.starts_with(module));
+            let children = inner.map(|of| of[module.len()].clone()).collect();
+            let mut names = Names { module: module.clone(), children, ..Names::default() };
+            names.visit_file(&syn::parse_file(&fs::read_to_string(file).unwrap()).unwrap());
+            (module.clone(), names)
+        };
+        let mut names: BTreeMap<Module, Names> = files.iter().map(read).collect();
+        let for_tests: Vec<_> = names.values().flat_map(|names| names.test_modules.clone()).collect();
+        names.retain(|module, _| !for_tests.iter().any(|test| module.starts_with(test)));
+        files.retain(|module, _| names.contains_key(module));
+        Self { files, names }
+    }
+
+    /// The path of what a path names, from the module that defines it: a module hands on names of others.
+    fn defined(&self, path: &Module) -> Option<(&PathBuf, Module)> {
         let mut path = path.clone();
         for _ in 0..8 {
-            let len = (0..=path.len()).rev().find(|len| files.contains_key(&path[..*len]))?;
-            let item = path.get(len);
-            match item.and_then(|item| names[&path[..len]].handed_on.get(item)) {
+            let len = (0..=path.len()).rev().find(|len| self.files.contains_key(&path[..*len]))?;
+            match path.get(len).and_then(|item| self.names[&path[..len]].imported.get(item)) {
                 Some(next) => path.clone_from(next),
-                None => return Some(files[&path[..len]].clone()),
+                None => return Some((&self.files[&path[..len]], path)),
             }
         }
         None
-    };
-    let product = names.iter().filter(|(module, _)| !for_tests.iter().any(|test| module.starts_with(test)));
-    product
-        .map(|(module, names)| {
-            let mut others: BTreeSet<_> = names.paths.iter().filter_map(owner).collect();
-            others.remove(&files[module]);
-            (files[module].clone(), others)
-        })
-        .collect()
+    }
+
+    /// Which file imports which.
+    fn imports(&self) -> BTreeMap<PathBuf, BTreeSet<PathBuf>> {
+        let of = |(module, names): (&Module, &Names)| {
+            let owners = names.paths.iter().filter_map(|path| self.defined(path));
+            let mut others: BTreeSet<_> = owners.map(|(file, _)| file.clone()).collect();
+            others.remove(&self.files[module]);
+            (self.files[module].clone(), others)
+        };
+        self.names.iter().map(of).collect()
+    }
+
+    /// The files in which a type has methods.
+    fn files_of_methods(&self) -> BTreeMap<Module, BTreeSet<&PathBuf>> {
+        let mut found = BTreeMap::<_, BTreeSet<_>>::new();
+        for (module, names) in &self.names {
+            for path in &names.methods {
+                let (_, defined) = self.defined(path).unwrap();
+                found.entry(defined).or_default().insert(&self.files[module]);
+            }
+        }
+        found
+    }
 }
 
 /// What is left once the files that import none of the rest, or that none of the rest imports, are taken away.
@@ -173,31 +229,46 @@ fn circles(mut imports: BTreeMap<PathBuf, BTreeSet<PathBuf>>) -> BTreeMap<PathBu
 fn no_files_import_each_other_in_a_circle() {
     let sources = sources();
     assert!(sources.len() > 15, "{sources:?}");
-    let found: Vec<_> = sources.iter().flat_map(|src| circles(imports(src))).collect();
+    let found: Vec<_> = sources.iter().flat_map(|src| circles(Sources::read(src).imports())).collect();
     let lines: Vec<String> =
         found.iter().map(|(file, others)| format!("{file:?} imports {others:?}")).collect();
     assert!(lines.is_empty(), "circles of imports:\n{}", lines.join("\n").replace(&format!("{ROOT}/"), ""));
 }
 
-/// What a room does with the shared state is a function of the room, so that the state stays readable in one place.
+/// Structs with more fields than 16, which are to become smaller.
+const LARGE: &[&str] = &[
+    "RawObject",
+    "RawConfig",
+    "Report",
+    "Document",
+    "BurstController",
+    "Snapshot",
+    "MotionLane",
+    "DeviceKnowledge",
+];
+/// Types with methods in more than three files, which are to have fewer.
+const SCATTERED: &[&str] = &["State", "Streamer"];
+
+/// The crates of the product.
+fn product() -> impl Iterator<Item = Sources> {
+    let beside = ["tests", "hil", "uf2"].map(|folder| format!("/{folder}/"));
+    let is_product = move |src: &PathBuf| !beside.iter().any(|folder| src.to_string_lossy().contains(folder));
+    sources().into_iter().filter(is_product).map(|src| Sources::read(&src))
+}
+
 #[test]
-fn what_all_rooms_share_is_extended_in_few_files() {
-    let mut files = BTreeMap::new();
-    modules(&Path::new(ROOT).join("src/daemon"), &Module::new(), &mut files);
-    let extends = |name: &str| {
-        let is_impl = |item: &syn::Item| match item {
-            syn::Item::Impl(block) if block.trait_.is_none() => {
-                matches!(&*block.self_ty, syn::Type::Path(of) if of.path.is_ident(name))
-            }
-            _ => false,
-        };
-        let has = |file: &&PathBuf| {
-            syn::parse_file(&fs::read_to_string(file).unwrap()).unwrap().items.iter().any(is_impl)
-        };
-        files.values().filter(has).collect::<Vec<_>>()
-    };
-    for (name, most) in [("Engine", 3), ("State", 8)] {
-        let found = extends(name);
-        assert!((1..=most).contains(&found.len()), "impl {name} stands in {found:?}");
-    }
+fn no_struct_has_more_than_16_fields() {
+    let crates: Vec<_> = product().collect();
+    let structs = crates.iter().flat_map(|of| of.names.values()).flat_map(|names| &names.structs);
+    let large: Vec<_> = structs.filter(|(name, fields)| *fields > 16 && !LARGE.contains(&&**name)).collect();
+    assert!(large.is_empty(), "structs with more than 16 fields: {large:?}");
+}
+
+#[test]
+fn no_type_has_methods_in_more_than_three_files() {
+    let crates: Vec<_> = product().collect();
+    let types = crates.iter().flat_map(Sources::files_of_methods);
+    let is_known = |path: &Module| path.last().is_some_and(|name| SCATTERED.contains(&&**name));
+    let scattered: Vec<_> = types.filter(|(path, files)| files.len() > 3 && !is_known(path)).collect();
+    assert!(scattered.is_empty(), "types with methods in more than three files: {scattered:?}");
 }

@@ -95,14 +95,91 @@ pub struct Board {
     pub slack: Option<u8>,
     /// The same since it started.
     pub slack_since_boot: Option<u8>,
-    /// Times that its executor stood still for too long.
-    pub stalls: Option<u32>,
-    /// Times that it set up a hung USB controller again.
-    pub usb_recoveries: Option<u32>,
-    /// Times that its outputs failed: lines ran out of rendered ticks, or PIO and DMA stopped following.
-    pub output_faults: u32,
+    /// What it counted since it started.
+    pub counts: Counts,
     /// Outputs that were high before anything drove them.
     pub high_at_boot: Option<Outputs>,
+}
+
+/// A value of [`Counts`]: of a counter that every device has, or that some do not have.
+trait Count: Copy {
+    const NONE: Self;
+    const OPTIONAL: bool;
+    fn value(self) -> Option<u32>;
+    fn since(self, before: Self) -> Self;
+}
+
+impl Count for u32 {
+    const NONE: Self = 0;
+    const OPTIONAL: bool = false;
+    fn value(self) -> Option<u32> {
+        Some(self)
+    }
+    fn since(self, before: Self) -> Self {
+        self.saturating_sub(before)
+    }
+}
+
+impl Count for Option<u32> {
+    const NONE: Self = None;
+    const OPTIONAL: bool = true;
+    fn value(self) -> Option<u32> {
+        self
+    }
+    fn since(self, before: Self) -> Self {
+        Some(self?.saturating_sub(before?))
+    }
+}
+
+/// A counter of a device, as [`Counts`] declares it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Counter {
+    /// Its key in the host's status, receipts and metrics.
+    pub name: &'static str,
+    /// What was counted, for people.
+    pub label: &'static str,
+    /// Some devices do not have it.
+    pub optional: bool,
+}
+
+macro_rules! counters {
+    ($($(#[$doc:meta])* $name:ident: $count:ty = $label:literal,)*) => {
+        /// The device's counters, in the order of the wire.
+        #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
+        pub struct Counts {
+            $($(#[$doc])* pub $name: $count,)*
+        }
+
+        impl Counts {
+            /// Nothing is counted.
+            pub const NONE: Self = Self { $($name: <$count as Count>::NONE,)* };
+            /// All counters.
+            pub const ALL: &'static [Counter] = &[
+                $(Counter { name: stringify!($name), label: $label, optional: <$count as Count>::OPTIONAL },)*
+            ];
+
+            /// Each counter with its value.
+            pub fn iter(&self) -> impl Iterator<Item = (&'static Counter, Option<u32>)> + use<> {
+                Self::ALL.iter().zip([$(self.$name.value(),)*])
+            }
+
+            /// What was counted since `before`.
+            #[must_use]
+            pub fn since(&self, before: &Self) -> Self {
+                Self { $($name: self.$name.since(before.$name),)* }
+            }
+        }
+    };
+}
+
+// A row declares a counter: the host passes it on by its name.
+counters! {
+    /// Times that its executor stood still for too long.
+    stalls: Option<u32> = "stalls",
+    /// Times that it set up a hung USB controller again.
+    usb_recoveries: Option<u32> = "USB recoveries",
+    /// Times that its outputs failed: lines ran out of rendered ticks, or PIO and DMA stopped following.
+    output_faults: u32 = "output faults",
 }
 
 /// The figures of a [`Board`] report that the shell measures, not the controller.
@@ -110,18 +187,15 @@ pub struct Board {
 pub struct Measures {
     /// As in [`Board`].
     pub reset: Reset,
-    /// As in [`Board`].
-    pub stalls: Option<u32>,
-    /// As in [`Board`].
-    pub usb_recoveries: Option<u32>,
+    /// As in [`Board`], without the output faults: the controller counts these.
+    pub counts: Counts,
     /// As in [`Board`].
     pub high_at_boot: Option<Outputs>,
 }
 
 impl Measures {
     /// The shell measures nothing.
-    pub const NONE: Self =
-        Self { reset: Reset::Unknown, stalls: None, usb_recoveries: None, high_at_boot: None };
+    pub const NONE: Self = Self { reset: Reset::Unknown, counts: Counts::NONE, high_at_boot: None };
 }
 
 /// How far a self-test is.

@@ -1,7 +1,7 @@
 use crate::bench::{Bench, FIRMWARE, PAPER, TICK_HZ, stroke};
 use firmware_protocol::array::MotorSet;
 use firmware_protocol::batch::{MAX_BATCH, longest_frame, moves};
-use firmware_protocol::board::{Board, Measures, Outputs, Reset, SelfTest, SelfTestState};
+use firmware_protocol::board::{Board, Counts, Measures, Outputs, Reset, SelfTest, SelfTestState};
 use firmware_protocol::frame::{Decoder, MAX_FRAME, read};
 use firmware_protocol::message::{Cause, DeviceMessage, HostMessage, Op, State};
 use firmware_protocol::tick::Tick;
@@ -63,23 +63,20 @@ const HIGH: Outputs = Outputs { lines: MotorSet::from_bits(4), trigger: true, en
 #[test]
 fn a_report_says_what_the_shell_measured_and_what_failed() {
     let mut bench = Bench::armed(FIRMWARE);
-    let measures =
-        Measures { reset: Reset::RunPin, stalls: Some(2), usb_recoveries: Some(3), high_at_boot: Some(HIGH) };
+    let counts = Counts { stalls: Some(2), usb_recoveries: Some(3), output_faults: 0 };
+    let measures = Measures { reset: Reset::RunPin, counts, high_at_boot: Some(HIGH) };
     assert!(!bench.device.wants_measures());
     bench.device.measured(measures);
     bench.run(u64::from(TICK_HZ) * 3 / 2);
     let board = bench.ask(1);
-    assert_eq!(
-        (board.reset, board.stalls, board.usb_recoveries, board.high_at_boot),
-        (Reset::RunPin, Some(2), Some(3), Some(HIGH))
-    );
-    assert_eq!((board.uptime_s, board.output_faults), (1, 0));
+    assert_eq!((board.reset, board.counts, board.high_at_boot), (Reset::RunPin, counts, Some(HIGH)));
+    assert_eq!(board.uptime_s, 1);
     bench.device.fault(Tick(bench.now), Cause::Starved);
     bench.device.fault(Tick(bench.now), Cause::Output);
-    assert_eq!(bench.ask(2).output_faults, 1, "it was off already");
+    assert_eq!(bench.ask(2).counts.output_faults, 1, "it was off already");
     bench.control(Op::Reset);
     bench.control(Op::EStop);
-    assert_eq!(bench.ask(3).output_faults, 1, "an e-stop is no fault");
+    assert_eq!(bench.ask(3).counts.output_faults, 1, "an e-stop is no fault");
 }
 
 #[test]

@@ -5,7 +5,7 @@ use crate::bench::{MOTORS, NO_LIMITS, ONSET, PAPER, frame, pack, stroke, to};
 use firmware_protocol::array::{ArrayId, MotorSet, Name};
 use firmware_protocol::batch::{Amendment, BATCH_BYTES, MAX_BATCH, Packer};
 use firmware_protocol::board::{
-    Board, LineTest, Output, Outputs, RamTest, Reset, SelfTest, SelfTestState, WaveTest,
+    Board, Counts, LineTest, Output, Outputs, RamTest, Reset, SelfTest, SelfTestState, WaveTest,
 };
 use firmware_protocol::frame::{Decoder, FRAME_OVERHEAD, MAX_FRAME, PROTOCOL};
 use firmware_protocol::limits::{PowerLimits, Refusal};
@@ -82,9 +82,7 @@ const BOARD: Board = Board {
     uptime_s: 86_400,
     slack: Some(26),
     slack_since_boot: Some(25),
-    stalls: Some(1),
-    usb_recoveries: Some(2),
-    output_faults: 3,
+    counts: Counts { stalls: Some(1), usb_recoveries: Some(2), output_faults: 3 },
     high_at_boot: Some(Outputs { enable: true, ..lines(1 << 23) }),
 };
 const TESTED: SelfTest = SelfTest {
@@ -350,8 +348,7 @@ fn from_the_device() {
                 reset: Reset::Program,
                 slack: None,
                 slack_since_boot: None,
-                stalls: None,
-                usb_recoveries: None,
+                counts: Counts { output_faults: 3, ..Counts::NONE },
                 high_at_boot: None,
                 ..BOARD
             }),
@@ -469,7 +466,7 @@ fn messages_fit() {
         DeviceMessage::Board(Board {
             window: u16::MAX,
             uptime_s: u32::MAX,
-            output_faults: u32::MAX,
+            counts: Counts { output_faults: u32::MAX, ..BOARD.counts },
             high_at_boot: Some(every),
             ..BOARD
         }),

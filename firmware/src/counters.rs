@@ -6,7 +6,7 @@
 use crate::board;
 use core::sync::atomic::{AtomicU32, Ordering::SeqCst};
 use embassy_rp::pac;
-use firmware_protocol::board::{Measures, Reset};
+use firmware_protocol::board::{Counts, Measures, Reset};
 use firmware_protocol::controller::HORIZON;
 use firmware_protocol::message::Cause;
 
@@ -34,8 +34,11 @@ pub(crate) fn read() -> Measures {
     let reset = RESETS.get(RESET.load(SeqCst) as usize).copied();
     Measures {
         reset: reset.unwrap_or_default(),
-        stalls: Some(STALLS.load(SeqCst)),
-        usb_recoveries: Some(USB_RECOVERIES.load(SeqCst)),
+        counts: Counts {
+            stalls: Some(STALLS.load(SeqCst)),
+            usb_recoveries: Some(USB_RECOVERIES.load(SeqCst)),
+            ..Counts::NONE
+        },
         high_at_boot: Some(board::outputs(HIGH_AT_BOOT.load(SeqCst))),
     }
 }

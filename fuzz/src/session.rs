@@ -7,7 +7,7 @@ use crate::input::{Raw, arm, array, byte, cause, chunk, flag, long, motor, motor
 use arbitrary::Unstructured;
 use firmware_protocol::array::MAX_MOTORS;
 use firmware_protocol::batch::Amendment;
-use firmware_protocol::board::{Board, Outputs, Reset, SelfTest, SelfTestState};
+use firmware_protocol::board::{Board, Counts, Outputs, Reset, SelfTest, SelfTestState};
 use firmware_protocol::frame::{self, Decoder, MAX_FRAME};
 use firmware_protocol::limits::Refusal;
 use firmware_protocol::message::{
@@ -352,9 +352,7 @@ impl World {
             uptime_s: long(input),
             slack: flag(input).then(|| byte(input)),
             slack_since_boot: flag(input).then(|| byte(input)),
-            stalls: count(input),
-            usb_recoveries: count(input),
-            output_faults: long(input),
+            counts: Counts { stalls: count(input), usb_recoveries: count(input), output_faults: long(input) },
             high_at_boot: flag(input).then(|| motors(input)).map(|lines| Outputs { lines, ..Outputs::NONE }),
         };
         self.say(&DeviceMessage::Board(board));

@@ -4,6 +4,7 @@
 //! object has lines.
 
 mod named;
+mod presented;
 
 use super::arguments::{ArrayOption, Output};
 use super::output::give;
@@ -13,10 +14,10 @@ use crate::rendering::{AFTER_S, FIRST_FINGER, judged_s};
 use anyhow::{Result, bail};
 use clap::Args;
 use meissner_array::pattern::Pattern;
-use meissner_array::spec::Array;
-use meissner_render::{Judge as Comparison, Judged, Method, Rival, TRACE_MM_S, render, response_of, trace};
+use meissner_render::{Judge as Comparison, Judged, response_of};
 use meissner_skin::Finger;
-use meissner_touch::{Contact, Object, respond};
+use meissner_touch::respond;
+use presented::{Presented, fingers_shown, presented};
 use serde::Serialize;
 use std::fmt::Write;
 use std::process::ExitCode;
@@ -57,15 +58,6 @@ struct Line {
     error_sd: f64,
 }
 
-/// A pattern, and for how long fingers feel it.
-#[derive(Debug)]
-struct Presented {
-    name: String,
-    pattern: Pattern,
-    /// Whether it has its own time, and not that of the touch.
-    is_traced: bool,
-}
-
 #[derive(Debug, Serialize)]
 struct Document {
     object: String,
@@ -90,7 +82,10 @@ pub(super) fn run(asked: &Judge) -> Result<ExitCode> {
     if !(1..=MOST_FINGERS).contains(&asked.fingers) {
         bail!("--fingers {}: must be 1 to {MOST_FINGERS}", asked.fingers);
     }
-    let Some(object) = &asked.object else { return named::run(asked) };
+    let Some(object) = &asked.object else {
+        let array = asked.array.find()?.unwrap_or_default();
+        return named::run(array, &asked.set, asked.fingers, asked.seed, asked.output.json);
+    };
     let given =
         asked.pattern.as_deref().map(pattern_file::of_argument).transpose()?.map(|found| found.pattern);
     if let (Some(name), Some(pattern)) = (&asked.pattern, &given) {
@@ -152,36 +147,6 @@ pub(super) fn run(asked: &Judge) -> Result<ExitCode> {
     give(asked.output.json, &document, || table(&document))
 }
 
-/// The patterns of all methods and rules.
-fn presented(array: Array, object: &Object, contact: &Contact) -> Result<Vec<Presented>> {
-    let touch = object.touch();
-    let mut patterns = Vec::new();
-    let mut add = |name: &str, pattern, is_traced| {
-        patterns.push(Presented { name: name.to_owned(), pattern, is_traced });
-    };
-    for (name, method) in [
-        ("render auto", Method::Auto),
-        ("render rate", Method::Rate),
-        ("render field", Method::Field),
-        ("render rule", Method::Rule),
-    ] {
-        let levels = render(array, contact, touch, method);
-        add(name, levels.pattern(array, "rendered", toml::Table::new())?, false);
-    }
-    if touch.stays_in_place()
-        && let Some(lines) = object.lines_mm()
-        && let Ok(levels) = trace(array, &lines, TRACE_MM_S)
-    {
-        add("render trace", levels.pattern(array, "rendered", toml::Table::new())?, true);
-    }
-    for (name, rival) in
-        [("nearest pins at 60 Hz", Rival::Nearest), ("within reach at 60 Hz", Rival::WithinReach)]
-    {
-        add(name, rival.pattern(array, contact, touch)?, false);
-    }
-    Ok(patterns)
-}
-
 /// The mean over the fingers that have spikes to compare, and the standard deviation of `error`.
 fn mean_of(of_fingers: &[Judged]) -> (Judged, f64) {
     let mean = |value: &dyn Fn(&Judged) -> f64| {
@@ -204,11 +169,6 @@ fn mean_of(of_fingers: &[Judged]) -> (Judged, f64) {
         spikes: by_class(&|judged| judged.spikes),
     };
     (judged, variance.sqrt())
-}
-
-/// A number of fingers.
-fn fingers_shown(count: usize) -> String {
-    if count == 1 { "1 finger".to_owned() } else { format!("{count} fingers") }
 }
 
 /// A number of a table; a dash if there is none.

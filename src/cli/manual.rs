@@ -2,7 +2,6 @@
 //!
 //! Packages and `deploy/install` run it, so that no copies are kept.
 
-use super::command;
 use anyhow::{Context as _, Result};
 use clap_complete::{Shell, generate};
 use clap_mangen::Man;
@@ -25,25 +24,25 @@ fn pages(command: clap::Command, files: &mut BTreeMap<PathBuf, Vec<u8>>) -> Resu
 }
 
 /// The files' names and texts.
-fn made() -> Result<BTreeMap<PathBuf, Vec<u8>>> {
+fn made(command: &clap::Command) -> Result<BTreeMap<PathBuf, Vec<u8>>> {
     let mut files = BTreeMap::new();
     // `help` says nothing that the pages do not.
-    let mut pages_of = command().disable_help_subcommand(true);
+    let mut pages_of = command.clone().disable_help_subcommand(true);
     pages_of.build();
     pages(pages_of, &mut files)?;
     for (shell, name) in
         [(Shell::Bash, "meissner.bash"), (Shell::Zsh, "_meissner"), (Shell::Fish, "meissner.fish")]
     {
         let mut text = Vec::new();
-        generate(shell, &mut command(), "meissner", &mut text);
+        generate(shell, &mut command.clone(), "meissner", &mut text);
         files.insert(Path::new("completions").join(name), text);
     }
     files.insert("openapi.json".into(), format!("{:#}\n", openapi::document()).into_bytes());
     Ok(files)
 }
 
-pub(super) fn manual(folder: &Path) -> Result<()> {
-    for (name, text) in made()? {
+pub(super) fn manual(command: &clap::Command, folder: &Path) -> Result<()> {
+    for (name, text) in made(command)? {
         let file = folder.join(name);
         file.parent()
             .map_or(Ok(()), fs::create_dir_all)

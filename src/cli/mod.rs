@@ -361,7 +361,7 @@ fn run(command: Command) -> Result<ExitCode> {
         Command::Render(asked) => render::run(&asked),
         Command::Judge(asked) => judge::run(&asked),
         Command::Validate => validate::run(),
-        Command::Manual { folder } => manual::manual(&folder).map(|()| ExitCode::SUCCESS),
+        Command::Manual { folder } => manual::manual(&Cli::command(), &folder).map(|()| ExitCode::SUCCESS),
         Command::Doctor { device, array, board, seconds, options } => {
             doctor::run(device, array.find()?, board, Duration::from_secs_f64(seconds), &options)
         }

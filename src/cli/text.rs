@@ -12,11 +12,13 @@ use crate::doctor::device::{NO_TELEMETRY, ON_NO_BOARD, SHORT_PLAYS};
 use crate::doctor::rights::SLOW_ESTOP;
 use comfy_table::Table;
 use comfy_table::presets::NOTHING;
+use firmware_protocol::board::{Counter, Counts};
 use meissner_api::{
-    ArmedStatus, BoardRecord, BoardStatus, ClockSample, EndCause, ErrorSource, NO_DEVICE, ParticipantStatus,
-    Session, Status,
+    ArmedStatus, BoardStatus, ClockSample, EndCause, ErrorSource, NO_DEVICE, ParticipantStatus, Session,
+    Status,
 };
 use serde_json::Value;
+use std::collections::BTreeMap;
 use std::fmt::Write;
 
 /// Two columns: labels and values.
@@ -189,25 +191,25 @@ pub(super) fn board(board: &BoardStatus) -> String {
         s if s < 600 => format!("{s} s"),
         s => format!("{} min", s / 60),
     };
-    let BoardStatus { slack_ticks, stalls, usb_recoveries, output_faults, .. } = *board;
     let mut parts = vec![format!("up for {up} since {}", board.reset)];
-    parts.extend(counters(BoardRecord { slack_ticks, stalls, usb_recoveries, output_faults }));
+    parts.extend(counters(board.slack_ticks, &board.counters));
     if let Some(high) = board.high_at_boot.as_deref().filter(|high| !high.is_empty()) {
         parts.push(format!("outputs {high:?} were high at its start: run `meissner doctor --board`"));
     }
     parts.join(", ")
 }
 
-/// The device's counters: each figure that it measures, and output faults if there were any.
-fn counters(board: BoardRecord) -> impl Iterator<Item = String> {
-    let BoardRecord { slack_ticks, stalls, usb_recoveries, output_faults } = board;
-    let parts = [
-        slack_ticks.map(|ticks| format!("least time to render {ticks} ticks")),
-        stalls.map(|count| format!("{count} stalls")),
-        usb_recoveries.map(|count| format!("{count} USB recoveries")),
-        (output_faults > 0).then(|| format!("{output_faults} output faults")),
-    ];
-    parts.into_iter().flatten()
+/// The device's slack, and the counters that it measures. A zero of one that every device has says nothing.
+fn counters(
+    slack_ticks: Option<u8>,
+    counters: &BTreeMap<String, Option<u32>>,
+) -> impl Iterator<Item = String> {
+    let slack = slack_ticks.map(|ticks| format!("least time to render {ticks} ticks"));
+    let measured = Counts::ALL.iter().filter_map(|Counter { name, label, optional }| {
+        let count = (*counters.get(*name)?)?;
+        (*optional || count > 0).then(|| format!("{count} {label}"))
+    });
+    slack.into_iter().chain(measured)
 }
 
 /// A participant's limits, and what is used.

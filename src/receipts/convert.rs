@@ -1,7 +1,7 @@
 //! Converts the streamer's and the controller's types to the API's.
 
 use firmware_protocol::array::MAX_MOTORS;
-use firmware_protocol::board::{Board, Output, Outputs, Reset};
+use firmware_protocol::board::{Board, Counts, Output, Outputs, Reset};
 use firmware_protocol::limits::Refusal;
 use firmware_protocol::message::{DeviceHello, State};
 use meissner_api::{BoardRecord, BoardStatus, CalibrateRequest, Code, DeviceInfo, EndCause, Problem};
@@ -10,6 +10,7 @@ use meissner_array::strokes::Fit;
 use meissner_stream::PlayBoard;
 use meissner_stream::calibrate::{Plan, PlanError, laser_plan};
 use meissner_stream::queues::CommandError;
+use std::collections::BTreeMap;
 
 /// The controller's state as the API names it.
 #[must_use]
@@ -44,9 +45,7 @@ pub fn board_status(board: &Board) -> BoardStatus {
         reset: reset_name(board.reset).to_owned(),
         uptime_s: board.uptime_s,
         slack_ticks: board.slack_since_boot,
-        stalls: board.stalls,
-        usb_recoveries: board.usb_recoveries,
-        output_faults: board.output_faults,
+        counters: counters(&board.counts),
         high_at_boot: board.high_at_boot.map(outputs),
     }
 }
@@ -77,9 +76,12 @@ pub const fn reset_name(reset: Reset) -> &'static str {
 }
 
 /// The device's counters during a play.
-pub(super) const fn board_record(board: PlayBoard) -> BoardRecord {
-    let PlayBoard { slack, stalls, usb_recoveries, output_faults } = board;
-    BoardRecord { slack_ticks: slack, stalls, usb_recoveries, output_faults }
+pub(super) fn board_record(board: PlayBoard) -> BoardRecord {
+    BoardRecord { slack_ticks: board.slack, counters: counters(&board.counts) }
+}
+
+fn counters(counts: &Counts) -> BTreeMap<String, Option<u32>> {
+    counts.iter().map(|(counter, value)| (counter.name.to_owned(), value)).collect()
 }
 
 /// The fit that a request asks for.

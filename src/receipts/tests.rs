@@ -2,6 +2,7 @@
 
 use super::*;
 use firmware_protocol::array::MotorSet;
+use firmware_protocol::board::Counts;
 use firmware_protocol::limits::Refusal;
 use firmware_protocol::message::Cause;
 use meissner_api::{
@@ -102,7 +103,7 @@ fn ended(id: u64, end: End) -> StreamEvent {
         pulses: PulseCounts { planned: 100, played: 60 },
         estimated: false,
         lateness: LateCounts { host: 1, ..LateCounts::default() },
-        board: Some(PlayBoard { slack: Some(29), stalls: Some(1), usb_recoveries: None, output_faults: 0 }),
+        board: Some(PlayBoard { slack: Some(29), counts: Counts { stalls: Some(1), ..Counts::NONE } }),
         wire_bytes: 55,
         offset: Some(Stamp { tick: Tick(10_500), at: HostInstant::from_ns(100), uncertainty_ns: 9 }),
         cut_after: (end != End::Done).then_some(8_500),
@@ -153,8 +154,11 @@ fn a_play_goes_from_queued_to_its_receipt() {
     assert_eq!((receipt.state, receipt.cause.as_ref()), (PlayState::Stopped, Some(&EndCause::Stop)));
     assert_eq!((receipt.counts.lateness.strokes.len(), receipt.counts.refusals.len()), (1, 1));
     assert_eq!(receipt.device.wire.unwrap().bytes_per_burst, Some(5.5));
-    let board = receipt.device.board.unwrap();
-    assert_eq!((board.slack_ticks, board.stalls, board.usb_recoveries), (Some(29), Some(1), None));
+    let board = receipt.device.board.as_ref().unwrap();
+    assert_eq!(
+        (board.slack_ticks, board.counters["stalls"], board.counters["usb_recoveries"]),
+        (Some(29), Some(1), None)
+    );
     assert_eq!(receipt.onset.map(|onset| onset.latency_ms), Some(4.0));
     assert_eq!(receipts.last().unwrap().id, 2);
     assert!(receipts.running().is_none());

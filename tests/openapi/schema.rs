@@ -13,8 +13,7 @@ use std::collections::BTreeSet;
 pub(super) fn check(document: &Value, schema: &Value, value: &Value) -> Result<(), String> {
     let mut known = BTreeSet::new();
     part(document, schema, value, &mut known)?;
-    let free = resolve(document, schema)["additionalProperties"].is_object()
-        || resolve(document, schema) == &serde_json::json!({"type": "object"})
+    let free = resolve(document, schema) == &serde_json::json!({"type": "object"})
         || schema == &serde_json::json!({});
     match value.as_object().and_then(|keys| keys.keys().find(|key| !known.contains(key.as_str()))) {
         Some(key) if !free => Err(format!("`{key}` is in no schema")),
@@ -33,7 +32,7 @@ fn resolve<'d>(document: &'d Value, schema: &'d Value) -> &'d Value {
 fn part<'d>(
     document: &'d Value,
     schema: &'d Value,
-    value: &Value,
+    value: &'d Value,
     known: &mut BTreeSet<&'d str>,
 ) -> Result<(), String> {
     let schema = resolve(document, schema);
@@ -93,7 +92,7 @@ fn part<'d>(
 fn object<'d>(
     document: &'d Value,
     keywords: &'d Map<String, Value>,
-    keys: &Map<String, Value>,
+    keys: &'d Map<String, Value>,
     known: &mut BTreeSet<&'d str>,
 ) -> Result<(), String> {
     for required in keywords.get("required").and_then(Value::as_array).into_iter().flatten() {
@@ -101,6 +100,9 @@ fn object<'d>(
         if !keys.contains_key(required) {
             return Err(format!("`{required}` is missing"));
         }
+    }
+    if keywords.get("additionalProperties").is_some_and(Value::is_object) {
+        known.extend(keys.keys().map(String::as_str));
     }
     for (key, schema) in keywords.get("properties").and_then(Value::as_object).into_iter().flatten() {
         known.insert(key);

@@ -4,6 +4,7 @@
 //! the simulated array measures neither time nor USB.
 
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 use utoipa::ToSchema;
 
 /// The device's counters since it started, as it reported them last.
@@ -17,12 +18,10 @@ pub struct BoardStatus {
     /// Least time left to render since then, ticks; null: nothing was rendered while armed, or it is not measured. A board
     /// has at most 45; at 0 it turns its lines off.
     pub slack_ticks: Option<u8>,
-    /// Times that the firmware's tasks stood still for too long; null: not measured.
-    pub stalls: Option<u32>,
-    /// Times that the device set up its hung USB controller again; null: not measured.
-    pub usb_recoveries: Option<u32>,
-    /// Times that its outputs failed and it turned its lines off (causes `starved` and `output`).
-    pub output_faults: u32,
+    /// Its counters by name; null: not measured. `stalls`: its tasks stood still for too long; `usb_recoveries`: it set up its hung
+    /// USB controller again; `output_faults`: its outputs failed and it turned its lines off (causes `starved` and `output`).
+    #[serde(flatten)]
+    pub counters: BTreeMap<String, Option<u32>>,
     /// Outputs that were high at its start, before anything drove them: motors by number, 64 for the trigger, 65 for the driver enable.
     /// Null: not measured. A sound board has none.
     #[schema(max_items = 66)]
@@ -30,14 +29,11 @@ pub struct BoardStatus {
 }
 
 /// What occurred on the device while a play ran: from the last report before it to the first one after.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 pub struct BoardRecord {
     /// Least time left to render, ticks; null: not measured.
     pub slack_ticks: Option<u8>,
-    /// Times that the firmware's tasks stood still for too long; null: not measured.
-    pub stalls: Option<u32>,
-    /// Times that the device set up its hung USB controller again; null: not measured.
-    pub usb_recoveries: Option<u32>,
-    /// Times that its outputs failed.
-    pub output_faults: u32,
+    /// What its counters counted, by the names that the status has; null: not measured.
+    #[serde(flatten)]
+    pub counters: BTreeMap<String, Option<u32>>,
 }

@@ -162,7 +162,7 @@ fn complete(schema: &mut Value) {
     for parts in ["oneOf", "allOf"] {
         schema.get_mut(parts).and_then(Value::as_array_mut).into_iter().flatten().for_each(complete);
     }
-    let is_answer = schema.get("additionalProperties").is_none();
+    let is_answer = schema.get("additionalProperties") != Some(&Value::Bool(false));
     let Some(properties) = schema.get_mut("properties").and_then(Value::as_object_mut) else { return };
     for (_, property) in properties.iter_mut().filter(|(key, _)| !SIGNED.contains(&key.as_str())) {
         let kinds = property.get("type").map(Value::to_string).unwrap_or_default();

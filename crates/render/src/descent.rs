@@ -4,9 +4,8 @@
 //! afferents, blurred over the skin as between the afferents of different fingers and summed over 12 ms; and the displacement of the skin.
 //! Projected gradients lower it; a step that does not is halved, so the result is never worse than the start.
 
-use crate::STEP_S;
 use crate::blurred::weight;
-use crate::levels::{Levels, Limits};
+use crate::levels::{Levels, Limits, STEP_S};
 use crate::rates::{Table, of_pc};
 use crate::skin::Skin;
 use crate::wanted::Wanted;

@@ -1,8 +1,10 @@
 //! Heights of pins over time, and the pattern that plays them.
 
-use crate::STEP_S;
 use meissner_array::pattern::{Form, Motion, Pattern, PatternError, Wave};
 use meissner_array::spec::Array;
+
+/// The time between two heights, s: about the time over which the paper's motors average.
+pub const STEP_S: f64 = 0.004;
 
 /// A pin whose highest height is below this stays at rest, mm: some pulses of a motor.
 const LEAST_MM: f64 = 0.002;

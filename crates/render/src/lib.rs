@@ -35,7 +35,7 @@ mod wanted;
 
 pub use blurred::BLUR_MM;
 pub use judge::{Judge, Judged, response_of};
-pub use levels::Levels;
+pub use levels::{Levels, STEP_S};
 pub use observer::{Observer, Reads};
 pub use poses::{PART_MM, Poses, PosesError};
 pub use rivals::Rival;
@@ -45,9 +45,6 @@ use descent::{Goal, Weights};
 use meissner_array::spec::Array;
 use meissner_touch::{Contact, Touch};
 use serde::{Deserialize, Serialize};
-
-/// The time between two heights, s: about the time over which the paper's motors average.
-pub const STEP_S: f64 = 0.004;
 
 /// How heights are found.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]

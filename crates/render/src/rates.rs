@@ -98,7 +98,7 @@ fn change(speed: f64) -> (f64, f64) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::STEP_S;
+    use crate::levels::STEP_S;
     use meissner_array::random::uniform;
     use meissner_skin::afferents::{
         Afferent, Class, ELASTICITY, POISSON, SAMPLES_PER_S, Stimuli, population, respond,

@@ -1,6 +1,6 @@
 //! The plain answers that a rendered pattern has to beat: pins near the object vibrate at 60 Hz.
 
-use crate::STEP_S;
+use crate::levels::STEP_S;
 use crate::rule::beyond_mm;
 use meissner_array::pattern::{Drive, Pattern, PatternError};
 use meissner_array::spec::Array;

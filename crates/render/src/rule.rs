@@ -1,7 +1,6 @@
 //! The plain answer: one press of the full travel, graded by the distance of each pin from the object.
 
-use crate::STEP_S;
-use crate::levels::{Levels, Limits};
+use crate::levels::{Levels, Limits, STEP_S};
 use meissner_array::spec::Array;
 use meissner_touch::{Contact, Pose, Touch};
 

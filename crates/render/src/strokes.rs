@@ -8,9 +8,8 @@
 //! and stop less often. Which is better depends on the speed of the object, and where in a slot it passes the pins: so there are several
 //! [`starts`].
 
-use crate::STEP_S;
 use crate::field::Boxed;
-use crate::levels::{Levels, Limits};
+use crate::levels::{Levels, Limits, STEP_S};
 use crate::rates::Table;
 use crate::skin::Skin;
 use crate::wanted::Wanted;

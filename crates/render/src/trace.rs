@@ -6,8 +6,7 @@
 //!
 //! Invariant: a trace lasts at most [`LONGEST_S`], and only points on the pad take time.
 
-use crate::STEP_S;
-use crate::levels::{Levels, Limits};
+use crate::levels::{Levels, Limits, STEP_S};
 use meissner_array::spec::Array;
 use meissner_skin::membrane::{PAD_LENGTH_MM, PAD_WIDTH_MM};
 

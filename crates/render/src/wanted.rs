@@ -1,7 +1,6 @@
 //! How far the skin moves under an object, at the places of a [`Skin`], moment by moment.
 
-use crate::STEP_S;
-use crate::levels::Limits;
+use crate::levels::{Limits, STEP_S};
 use crate::skin::Skin;
 use meissner_touch::{Contact, Touch, displacements_mm};
 

@@ -5,7 +5,7 @@
 //!
 //! Invariant: the account covers the whole play, from the last report before its onset to the first after its end, or is `None`.
 
-use firmware_protocol::board::Board;
+use firmware_protocol::board::{Board, Counts};
 use firmware_protocol::tick::Tick;
 use meissner_array::units::TickRate;
 
@@ -17,12 +17,8 @@ const WITHIN_MS: u64 = 200;
 pub struct PlayBoard {
     /// Least time left to render, ticks.
     pub slack: Option<u8>,
-    /// Times that the executor stood still.
-    pub stalls: Option<u32>,
-    /// Times that the device set up its USB controller again.
-    pub usb_recoveries: Option<u32>,
-    /// Times that the outputs failed.
-    pub output_faults: u32,
+    /// What it counted.
+    pub counts: Counts,
 }
 
 /// The account of one play: see the module.
@@ -74,13 +70,7 @@ impl BoardAccount {
     /// The account, if it is complete.
     pub(super) fn close(&self) -> Option<PlayBoard> {
         let (before, after) = (self.before?, self.after?);
-        let grown = |now: Option<u32>, then: Option<u32>| Some(now?.saturating_sub(then?));
-        Some(PlayBoard {
-            slack: self.slack,
-            stalls: grown(after.stalls, before.stalls),
-            usb_recoveries: grown(after.usb_recoveries, before.usb_recoveries),
-            output_faults: after.output_faults.saturating_sub(before.output_faults),
-        })
+        Some(PlayBoard { slack: self.slack, counts: after.counts.since(&before.counts) })
     }
 }
 
@@ -97,9 +87,7 @@ mod tests {
             uptime_s: 1,
             slack,
             slack_since_boot: slack,
-            stalls: Some(stalls),
-            usb_recoveries: None,
-            output_faults: 0,
+            counts: Counts { stalls: Some(stalls), ..Counts::NONE },
             high_at_boot: None,
         }
     }
@@ -117,7 +105,7 @@ mod tests {
         assert!(account.ends(Tick(102), RATE, || unreachable!("asked once")));
         account.heard(report(3, Some(3), 9));
         let closed = account.close().expect("a complete account");
-        assert_eq!((closed.slack, closed.stalls, closed.usb_recoveries), (Some(28), Some(3), None));
+        assert_eq!((closed.slack, closed.counts), (Some(28), Counts { stalls: Some(3), ..Counts::NONE }));
     }
 
     #[test]

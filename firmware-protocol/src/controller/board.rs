@@ -5,7 +5,7 @@
 //! Invariant: every block's slack is in exactly one window, and each window is answered until the host asks for the next.
 
 use crate::array::Layout;
-use crate::board::{Board, Measures, SelfTest, SelfTestState};
+use crate::board::{Board, Counts, Measures, SelfTest, SelfTestState};
 use crate::message::{Cause, DeviceMessage};
 use crate::tick::Tick;
 use core::hash::{Hash, Hasher};
@@ -145,16 +145,14 @@ impl BoardRequests {
     }
 
     fn board(&self, now: Tick) -> Board {
-        let Measures { reset, stalls, usb_recoveries, high_at_boot } = self.measures;
+        let Measures { reset, counts, high_at_boot } = self.measures;
         Board {
             window: self.window.unwrap_or(0),
             reset,
             uptime_s: ((now - self.started) / u64::from(self.tick_hz)).min(u32::MAX.into()) as u32,
             slack: self.ended,
             slack_since_boot: self.since_boot,
-            stalls,
-            usb_recoveries,
-            output_faults: self.output_faults,
+            counts: Counts { output_faults: self.output_faults, ..counts },
             high_at_boot,
         }
     }

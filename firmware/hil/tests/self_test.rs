@@ -3,7 +3,7 @@
 use crate::play::{armed, job};
 use firmware_protocol::array::MotorSet;
 use firmware_protocol::board::Output::{Line, Trigger};
-use firmware_protocol::board::{LineTest, Outputs, Reset, SelfTest, SelfTestState};
+use firmware_protocol::board::{Counts, LineTest, Outputs, Reset, SelfTest, SelfTestState};
 use firmware_protocol::message::{HostMessage, State};
 use meissner_hil::bench::CpuEvent;
 use meissner_hil::bench::chip::ChipOptions;
@@ -82,7 +82,7 @@ fn a_sound_board_passes_and_is_as_before() {
     let board = played.board.unwrap();
     println!("during a play: {board:?}");
     assert!(board.slack.is_some_and(|slack| (20..45).contains(&slack)), "{board:?}");
-    assert_eq!((board.stalls, board.usb_recoveries, board.output_faults), (Some(0), Some(0), 0));
+    assert_eq!(board.counts, Counts { stalls: Some(0), usb_recoveries: Some(0), output_faults: 0 });
     // Armed again, it refuses.
     rig.message(&HostMessage::SelfTest { run: 2 });
     rig.run_to(rig.now() + 5 * MS).unwrap();

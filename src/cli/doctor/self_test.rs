@@ -74,7 +74,7 @@ fn clock_ppm(wave: &WaveTest, tick_hz: u32) -> f64 {
 pub(super) fn of_report(board: &Board) -> Vec<Finding> {
     let found = text::board(&board_status(board));
     let hung = matches!(board.reset, Reset::Watchdog | Reset::Panic);
-    let failed = board.output_faults > 0 || board.stalls > Some(0) || board.usb_recoveries > Some(0);
+    let failed = board.counts.iter().any(|(_, count)| count > Some(0));
     let advice =
         "its firmware hung or its outputs failed: power it off and on, and report this line if it comes back";
     let mut findings = vec![Finding::check("board", !hung && !failed, found, advice)];

@@ -3,9 +3,10 @@
 //! One observer has felt the real objects, another the rendered ones; each reads every afferent, or the blurred response. All know the finger.
 //! A trace has another time than the touch, so only an observer that has felt traces reads it.
 
-use super::{AFTER_S, FIRST_FINGER, Judge, Presented, fingers_shown, presented};
+use super::presented::{Presented, fingers_shown, presented};
 use crate::cli::output::give;
 use crate::cli::{object, progress};
+use crate::rendering::{AFTER_S, FIRST_FINGER};
 use anyhow::Result;
 use meissner_array::pattern::Pattern;
 use meissner_array::spec::Array;
@@ -100,9 +101,9 @@ struct Placed {
 }
 
 impl Placed {
-    fn new(asked: &Judge, array: Array, objects: &[Object]) -> Result<Self> {
+    fn new(array: Array, set: &[String], objects: &[Object]) -> Result<Self> {
         let (mut contacts, mut made) = (Vec::new(), Vec::new());
-        for (argument, object) in asked.set.iter().zip(objects) {
+        for (argument, object) in set.iter().zip(objects) {
             let contact = object::contact(argument, object)?;
             made.push(presented(array, object, &contact)?);
             contacts.push(contact);
@@ -213,19 +214,17 @@ impl Asked<'_> {
     }
 }
 
-pub(super) fn run(asked: &Judge) -> Result<ExitCode> {
-    let array = asked.array.find()?.unwrap_or_default();
-    let objects: Vec<Object> =
-        asked.set.iter().map(|argument| object::read(argument)).collect::<Result<_>>()?;
-    let fingers: Vec<u64> = (FIRST_FINGER..FIRST_FINGER + asked.fingers).collect();
+pub(super) fn run(array: Array, set: &[String], fingers: u64, seed: u64, json: bool) -> Result<ExitCode> {
+    let objects: Vec<Object> = set.iter().map(|argument| object::read(argument)).collect::<Result<_>>()?;
+    let fingers: Vec<u64> = (FIRST_FINGER..FIRST_FINGER + fingers).collect();
     let lines = progress::metered(|progress| {
-        let placed = Placed::new(asked, array, &objects)?;
+        let placed = Placed::new(array, set, &objects)?;
         let none = vec![vec![0; objects.len()]; objects.len()];
         let sums: Sums = [none.clone(), none];
         let mut sums = vec![[sums.clone(), sums]; placed.ways.len() + 1];
-        for (index, &seed) in fingers.iter().enumerate() {
-            let finger = Finger::new(seed);
-            let one = Asked { finger, objects: &objects, seed: asked.seed };
+        for (index, &finger) in fingers.iter().enumerate() {
+            let finger = Finger::new(finger);
+            let one = Asked { finger, objects: &objects, seed };
             let progress = |share: f64| progress((index as f64 + share) / fingers.len() as f64);
             one.answer(&placed, &mut sums, &progress)?;
         }
@@ -240,7 +239,7 @@ pub(super) fn run(asked: &Judge) -> Result<ExitCode> {
     })?;
     let names = objects.iter().map(|object| object.name().to_owned()).collect();
     let document = Document { objects: names, fingers, lines };
-    give(asked.output.json, &document, || table(&document))
+    give(json, &document, || table(&document))
 }
 
 fn table(document: &Document) -> String {

@@ -7,7 +7,7 @@
 //!
 //! Invariant: a measurement uses only telemetry, with its resolution.
 
-use super::{SEED, mean_and_sd};
+use super::measured::{SEED, mean_and_sd};
 use anyhow::Result;
 use firmware_protocol::stroke::{Direction, Lines};
 use firmware_protocol::tick::Tick;

@@ -3,6 +3,7 @@
 //! `pulses` measures the travel of bursts, `amplitude` the amplitude of drives.
 
 mod amplitude;
+mod measured;
 mod pulses;
 
 use super::arguments::{Output, PaperArrayOption, hours};
@@ -11,6 +12,7 @@ use super::{progress, text};
 use amplitude::Amplitudes;
 use anyhow::Result;
 use clap::Args;
+use measured::SEED;
 use meissner_array::motor::SteadyState;
 use meissner_array::motor::hand_vibration::{daily_exposure_m_s2, weighted_acceleration_m_s2};
 use meissner_array::spec::Array;
@@ -59,9 +61,6 @@ struct Simulated<'a> {
     pulses: Pulses,
     amplitude: Amplitudes,
 }
-
-/// Seed of the simulated motors.
-const SEED: u64 = 0;
 
 pub(super) fn run(asked: &Motor) -> Result<ExitCode> {
     let array = asked.array.find()?;
@@ -113,12 +112,4 @@ fn simulated(array: Array, json: bool) -> Result<ExitCode> {
             ),
         ])
     })
-}
-
-/// Mean and sample standard deviation; the deviation of fewer than two numbers is 0.
-fn mean_and_sd(numbers: &[f64]) -> (f64, f64) {
-    let count = numbers.len() as f64;
-    let mean = numbers.iter().sum::<f64>() / count;
-    let squares: f64 = numbers.iter().map(|number| (number - mean).powi(2)).sum();
-    (mean, if count > 1.0 { (squares / (count - 1.0)).sqrt() } else { 0.0 })
 }

@@ -5,7 +5,7 @@
 //!
 //! Invariant: the bursts of one motor are told, and those of all motors are fitted, as `calibrate` does.
 
-use super::{SEED, mean_and_sd};
+use super::measured::{SEED, mean_and_sd};
 use anyhow::Result;
 use firmware_protocol::stroke::Direction;
 use firmware_protocol::tick::Tick;

@@ -1,6 +1,7 @@
 //! `simulate` by the second model, and its answer.
 
-use super::{Simulate, print_csv};
+use super::arguments::Simulate;
+use super::table::print_csv;
 use crate::cli::output::give;
 use crate::cli::{progress, text};
 use anyhow::Result;

@@ -3,7 +3,8 @@
 //! The pattern is simulated burst by burst, as ideal motors play it. Afferents are a fingertip's population.
 
 use super::afferents::{OfClass, Placed};
-use super::{Simulate, print_csv};
+use super::arguments::Simulate;
+use super::table::print_csv;
 use crate::cli::files::{self, Kind};
 use crate::cli::output::give;
 use crate::cli::pattern_file::{self, Found};

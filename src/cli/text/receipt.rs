@@ -73,7 +73,7 @@ pub(in crate::cli) fn receipt(receipt: &Receipt) -> String {
             wire.bytes_per_burst.map_or_else(String::new, |bytes| format!(", {bytes:.2} per burst"));
         lines.push(("wire", format!("{} bytes to the device{per_burst}", wire.bytes_to_device)));
     }
-    if let Some(board) = receipt.device.board.and_then(board) {
+    if let Some(board) = receipt.device.board.as_ref().and_then(board) {
         lines.push(("board", board));
     }
     if let Some(pins) = &receipt.pins {
@@ -84,8 +84,8 @@ pub(in crate::cli) fn receipt(receipt: &Receipt) -> String {
 }
 
 /// The device's counters during the play, if it measures any or something failed.
-fn board(board: BoardRecord) -> Option<String> {
-    let text = counters(board).collect::<Vec<_>>().join(", ");
+fn board(board: &BoardRecord) -> Option<String> {
+    let text = counters(board.slack_ticks, &board.counters).collect::<Vec<_>>().join(", ");
     (!text.is_empty()).then_some(text)
 }
 

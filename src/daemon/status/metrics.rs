@@ -10,7 +10,7 @@ use crate::receipts::{Receipts, reset_name};
 use axum::extract::State;
 use axum::http::header::CONTENT_TYPE;
 use axum::response::{IntoResponse, Response};
-use firmware_protocol::board::Board;
+use firmware_protocol::board::{Board, Counts as DeviceCounts};
 use meissner_api::NO_DEVICE;
 use meissner_stream::link::Contradiction;
 use std::fmt::Write;
@@ -60,7 +60,7 @@ fn text(receipts: &Receipts, clients: &Counts) -> String {
         ("unknown", bad.unknown),
     ];
     let contradictions = Contradiction::ALL.map(|kind| (kind.name(), traffic.contradictions.of(kind)));
-    let families: [(&str, Samples); 28] = [
+    let families: [(&str, Samples); 25] = [
         ("state", by("state", STATES.map(|name| (name, u64::from(name == state))))),
         ("plays_total", by("end", [("done", done), ("stopped", stopped), ("aborted", aborted)])),
         ("bursts_total", by("fate", fates)),
@@ -83,15 +83,17 @@ fn text(receipts: &Receipts, clients: &Counts) -> String {
         ("device_start", by("cause", board.map(|board| (reset_name(board.reset), 1)))),
         ("device_uptime_seconds", of_board(|at| Some(at.uptime_s))),
         ("device_slack_ticks", of_board(|at| at.slack_since_boot.map(u32::from))),
-        ("device_stalls_total", of_board(|at| at.stalls)),
-        ("device_usb_recoveries_total", of_board(|at| at.usb_recoveries)),
-        ("device_output_faults_total", of_board(|at| Some(at.output_faults))),
         ("line_bytes_per_second", known(at.and_then(|at| at.line_bytes_per_s.map(f64::from)))),
         ("clock_uncertainty_us", known(uncertainty_us)),
         ("lead_ms", known(at.map(|at| at.lead_ms))),
     ];
+    let counted = board.map_or(DeviceCounts::NONE, |board| board.counts).iter().map(|(counter, value)| {
+        (format!("device_{}_total", counter.name), known(board.and(value).map(f64::from)))
+    });
     let mut text = String::with_capacity(4096);
-    for (name, samples) in families {
+    for (name, samples) in
+        families.into_iter().map(|(name, samples)| (name.to_owned(), samples)).chain(counted)
+    {
         let kind = if name.ends_with("_total") { "counter" } else { "gauge" };
         // Writing to a string does not fail.
         let _ = writeln!(text, "# TYPE meissner_{name} {kind}");

@@ -5,7 +5,7 @@
 //! Invariant: no value is taken whose unit or time the file does not say.
 
 use super::error::SamplesError;
-use super::{Column, Found};
+use super::found::{Column, Found};
 use csv::{Error, ReaderBuilder, StringRecord, Trim};
 use meissner_input::message::{cut, quote};
 

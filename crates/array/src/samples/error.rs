@@ -1,6 +1,13 @@
 //! Why a file's samples cannot be used.
 
-use super::{MAX_FILE_BYTES, MAX_SAMPLES, MOST_FILE_HZ, MOST_HZ};
+/// The most bytes of a file: the paper's 24 motors for 10 minutes at 1 kHz take 55 MiB as `f4`.
+pub const MAX_FILE_BYTES: usize = 64 << 20;
+/// The most samples that are read from a file: an hour at 1 kHz.
+pub const MAX_SAMPLES: usize = (1 << 22) - 2;
+/// The highest rate of a pattern's samples, Hz. Motors vibrate up to 300 Hz.
+pub const MOST_HZ: f64 = 8000.0;
+/// The highest rate of a file, Hz: what a sound card records.
+pub const MOST_FILE_HZ: f64 = 192_000.0;
 
 /// What is wrong with a file, or with the choice of what to take from it. The message is one line.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]

@@ -8,32 +8,15 @@
 
 mod csv_file;
 mod error;
+mod found;
 mod npy;
 mod resample;
 mod wav;
 
-pub use error::SamplesError;
+pub use error::{MAX_FILE_BYTES, MAX_SAMPLES, MOST_FILE_HZ, MOST_HZ, SamplesError};
+pub use found::Column;
 
-use serde::Deserialize;
-
-/// The most bytes of a file: the paper's 24 motors for 10 minutes at 1 kHz take 55 MiB as `f4`.
-pub const MAX_FILE_BYTES: usize = 64 << 20;
-/// The most samples that are read from a file: an hour at 1 kHz.
-pub const MAX_SAMPLES: usize = (1 << 22) - 2;
-/// The highest rate of a pattern's samples, Hz. Motors vibrate up to 300 Hz.
-pub const MOST_HZ: f64 = 8000.0;
-/// The highest rate of a file, Hz: what a sound card records.
-pub const MOST_FILE_HZ: f64 = 192_000.0;
-
-/// A column of a table.
-#[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
-#[serde(untagged, expecting = "must be a column's number, from 0, or its name")]
-pub enum Column {
-    /// Of an NPY file: its number, from 0.
-    Number(u32),
-    /// Of a CSV file: its name.
-    Name(String),
-}
+use found::Found;
 
 /// What to take from a file, and how to turn it into µm.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -59,14 +42,6 @@ pub struct Samples {
     pub um: Vec<f32>,
     /// What was read and what was done to it, in one line without the file's name.
     pub note: String,
-}
-
-/// What a reader found: values, not yet scaled.
-struct Found {
-    values: Vec<f64>,
-    /// The file's own rate, if it has one.
-    rate_hz: Option<f64>,
-    note: String,
 }
 
 /// What a file is, by the end of its name.
@@ -207,14 +182,4 @@ pub fn read_table(bytes: &[u8]) -> Result<([usize; 2], Vec<f64>), SamplesError> 
 pub fn read_columns<const N: usize>(bytes: &[u8], names: [&str; N]) -> Result<[Vec<f64>; N], SamplesError> {
     check_size(bytes)?;
     csv_file::read_columns(bytes, names)
-}
-
-/// The column or channel to take of so many: the one that was asked for, or the only one.
-fn only(asked: Option<usize>, count: usize, what: &'static str) -> Result<usize, SamplesError> {
-    match asked {
-        Some(asked) if asked < count => Ok(asked),
-        Some(asked) => Err(SamplesError::NoSuch { what, asked: asked.to_string(), count }),
-        None if count == 1 => Ok(0),
-        None => Err(SamplesError::Several { what, count }),
-    }
 }

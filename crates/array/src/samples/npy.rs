@@ -7,7 +7,7 @@
 //! Invariant: nothing is allocated before the file is known to be as long as its header says.
 
 use super::error::SamplesError;
-use super::{Column, Found, only};
+use super::found::{Column, Found, only};
 use meissner_input::message::quote;
 
 /// The most bytes of a header. NumPy writes 118.

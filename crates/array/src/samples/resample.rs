@@ -5,7 +5,7 @@
 //! or ends above rest does not ring. (`rubato` is built for streams: it is off by up to a sample in time, and pads with 0.) All
 //! functions are those of `libm`, so equal files give equal samples on every machine.
 
-use super::MOST_HZ;
+use super::error::MOST_HZ;
 use std::f64::consts::PI;
 
 /// The filter's edge, where it halves the amplitude, Hz.

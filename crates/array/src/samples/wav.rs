@@ -2,7 +2,7 @@
 //! scale is 1. (`hound` reads no 64-bit floating point, which SciPy writes, and no PCM of 12 or 20 bits.)
 
 use super::error::SamplesError;
-use super::{Found, only};
+use super::found::{Found, only};
 
 const PCM: u16 = 1;
 const FLOAT: u16 = 3;

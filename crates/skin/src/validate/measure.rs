@@ -4,7 +4,6 @@
 //!
 //! Invariant: amplitudes come from fixed grids, so a threshold is accurate to one step of its grid, 21 %.
 
-use super::LOCKED;
 use super::probe::{COUNTED_S, Placed, can_give, press, sine, spikes_s};
 use crate::ModelName;
 use crate::afferents::Class;
@@ -12,6 +11,8 @@ use rayon::prelude::*;
 use serde_json::{Value, json};
 use std::f64::consts::{PI, TAU};
 
+/// Locking 1:1 allows this many impulses per cycle more or less.
+pub(super) const LOCKED: f64 = 0.1;
 /// Frequencies of thresholds, Hz.
 const THRESHOLD_HZ: [f64; 15] =
     [5.0, 8.0, 10.0, 16.0, 20.0, 25.0, 34.0, 40.0, 50.0, 64.0, 80.0, 100.0, 150.0, 171.0, 200.0];

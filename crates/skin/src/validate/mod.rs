@@ -27,7 +27,7 @@ pub use case::{Case, Finding, Published, Validation, ValidationVerdict};
 use crate::ModelName;
 use crate::afferents::Class;
 use case::Judged;
-use measure::{Measured, measure};
+use measure::{LOCKED, Measured, measure};
 
 const FREEMAN: &str = "Freeman & Johnson 1982";
 const JOHANSSON: &str = "Johansson et al. 1982";
@@ -39,8 +39,6 @@ const SAAL: &str = "Saal et al. 2017";
 const THRESHOLD_FACTOR: f64 = 3.0;
 /// The same for areas of receptive fields.
 const AREA_FACTOR: f64 = 2.0;
-/// Locking 1:1 allows this many impulses per cycle more or less.
-pub(crate) const LOCKED: f64 = 0.1;
 /// Recorded afferents lock over "a wide range" of amplitudes: at least this ratio between the largest and the smallest.
 const WIDE: f64 = 2.0;
 /// The least share of the rate's variance that the logarithm of the amplitude must explain.

@@ -14,7 +14,7 @@
 
 use crate::control::PositionControl;
 use crate::queues::{CommandError, Emit};
-use crate::streamer::answer;
+use crate::streamer::operations::answer;
 use crate::time::HostInstant;
 use firmware_protocol::limits::Refusal;
 use firmware_protocol::message::{Cause, Op, State, Status};

@@ -13,6 +13,7 @@ use crate::queues::{Applied, CommandError, Emit, LiveResult, LiveUpdate, StreamE
 use crate::settings::batch_ticks;
 use crate::streamer::Streamer;
 use crate::streamer::feed::unsent;
+use crate::streamer::updates::Live;
 use crate::time::HostInstant;
 use firmware_protocol::array::MotorSet;
 use firmware_protocol::controller::BLOCK;
@@ -33,41 +34,6 @@ fn wake_up(rate: TickRate) -> u64 {
 const MOST_SPARE_MS: u64 = 50;
 /// A client has so long to send its first update.
 const CONNECTS_WITHIN: Duration = Duration::from_secs(2);
-
-/// The updates of the live play that is playing.
-#[derive(Debug, Default)]
-pub(super) struct Live {
-    /// The play that the rest is about.
-    of: Option<u64>,
-    /// The update that waits, and the one under way.
-    waiting: Option<Box<LiveUpdate>>,
-    sent: Option<Box<LiveUpdate>>,
-    /// The motors for which the device has not answered, and those whose old strokes it kept.
-    unanswered: MotorSet,
-    kept: MotorSet,
-    /// From which tick on the last update replaced strokes.
-    replaced: Tick,
-    /// Room for delays, ticks: grows when a frame came too late.
-    spare: u64,
-    /// The refused moves that answers have told.
-    refused: u64,
-    /// The play ends if its client is silent until then.
-    deadline: HostInstant,
-}
-
-impl Live {
-    /// Whether the device has not said yet if it has replaced the strokes of `motor`, or keeps the old ones.
-    pub(super) const fn is_undecided(&self, motor: u8) -> bool {
-        self.unanswered.contains(motor)
-    }
-
-    /// The same with the moves that were refused since the last answer, of so many in all.
-    const fn with_refused(&mut self, applied: Applied, refused: u64) -> LiveResult {
-        let new = refused.saturating_sub(self.refused);
-        self.refused = refused;
-        LiveResult::Applied(Applied { refused: new, ..applied })
-    }
-}
 
 fn is_live(active: &Active, id: u64) -> bool {
     active.play().id == id && !active.is_cut() && active.play().live.is_some()

@@ -1,7 +1,7 @@
 //! The streamer's decisions: executes commands, sends strokes, handles the device's reports and ends plays.
 //!
 //! Its owner calls [`Streamer::execute`] with requests and [`Streamer::receive`] with bytes, then [`Streamer::step`] and
-//! [`Streamer::transmit`]. `commands` executes, `feed` sends strokes, `live` replaces those of live plays, `events` handles
+//! [`Streamer::transmit`]. `commands` executes, `feed` sends strokes, `live` replaces those of live plays (`updates`), `events` handles
 //! reports, and `ends` ends plays. Parts own what they decide: `operations` the commands under way, `latch` the emergency stop,
 //! `known` what the device said, `homing` the way back to rest, `reports` when a snapshot is due.
 //!
@@ -18,6 +18,7 @@ mod latch;
 mod live;
 mod operations;
 mod reports;
+mod updates;
 
 use crate::active::{Active, Phase};
 use crate::control::PositionControl;
@@ -32,7 +33,6 @@ use homing::Homing;
 pub use homing::longest_homing_s;
 use known::Known;
 use latch::Latch;
-use live::Live;
 use meissner_api::EndCause;
 use meissner_array::spec::Array;
 use meissner_array::units::TickRate;
@@ -40,9 +40,8 @@ use operations::Operations;
 use reports::Reports;
 use std::collections::VecDeque;
 use std::time::Duration;
+use updates::Live;
 
-/// How long an answer may take.
-const ANSWER_WITHIN: Duration = Duration::from_secs(1);
 /// How often the streamer wakes up while anything is going on.
 const BUSY_EVERY: Duration = Duration::from_millis(1);
 /// Interval of snapshots while playing.
@@ -334,12 +333,6 @@ impl Streamer {
         } else {
             next.min(now + BUSY_EVERY)
         }
-    }
-}
-
-fn answer(ticket: u64, result: Result<(), CommandError>, emit: &mut dyn Emit) {
-    if ticket != 0 {
-        emit.event(StreamEvent::Answer { ticket, result });
     }
 }
 

@@ -5,12 +5,14 @@
 //! Invariant: each ticket gets exactly one answer; a late arm never enables motors when nobody expects it.
 
 use crate::link::Session;
-use crate::queues::{CommandError, ESTOP_TICKETS, Emit};
-use crate::streamer::{ANSWER_WITHIN, answer};
+use crate::queues::{CommandError, ESTOP_TICKETS, Emit, StreamEvent};
 use crate::time::HostInstant;
 use firmware_protocol::message::{Cause, Op};
 use std::collections::VecDeque;
+use std::time::Duration;
 
+/// How long an answer may take.
+pub(super) const ANSWER_WITHIN: Duration = Duration::from_secs(1);
 /// Most operations that wait for the device.
 const MOST: usize = 8;
 
@@ -208,5 +210,12 @@ impl Operations {
             self.closed = true;
             answer(ticket, if off { Ok(()) } else { Err(CommandError::Timeout) }, emit);
         }
+    }
+}
+
+/// Answers the request with this ticket, if it has one.
+pub(super) fn answer(ticket: u64, result: Result<(), CommandError>, emit: &mut dyn Emit) {
+    if ticket != 0 {
+        emit.event(StreamEvent::Answer { ticket, result });
     }
 }

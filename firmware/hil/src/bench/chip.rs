@@ -3,7 +3,7 @@
 //! This module passes on and records. The process ends with the bench.
 
 use crate::bench::answer::{Answer, AnswerError, Profile, hex};
-use crate::bench::{BenchError, CpuEvent, Function, Heard};
+use crate::bench::device::{BenchError, CpuEvent, Function, Heard};
 use crate::pins::Pins;
 use firmware_protocol::urgent::{Urgent, Watch};
 use std::collections::VecDeque;

@@ -3,7 +3,7 @@
 //! It adds what the mock leaves to its owner: which USB function has the session, and that the watchdog resets a board whose
 //! core fails, with a new boot id.
 
-use crate::bench::{BenchError, Function, Heard};
+use crate::bench::device::{BenchError, Function, Heard};
 use crate::log::Log;
 use crate::time::{Grid, MS, TICK};
 use firmware_protocol::frame::{self, Decoder};

@@ -3,8 +3,8 @@
 //! In a tick each motor, in order of number: ends its burst, begins its move, and comes down if it is above its goal and may.
 
 use crate::log::{Log, Train};
+use crate::oracle::expected::{CutAt, Expected, Soft};
 use crate::oracle::plan::{Live, Plan, Step};
-use crate::oracle::{CutAt, Expected, Soft};
 use firmware_protocol::controller::{BLOCK, DRIVER_TAIL};
 use firmware_protocol::limits::{PowerLimits, Refusal, correction};
 use firmware_protocol::message::Cause;

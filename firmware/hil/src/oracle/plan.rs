@@ -1,6 +1,6 @@
 //! The moves that the device has accepted, and what interrupts them: read off the link in order.
 
-use crate::oracle::{CutAt, Expected};
+use crate::oracle::expected::{CutAt, Expected};
 use crate::tap::{Batch, Event, Tap};
 use firmware_protocol::array::MotorSet;
 use firmware_protocol::batch::Amendment;

@@ -6,7 +6,7 @@ use crate::tap::{Batch, Event};
 use firmware_protocol::array::MotorSet;
 use firmware_protocol::batch::{Amendment, Unpacked};
 use firmware_protocol::limits::PowerLimits;
-use firmware_protocol::message::{Cut, LowerStop, Mark, MarkKind, Op, Report, Withdraw};
+use firmware_protocol::message::{Cause, Cut, LowerStop, Mark, MarkKind, Op, Report, Withdraw};
 use firmware_protocol::stroke::Direction::{Down, Up};
 use meissner_array::spec::Array;
 use meissner_test_support::paper::{MOTORS, WHOLE_TRAVEL};

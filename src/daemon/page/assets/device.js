@@ -7,6 +7,11 @@ import { part } from "./views.js";
 
 const plural = (count, one, more = `${one}s`) => `${count} ${count === 1 ? one : more}`;
 
+/** The device's counters: what the status names beside these. */
+function counters({ reset, uptime_s, slack_ticks, high_at_boot, ...counters }) {
+  return Object.entries(counters).map(([name, count]) => `${count ?? "no count of"} ${name.replaceAll("_", " ")}`).join(", ");
+}
+
 function link(status) {
   const { device, clock, daemon: { drift_limit_um: limit, lease_ms: lease, lead_ms: lead } } = status;
   const { missing, bytes_per_s: line, contradictions, board } = status.link;
@@ -22,7 +27,7 @@ function link(status) {
     ["Messages that cannot be true", contradictions],
     ["Clock", clock ? `synchronised to ±${clock.uncertainty_us.toFixed(1)} µs` : "not synchronised"],
     ["Host watchdog", `${lease.toFixed(0)} ms without the daemon stop the device; strokes are sent ${lead.toFixed(0)} ms ahead`],
-    ["Device runs", board ? `for ${(board.uptime_s / 60).toFixed(0)} min, started by ${board.reset}; ${plural(board.output_faults, "output fault")}, ${board.stalls ?? "no count of"} stalls` : "not known"],
+    ["Device runs", board ? `for ${(board.uptime_s / 60).toFixed(0)} min, started by ${board.reset}; ${counters(board)}` : "not known"],
   ];
 }
 

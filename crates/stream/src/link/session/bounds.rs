@@ -235,9 +235,7 @@ impl DeviceKnowledge {
             before.reset == board.reset
                 && before.high_at_boot == board.high_at_boot
                 && before.uptime_s <= board.uptime_s
-                && before.stalls <= board.stalls
-                && before.usb_recoveries <= board.usb_recoveries
-                && before.output_faults <= board.output_faults
+                && before.counts.iter().zip(board.counts.iter()).all(|((_, then), (_, now))| then <= now)
                 && bounds_least(before.slack_since_boot)
         });
         let slack = within(board.slack) && within(board.slack_since_boot) && bounds_least(board.slack);
