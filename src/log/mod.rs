@@ -106,18 +106,33 @@ impl Write for Stderr {
 pub(crate) mod tests {
     use super::*;
     use std::sync::{Arc, Mutex};
+    use tracing::subscriber::DefaultGuard;
 
     /// The text that is logged while `work` runs.
     pub(crate) fn logged(work: impl FnOnce()) -> String {
-        let kept = Kept::default();
-        let writer = kept.clone();
-        let log = tracing_subscriber::registry().with(lines(move || writer.clone(), false));
-        tracing::subscriber::with_default(log, work);
-        String::from_utf8(kept.0.lock().unwrap().clone()).unwrap()
+        let (kept, _guard) = Kept::begin();
+        work();
+        kept.text()
     }
 
+    /// The log of a thread.
     #[derive(Clone, Default)]
-    struct Kept(Arc<Mutex<Vec<u8>>>);
+    pub(crate) struct Kept(Arc<Mutex<Vec<u8>>>);
+
+    impl Kept {
+        /// Keeps what this thread logs, until the guard is dropped.
+        pub(crate) fn begin() -> (Self, DefaultGuard) {
+            let kept = Self::default();
+            let writer = kept.clone();
+            let layers = Targets::new().with_default(Level::INFO);
+            let log = tracing_subscriber::registry().with(layers).with(lines(move || writer.clone(), false));
+            (kept, tracing::subscriber::set_default(log))
+        }
+
+        pub(crate) fn text(&self) -> String {
+            String::from_utf8(self.0.lock().unwrap().clone()).unwrap()
+        }
+    }
 
     impl Write for Kept {
         fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {

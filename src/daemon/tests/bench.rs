@@ -2,7 +2,8 @@
 //!
 //! Engine, router, event loop, session record and the streamer's loop with the simulated array run as tasks of one runtime, whose clock
 //! stands still while any of them works. [`HostInstant::now`](meissner_stream::time::HostInstant::now) reads that clock, so that hours take
-//! seconds, and nothing depends on the machine. There are no sockets, no connector and no processes: tests of those start the program.
+//! seconds, and nothing depends on the machine. A [`Wire`] is a connection as the server serves it, from a socket or the network. There is
+//! no acceptor, no connector and no process: tests of those start the program.
 
 use crate::config::Config;
 use crate::daemon::beside::event_loop::readable;
@@ -10,44 +11,60 @@ use crate::daemon::beside::service::{Manager, StatusReporter};
 use crate::daemon::engine::Engine;
 use crate::daemon::fuzzed;
 use crate::daemon::http::app::App;
-use crate::daemon::http::router;
+use crate::daemon::http::{look_for_losses, router};
+use crate::daemon::http::server::serve_client;
+use crate::daemon::network::{Gate, TokenStore};
 use crate::daemon::sockets::acceptor::{Bounds, Counts};
+use crate::daemon::sockets::connection::Connection;
+use crate::daemon::sockets::orders::Orders;
+use crate::daemon::sockets::stream::Stream;
 use crate::daemon::system::check;
-use crate::session_record::{Peer, Recorder, SessionRecord};
+use crate::log::tests::Kept;
+use crate::session_record::{NetworkPeer, Note, Peer, Recorder, SessionRecord};
 use axum::Router;
 use axum::body::{Body, Bytes};
 use axum::http::Request;
 use http_body_util::BodyExt;
 use meissner_api::{CLIENT_HEADER, Event, PlayAccepted, Problem, Receipt, SESSION_HEADER, Status};
 use meissner_stream::Turns;
-use meissner_stream::device::{Device, WallMock};
+use meissner_stream::device::{self, Spec};
 use meissner_stream::queues::queues;
-use meissner_stream::time::{HostInstant, set_clock};
+use meissner_stream::time::set_clock;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
 use std::cell::Cell;
+use std::io::{self, Read, Write};
+use std::net::{IpAddr, Ipv4Addr};
 use std::path::PathBuf;
 use std::rc::Rc;
 use std::sync::Arc;
 use std::time::Duration;
 use tempfile::TempDir;
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
+use tokio::net::UnixStream;
 use tokio::runtime::Runtime;
-use tokio::sync::broadcast;
-use tokio::time::Instant;
+use tokio::sync::{broadcast, watch};
+use tokio::time::{Instant, sleep, timeout};
+use tracing::subscriber::DefaultGuard;
 
 /// What the clock reads at the start of a bench.
 const BEGIN: Duration = Duration::from_secs(1000);
 /// How often the session record writes what waits.
 const WRITES: Duration = Duration::from_millis(1);
+/// The longest wait for something that must happen.
+const LONGEST: Duration = Duration::from_secs(3600);
+/// A client on the socket, and one on this machine that comes over the network.
+pub(super) const LOCAL: Peer = Peer::local(1, 0);
+pub(super) const NETWORK: Peer =
+    Peer::network(NetworkPeer { address: IpAddr::V4(Ipv4Addr::LOCALHOST), token: None });
 
 thread_local! {
-    static BEGAN: Cell<Option<Instant>> = const { Cell::new(None) };
+    static BEGAN: Cell<Option<(Duration, Instant)>> = const { Cell::new(None) };
 }
 
 fn clock() -> u64 {
-    let now = BEGAN.get().map_or(Duration::ZERO, |began| Instant::now() - began);
-    (BEGIN + now).as_nanos() as u64
+    BEGAN.get().map_or(BEGIN, |(at, began)| at + (Instant::now() - began)).as_nanos() as u64
 }
 
 /// A daemon with a simulated array. See the module.
@@ -59,7 +76,11 @@ struct Parts {
     engine: Arc<Engine>,
     router: Router,
     dir: Arc<TempDir>,
+    config: String,
     clients: Cell<u32>,
+    close: watch::Sender<bool>,
+    log: Kept,
+    _logs: DefaultGuard,
 }
 
 impl Bench {
@@ -75,34 +96,101 @@ impl Bench {
 
     /// One in a directory that another one may have used.
     pub(super) fn in_dir(dir: Arc<TempDir>, config: &str) -> Self {
+        Self::from(BEGIN, dir, config)
+    }
+
+    /// One whose clock reads `at` at its start.
+    fn from(at: Duration, dir: Arc<TempDir>, config: &str) -> Self {
+        let (log, logs) = Kept::begin();
         let mut runtime = tokio::runtime::Builder::new_current_thread();
         let runtime = runtime.enable_all().start_paused(true).build().unwrap();
-        let at = |name: &str| dir.path().join(name);
-        std::fs::create_dir_all(at("patterns")).unwrap();
+        let path = |name: &str| dir.path().join(name);
+        std::fs::create_dir_all(path("patterns")).unwrap();
         let text =
-            format!("patterns_dir = {:?}\nlogbook_dir = {:?}\n{config}", at("patterns"), at("logbook"));
-        let config = Config::parse(&text, &at("meissner.toml")).unwrap();
+            format!("patterns_dir = {:?}\nlogbook_dir = {:?}\n{config}", path("patterns"), path("logbook"));
+        let text = if config.contains("device = ") { text } else { format!("device = \"mock\"\n{text}") };
+        let (kept, mut config) = (config.to_owned(), Config::parse(&text, &path("meissner.toml")).unwrap());
+        if config.device == (Spec::MockBoard { lower_stop: true }) {
+            config.add_lower_stop();
+        }
         let store = Arc::new(check::store(&config).unwrap());
         let (engine, router) = runtime.block_on(async {
-            BEGAN.set(Some(Instant::now()));
+            BEGAN.set(Some((at, Instant::now())));
             set_clock(Some(clock));
             let (thread, commands, events) = queues().unwrap();
             let users = Arc::default();
-            let (record, recorder) =
-                SessionRecord::turned(config.logbook.clone().unwrap(), Arc::clone(&users));
-            let engine = Arc::new(Engine::of(&config, commands, record, users));
+            let record = config.logbook.clone().map_or_else(SessionRecord::none, |location| {
+                let (record, recorder) = SessionRecord::turned(location, Arc::clone(&users));
+                tokio::spawn(write(recorder));
+                record
+            });
+            // Nothing listens at the address; its clients come over wires.
+            let gate = Gate::new(config.listen.clone(), None, TokenStore::open(config.tokens.clone()));
+            let engine = Arc::new(Engine::of(&config, commands, record, users).with_gate(gate));
             tokio::spawn(stream(Turns::new(config.settings, thread)));
-            tokio::spawn(write(recorder));
             let reporter = StatusReporter::new(Manager::find().unwrap());
             tokio::spawn(Arc::clone(&engine).event_loop(events, reporter));
-            let mock = WallMock::new(config.settings.array, &config.mock, HostInstant::now()).unwrap();
-            assert!(engine.connect(Box::new(Device::Mock(Box::new(mock)))).is_ok(), "the queue has room");
+            let mock = device::open(&config.device, config.settings.array, &config.mock).unwrap();
+            assert!(engine.connect(Box::new(mock)).is_ok(), "the queue has room");
             engine.first_device().await;
+            let looking = Arc::clone(&engine);
+            tokio::spawn(async move { look_for_losses(&looking, LONGEST).await });
             let app =
                 App::new(Arc::clone(&engine), store, &Bounds::of_process(), Arc::new(Counts::default()));
             (engine, router(app))
         });
-        Self(Rc::new(Parts { runtime, engine, router, dir, clients: Cell::new(0) }))
+        let (clients, close) = (Cell::new(0), watch::Sender::new(false));
+        let parts = Parts { runtime, engine, router, dir, config: kept, clients, close, log, _logs: logs };
+        Self(Rc::new(parts))
+    }
+
+    /// Ends it as SIGTERM does; its clients stay.
+    pub(super) fn end(&self) {
+        let Parts { runtime, engine, close, .. } = &*self.0;
+        runtime.block_on(async {
+            engine.shut_down().await;
+            engine.lock().close_session("daemon-ended");
+            engine.lock().publisher.close();
+            let _ = close.send(true);
+            engine.session_record().add(Note::DaemonEnded { problem: None });
+            // The disk.
+            sleep(Duration::from_secs(2)).await;
+        });
+    }
+
+    /// The next daemon in its directory. One that has not ended is killed.
+    pub(super) fn again(self) -> Self {
+        let config = self.0.config.clone();
+        self.again_with(&config)
+    }
+
+    /// The same with this configuration.
+    pub(super) fn again_with(self, config: &str) -> Self {
+        assert_eq!(Rc::strong_count(&self.0), 1, "its clients are gone");
+        let at = self.0.runtime.block_on(async { Duration::from_nanos(clock()) });
+        let dir = Arc::clone(&self.0.dir);
+        drop(self);
+        Self::from(at, dir, config)
+    }
+
+    /// The lines of its log.
+    pub(super) fn log(&self) -> String {
+        self.0.log.text()
+    }
+
+    /// The whole session record.
+    pub(super) fn record(&self) -> String {
+        let files = self.days().into_iter();
+        files.filter_map(|file| std::fs::read_to_string(file).ok()).collect()
+    }
+
+    /// The daily files of the session record.
+    pub(super) fn days(&self) -> Vec<PathBuf> {
+        let files = std::fs::read_dir(self.path("logbook")).unwrap().map(|file| file.unwrap().path());
+        let mut files: Vec<_> =
+            files.filter(|file| file.extension().is_some_and(|end| end == "jsonl")).collect();
+        files.sort();
+        files
     }
 
     /// A file in its directory.
@@ -112,7 +200,7 @@ impl Bench {
 
     /// Lets so much time pass.
     pub(super) fn advance(&self, time: Duration) {
-        self.0.runtime.block_on(async { tokio::time::sleep(time).await });
+        self.0.runtime.block_on(async { sleep(time).await });
     }
 
     /// Lets time pass until something has happened: an hour at most.
@@ -121,7 +209,7 @@ impl Bench {
         const STEP: Duration = Duration::from_millis(5);
         let mut passed = Duration::ZERO;
         while !happened() {
-            assert!(passed < Duration::from_secs(3600), "it has not happened in an hour");
+            assert!(passed < LONGEST, "it has not happened in an hour");
             self.advance(STEP);
             passed += STEP;
         }
@@ -130,7 +218,32 @@ impl Bench {
     /// A new client.
     pub(super) fn client(&self) -> Client {
         self.0.clients.set(self.0.clients.get() + 1);
-        Client { bench: self.clone(), name: format!("client-{}", self.0.clients.get()), token: None }
+        let name = format!("client-{}", self.0.clients.get());
+        Client { bench: self.clone(), name, token: None, peer: LOCAL, headers: Vec::new() }
+    }
+
+    /// A connection of this client.
+    pub(super) fn connect(&self, peer: Peer) -> Wire {
+        let Parts { runtime, engine, router, close, .. } = &*self.0;
+        let (client, stream) = std::os::unix::net::UnixStream::pair().unwrap();
+        client.set_nonblocking(true).unwrap();
+        stream.set_nonblocking(true).unwrap();
+        let stream = runtime.block_on(async {
+            let orders = Orders::new(Arc::clone(&engine.estops), Arc::clone(&engine.gate), peer, None);
+            let (connection, ahead, activity) =
+                Connection::new(Stream::unix(stream.into()), b"", orders, true).unwrap();
+            let (router, closing) = (router.clone(), close.subscribe());
+            tokio::spawn(serve_client(connection, ahead, activity, peer, false, router, closing));
+            UnixStream::from_std(client).unwrap()
+        });
+        Wire { bench: self.clone(), stream }
+    }
+
+    /// The answer to a request that closes its connection.
+    pub(super) fn raw(&self, peer: Peer, text: &str) -> String {
+        let mut wire = self.connect(peer);
+        wire.write_all(text.as_bytes()).unwrap();
+        wire.rest()
     }
 
     /// A client that has armed the motors.
@@ -143,6 +256,9 @@ impl Bench {
 
 impl Drop for Parts {
     fn drop(&mut self) {
+        if std::thread::panicking() {
+            eprintln!("the daemon's log:\n{}", self.log.text());
+        }
         set_clock(None);
         BEGAN.set(None);
     }
@@ -154,7 +270,7 @@ async fn stream(mut turns: Turns) {
     while turns.turn() {
         tokio::select! {
             ready = wake.readable() => ready.unwrap().clear_ready(),
-            () = tokio::time::sleep(turns.wait()) => {}
+            () = sleep(turns.wait()) => {}
         }
     }
 }
@@ -163,7 +279,40 @@ async fn stream(mut turns: Turns) {
 async fn write(mut recorder: Recorder) {
     loop {
         recorder.turn();
-        tokio::time::sleep(WRITES).await;
+        sleep(WRITES).await;
+    }
+}
+
+/// A connection as its client has it: to read and to write lets time pass.
+pub(super) struct Wire {
+    bench: Bench,
+    stream: UnixStream,
+}
+
+impl Wire {
+    /// What comes until the daemon closes it.
+    pub(super) fn rest(&mut self) -> String {
+        let mut text = String::new();
+        self.read_to_string(&mut text).unwrap();
+        text
+    }
+}
+
+impl Read for Wire {
+    fn read(&mut self, bytes: &mut [u8]) -> io::Result<usize> {
+        let Self { bench, stream } = self;
+        bench.0.runtime.block_on(async { timeout(LONGEST, stream.read(bytes)).await })?
+    }
+}
+
+impl Write for Wire {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        let Self { bench, stream } = self;
+        bench.0.runtime.block_on(async { timeout(LONGEST, stream.write(bytes)).await })?
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
     }
 }
 
@@ -173,9 +322,16 @@ pub(super) struct Client {
     bench: Bench,
     name: String,
     token: Option<String>,
+    peer: Peer,
+    headers: Vec<(&'static str, String)>,
 }
 
 impl Client {
+    /// The same client over the network, with this further header.
+    pub(super) fn over_network(&self, name: &'static str, value: &str) -> Self {
+        Self { peer: NETWORK, headers: vec![(name, value.to_owned())], ..self.clone() }
+    }
+
     /// From here on it shows this session's token.
     pub(super) fn set_token(&mut self, token: Option<String>) {
         self.token = token;
@@ -215,9 +371,10 @@ impl Client {
         if let Some(token) = &self.token {
             request = request.header(SESSION_HEADER, token);
         }
+        request = self.headers.iter().fold(request, |request, (name, value)| request.header(*name, value));
         let request = request.body(Body::from(body)).unwrap();
         runtime.block_on(async {
-            let answer = fuzzed::answer(engine, router, request, Peer::local(1, 0)).await.unwrap();
+            let answer = fuzzed::answer(engine, router, request, self.peer).await.unwrap();
             let status = answer.status().as_u16();
             (status, answer.into_body().collect().await.unwrap().to_bytes())
         })
@@ -232,6 +389,7 @@ impl Client {
 
     /// The events from now on; the state comes first.
     pub(super) fn events(&self) -> Events {
+        let _entered = self.bench.0.runtime.enter();
         let (first, frames) = self.bench.0.engine.subscribe().unwrap();
         Events { bench: self.bench.clone(), first: Some(first), frames }
     }
