@@ -102,31 +102,19 @@ impl Write for Stderr {
     }
 }
 
+#[cfg(any(test, feature = "bench"))]
+pub(crate) mod kept;
+
 #[cfg(test)]
 pub(crate) mod tests {
+    use super::kept::Kept;
     use super::*;
-    use std::sync::{Arc, Mutex};
 
     /// The text that is logged while `work` runs.
     pub(crate) fn logged(work: impl FnOnce()) -> String {
-        let kept = Kept::default();
-        let writer = kept.clone();
-        let log = tracing_subscriber::registry().with(lines(move || writer.clone(), false));
-        tracing::subscriber::with_default(log, work);
-        String::from_utf8(kept.0.lock().unwrap().clone()).unwrap()
-    }
-
-    #[derive(Clone, Default)]
-    struct Kept(Arc<Mutex<Vec<u8>>>);
-
-    impl Write for Kept {
-        fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-            self.0.lock().unwrap().extend_from_slice(bytes);
-            Ok(bytes.len())
-        }
-        fn flush(&mut self) -> io::Result<()> {
-            Ok(())
-        }
+        let (kept, _guard) = Kept::begin();
+        work();
+        kept.text()
     }
 
     #[test]

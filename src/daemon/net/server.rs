@@ -194,7 +194,7 @@ impl Server {
 }
 
 /// Serves a client until its connection ends; a client beyond the places only until its first answer.
-async fn serve_client(
+pub(in crate::daemon) async fn serve_client(
     connection: Connection,
     mut ahead: ReadAhead,
     activity: Arc<Activity>,

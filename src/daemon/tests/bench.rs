@@ -2,7 +2,8 @@
 //!
 //! Engine, router, event loop, session record and the streamer's loop with the simulated array run as tasks of one runtime, whose clock
 //! stands still while any of them works. [`HostInstant::now`](meissner_stream::time::HostInstant::now) reads that clock, so that hours take
-//! seconds, and nothing depends on the machine. There are no sockets, no connector and no processes: tests of those start the program.
+//! seconds, and nothing depends on the machine. A [`Wire`] is a connection as the server serves it, from a socket or the network. There is
+//! no acceptor, no connector and no process: tests of those start the program.
 
 use crate::config::Config;
 use crate::daemon::core::check;
@@ -15,11 +16,19 @@ use crate::daemon::fuzzed;
 use crate::daemon::live::play::{end_live, live_message};
 use crate::daemon::net::acceptor::{Bounds, Counts};
 use crate::daemon::net::app::App;
+use crate::daemon::net::connection::Connection;
+use crate::daemon::net::gate::Gate;
+use crate::daemon::net::orders::Orders;
+use crate::daemon::net::server::serve_client;
+use crate::daemon::net::stream::Stream;
 use crate::daemon::routes::router;
 use crate::daemon::sessions::caller::Caller;
+use crate::daemon::sessions::handlers::look_for_losses;
 use crate::daemon::sessions::right::Right;
 use crate::daemon::sessions::rights::going_on;
-use crate::session_record::{Peer, Recorder, SessionRecord, Users};
+use crate::daemon::tokens::store::TokenStore;
+use crate::log::kept::Kept;
+use crate::session_record::{NetworkPeer, Note, Peer, Recorder, SessionRecord, Users};
 use axum::Router;
 use axum::body::{Body, Bytes};
 use axum::http::Request;
@@ -28,22 +37,27 @@ use meissner_api::{
     CLIENT_HEADER, Event, LiveAnswer, PlayAccepted, Problem, Receipt, Route, SESSION_HEADER, Status,
 };
 use meissner_stream::Turns;
-use meissner_stream::device::{Device, Faults, WallMock};
+use meissner_stream::device::{self, Device, Faults, Spec, WallMock};
 use meissner_stream::queues::queues;
 use meissner_stream::time::{HostInstant, set_clock};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
 use std::cell::Cell;
+use std::io::{self, Read, Write};
+use std::net::{IpAddr, Ipv4Addr};
 use std::path::PathBuf;
 use std::rc::Rc;
 use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::Duration;
 use tempfile::TempDir;
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
+use tokio::net::UnixStream;
 use tokio::runtime::Runtime;
 use tokio::sync::broadcast::error::TryRecvError;
-use tokio::sync::{broadcast, mpsc};
-use tokio::time::Instant;
+use tokio::sync::{broadcast, mpsc, watch};
+use tokio::time::{Instant, sleep, timeout};
+use tracing::subscriber::DefaultGuard;
 
 /// What the clock reads at the start of a bench.
 const BEGIN: Duration = Duration::from_secs(1000);
@@ -51,6 +65,12 @@ const BEGIN: Duration = Duration::from_secs(1000);
 const CONNECTS: Duration = Duration::from_millis(250);
 /// How often the session record writes what waits.
 const WRITES: Duration = Duration::from_millis(1);
+/// The longest wait for something that must happen.
+const LONGEST: Duration = Duration::from_secs(3600);
+/// A client on the socket, and one on this machine that comes over the network.
+pub(super) const LOCAL: Peer = Peer::local(1, 0);
+pub(super) const NETWORK: Peer =
+    Peer::network(NetworkPeer { address: IpAddr::V4(Ipv4Addr::LOCALHOST), token: None });
 
 thread_local! {
     /// When the bench began, and what its clock read then.
@@ -93,7 +113,11 @@ struct Parts {
     router: Router,
     dir: Arc<TempDir>,
     faults: Arc<Mutex<Faults>>,
+    config: String,
     clients: Cell<u32>,
+    close: watch::Sender<bool>,
+    log: Kept,
+    _logs: DefaultGuard,
 }
 
 impl Bench {
@@ -115,13 +139,18 @@ impl Bench {
     /// One on this machine.
     pub(super) fn on(machine: &Machine, config: &str) -> Self {
         let Machine { dir, at: begin, wall_set, seed, faults } = machine.clone();
+        let (log, logs) = Kept::begin();
         let mut runtime = tokio::runtime::Builder::new_current_thread();
         let runtime = runtime.enable_all().start_paused(true).build().unwrap();
-        let at = |name: &str| dir.path().join(name);
-        std::fs::create_dir_all(at("patterns")).unwrap();
+        let path = |name: &str| dir.path().join(name);
+        std::fs::create_dir_all(path("patterns")).unwrap();
         let text =
-            format!("patterns_dir = {:?}\nlogbook_dir = {:?}\n{config}", at("patterns"), at("logbook"));
-        let config = Config::parse(&text, &at("meissner.toml")).unwrap();
+            format!("patterns_dir = {:?}\nlogbook_dir = {:?}\n{config}", path("patterns"), path("logbook"));
+        let text = if config.contains("device = ") { text } else { format!("device = \"mock\"\n{text}") };
+        let (kept, mut config) = (config.to_owned(), Config::parse(&text, &path("meissner.toml")).unwrap());
+        if config.device == (Spec::MockBoard { lower_stop: true }) {
+            config.add_lower_stop();
+        }
         let store = Arc::new(check::store(&config).unwrap());
         let (engine, router, faults) = runtime.block_on(async {
             BEGAN.set(Some((Instant::now(), begin)));
@@ -133,31 +162,91 @@ impl Bench {
                 users.look_up(0);
                 std::thread::yield_now();
             }
-            let (record, recorder) =
-                SessionRecord::turned(config.logbook.clone().unwrap(), Arc::clone(&users));
-            let engine = Arc::new(Engine::of(&config, commands, record, users));
+            let record = config.logbook.clone().map_or_else(SessionRecord::none, |location| {
+                let (record, recorder) = SessionRecord::turned(location, Arc::clone(&users));
+                tokio::spawn(write(recorder));
+                record
+            });
+            // Nothing listens at the address; its clients come over wires.
+            let gate = Gate::new(config.listen.clone(), None, TokenStore::open(config.tokens.clone()));
+            let engine = Arc::new(Engine::of(&config, commands, record, users).with_gate(gate));
             tokio::spawn(stream(Turns::new(config.settings, thread)));
-            tokio::spawn(write(recorder));
             tokio::spawn(connect_again(Arc::clone(&engine)));
             let reporter = StatusReporter::new(Manager::find().unwrap());
             tokio::spawn(Arc::clone(&engine).event_loop(events, reporter));
-            let mock = WallMock::new(config.settings.array, &config.mock, HostInstant::now()).unwrap();
-            let (mock, faults) = if faults { mock.with_faults(seed) } else { (mock, Arc::default()) };
-            assert!(
-                connector::connect(&engine, Box::new(Device::Mock(Box::new(mock)))).is_ok(),
-                "the queue has room"
-            );
+            let (device, faults) = if faults {
+                let mock = WallMock::new(config.settings.array, &config.mock, HostInstant::now()).unwrap();
+                let (mock, faults) = mock.with_faults(seed);
+                (Device::Mock(Box::new(mock)), faults)
+            } else {
+                (device::open(&config.device, config.settings.array, &config.mock).unwrap(), Arc::default())
+            };
+            assert!(connector::connect(&engine, Box::new(device)).is_ok(), "the queue has room");
             engine.first_device().await;
+            let looking = Arc::clone(&engine);
+            tokio::spawn(async move { look_for_losses(&looking, LONGEST).await });
             let app =
                 App::new(Arc::clone(&engine), store, &Bounds::of_process(), Arc::new(Counts::default()));
             (engine, router(app), faults)
         });
-        Self(Rc::new(Parts { runtime, engine, router, dir, faults, clients: Cell::new(0) }))
+        let (clients, close) = (Cell::new(0), watch::Sender::new(false));
+        let parts =
+            Parts { runtime, engine, router, dir, faults, config: kept, clients, close, log, _logs: logs };
+        Self(Rc::new(parts))
     }
 
     /// What is done to the array and its line.
     pub(super) fn faults(&self) -> MutexGuard<'_, Faults> {
         self.0.faults.lock().unwrap()
+    }
+
+    /// Ends it as SIGTERM does; its clients stay.
+    pub(super) fn end(&self) {
+        let Parts { runtime, engine, close, .. } = &*self.0;
+        runtime.block_on(async {
+            engine.shut_down().await;
+            engine.lock().close_session("daemon-ended");
+            engine.lock().publisher.close();
+            let _ = close.send(true);
+            engine.session_record().add(Note::DaemonEnded { problem: None });
+            // The disk.
+            sleep(Duration::from_secs(2)).await;
+        });
+    }
+
+    /// The next daemon in its directory. One that has not ended is killed.
+    pub(super) fn again(self) -> Self {
+        let config = self.0.config.clone();
+        self.again_with(&config)
+    }
+
+    /// The same with this configuration.
+    pub(super) fn again_with(self, config: &str) -> Self {
+        assert_eq!(Rc::strong_count(&self.0), 1, "its clients are gone");
+        let at = self.0.runtime.block_on(async { Duration::from_nanos(clock()) });
+        let dir = Arc::clone(&self.0.dir);
+        drop(self);
+        Self::on(&Machine { at, ..Machine::new(dir) }, config)
+    }
+
+    /// The lines of its log.
+    pub(super) fn log(&self) -> String {
+        self.0.log.text()
+    }
+
+    /// The whole session record.
+    pub(super) fn record(&self) -> String {
+        let files = self.days().into_iter();
+        files.filter_map(|file| std::fs::read_to_string(file).ok()).collect()
+    }
+
+    /// The daily files of the session record.
+    pub(super) fn days(&self) -> Vec<PathBuf> {
+        let files = std::fs::read_dir(self.path("logbook")).unwrap().map(|file| file.unwrap().path());
+        let mut files: Vec<_> =
+            files.filter(|file| file.extension().is_some_and(|end| end == "jsonl")).collect();
+        files.sort();
+        files
     }
 
     /// A file in its directory.
@@ -172,7 +261,7 @@ impl Bench {
 
     /// Lets so much time pass.
     pub(super) fn advance(&self, time: Duration) {
-        self.0.runtime.block_on(async { tokio::time::sleep(time).await });
+        self.0.runtime.block_on(async { sleep(time).await });
     }
 
     /// Lets time pass until something has happened: an hour at most.
@@ -181,7 +270,7 @@ impl Bench {
         const STEP: Duration = Duration::from_millis(5);
         let mut passed = Duration::ZERO;
         while !happened() {
-            assert!(passed < Duration::from_secs(3600), "it has not happened in an hour");
+            assert!(passed < LONGEST, "it has not happened in an hour");
             self.advance(STEP);
             passed += STEP;
         }
@@ -190,7 +279,32 @@ impl Bench {
     /// A new client.
     pub(super) fn client(&self) -> Client {
         self.0.clients.set(self.0.clients.get() + 1);
-        Client { bench: self.clone(), name: format!("client-{}", self.0.clients.get()), token: None }
+        let name = format!("client-{}", self.0.clients.get());
+        Client { bench: self.clone(), name, token: None, peer: LOCAL, headers: Vec::new() }
+    }
+
+    /// A connection of this client.
+    pub(super) fn connect(&self, peer: Peer) -> Wire {
+        let Parts { runtime, engine, router, close, .. } = &*self.0;
+        let (client, stream) = std::os::unix::net::UnixStream::pair().unwrap();
+        client.set_nonblocking(true).unwrap();
+        stream.set_nonblocking(true).unwrap();
+        let stream = runtime.block_on(async {
+            let orders = Orders::new(Arc::clone(&engine.estops), Arc::clone(&engine.gate), peer, None);
+            let (connection, ahead, activity) =
+                Connection::new(Stream::unix(stream.into()), b"", orders, true).unwrap();
+            let (router, closing) = (router.clone(), close.subscribe());
+            tokio::spawn(serve_client(connection, ahead, activity, peer, false, router, closing));
+            UnixStream::from_std(client).unwrap()
+        });
+        Wire { bench: self.clone(), stream }
+    }
+
+    /// The answer to a request that closes its connection.
+    pub(super) fn raw(&self, peer: Peer, text: &str) -> String {
+        let mut wire = self.connect(peer);
+        wire.write_all(text.as_bytes()).unwrap();
+        wire.rest()
     }
 
     /// A client that has armed the motors.
@@ -203,6 +317,9 @@ impl Bench {
 
 impl Drop for Parts {
     fn drop(&mut self) {
+        if std::thread::panicking() {
+            eprintln!("the daemon's log:\n{}", self.log.text());
+        }
         set_clock(None, 0, 0);
         BEGAN.set(None);
     }
@@ -214,7 +331,7 @@ async fn stream(mut turns: Turns) {
     while turns.turn() {
         tokio::select! {
             ready = wake.readable() => ready.unwrap().clear_ready(),
-            () = tokio::time::sleep(turns.wait()) => {}
+            () = sleep(turns.wait()) => {}
         }
     }
 }
@@ -225,7 +342,40 @@ async fn write(mut recorder: Recorder) {
         if !DISK_STALLS.get() {
             recorder.turn();
         }
-        tokio::time::sleep(WRITES).await;
+        sleep(WRITES).await;
+    }
+}
+
+/// A connection as its client has it: to read and to write lets time pass.
+pub(super) struct Wire {
+    bench: Bench,
+    stream: UnixStream,
+}
+
+impl Wire {
+    /// What comes until the daemon closes it.
+    pub(super) fn rest(&mut self) -> String {
+        let mut text = String::new();
+        self.read_to_string(&mut text).unwrap();
+        text
+    }
+}
+
+impl Read for Wire {
+    fn read(&mut self, bytes: &mut [u8]) -> io::Result<usize> {
+        let Self { bench, stream } = self;
+        bench.0.runtime.block_on(async { timeout(LONGEST, stream.read(bytes)).await })?
+    }
+}
+
+impl Write for Wire {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        let Self { bench, stream } = self;
+        bench.0.runtime.block_on(async { timeout(LONGEST, stream.write(bytes)).await })?
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
     }
 }
 
@@ -252,9 +402,16 @@ pub(super) struct Client {
     bench: Bench,
     name: String,
     token: Option<String>,
+    peer: Peer,
+    headers: Vec<(&'static str, String)>,
 }
 
 impl Client {
+    /// The same client over the network, with this further header.
+    pub(super) fn over_network(&self, name: &'static str, value: &str) -> Self {
+        Self { peer: NETWORK, headers: vec![(name, value.to_owned())], ..self.clone() }
+    }
+
     /// From here on it shows this session's token.
     pub(super) fn set_token(&mut self, token: Option<String>) {
         self.token = token;
@@ -309,14 +466,15 @@ impl Client {
         if let Some(token) = &self.token {
             request = request.header(SESSION_HEADER, token);
         }
+        request = self.headers.iter().fold(request, |request, (name, value)| request.header(*name, value));
         let request = request.body(Body::from(body)).unwrap();
         runtime.block_on(async {
             let answer = async {
-                let answer = fuzzed::answer(engine, router, request, Peer::local(1, 0)).await.unwrap();
+                let answer = fuzzed::answer(engine, router, request, self.peer).await.unwrap();
                 let status = answer.status().as_u16();
                 (status, answer.into_body().collect().await.unwrap().to_bytes())
             };
-            tokio::time::timeout(time, answer).await.ok()
+            timeout(time, answer).await.ok()
         })
     }
 

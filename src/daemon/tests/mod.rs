@@ -9,17 +9,35 @@
 
 #[cfg(test)]
 mod api;
+#[cfg(test)]
+mod arrays;
 mod bench;
 #[cfg(test)]
+mod calibration;
+#[cfg(test)]
 mod drift;
+#[cfg(test)]
+mod edges;
+#[cfg(test)]
+mod export;
+#[cfg(test)]
+mod live;
 #[cfg(test)]
 mod lower_stop;
 #[cfg(test)]
 mod motions;
 #[cfg(test)]
+mod network;
+#[cfg(test)]
 mod now;
 #[cfg(test)]
 mod participant;
+#[cfg(test)]
+mod rails;
+#[cfg(test)]
+mod record;
+#[cfg(test)]
+mod rights;
 pub(super) mod seeds;
 #[cfg(test)]
 mod sequences;
