@@ -605,3 +605,54 @@ routes! {
         ..Operation::get("/v1/openapi.json")
     };
 }
+
+impl Route {
+    /// The route that takes this method and path. It uses no heap.
+    #[must_use]
+    pub fn find(method: &str, path: &str) -> Option<Self> {
+        let method = match method {
+            "GET" | "HEAD" => Method::Get,
+            "POST" => Method::Post,
+            "PUT" => Method::Put,
+            "DELETE" => Method::Delete,
+            _ => return None,
+        };
+        Self::ALL.into_iter().find(|route| route.method() == method && takes(route.path(), path))
+    }
+}
+
+/// Whether a path fits a route's, whose parts in braces stand for any text.
+fn takes(route: &str, path: &str) -> bool {
+    let mut parts = path.split('/');
+    let fits = |wanted: &str| {
+        parts
+            .next()
+            .is_some_and(|part| if wanted.starts_with('{') { !part.is_empty() } else { part == wanted })
+    };
+    route.split('/').all(fits) && parts.next().is_none()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_request_finds_its_route_and_no_other() {
+        for route in Route::ALL {
+            let method = match route.method() {
+                Method::Get => "GET",
+                Method::Post => "POST",
+                Method::Put => "PUT",
+                Method::Delete => "DELETE",
+            };
+            let path = route.path().replace("{name}", "x").replace("{id}", "7").replace("{key}", "00");
+            assert_eq!(Route::find(method, &path), Some(route), "{method} {path}");
+            assert_ne!(Route::find("PATCH", &path), Some(route));
+            assert_ne!(Route::find(method, &(path + "/more")), Some(route));
+        }
+        assert_eq!(Route::find("HEAD", "/v1/live/00"), Some(Route::LiveConnection));
+        for path in ["", "/", "/v1", "/v1/", "/v1/plays/", "/v1//live/0", "/v1/%6cive/0"] {
+            assert_eq!(Route::find("GET", path), None, "{path}");
+        }
+    }
+}

@@ -1,6 +1,6 @@
 //! The engine: the daemon's state behind one lock, and the path of commands to the streamer.
 //!
-//! Request handlers, the event loop and the connector share it. Files here and in `plays` and `beside` add methods to it. The streamer and
+//! Request handlers, the event loop and the connector share it; what a room does with it is a function of the room. The streamer and
 //! the controller decide about motors, not the engine.
 //!
 //! Invariant: no code waits while it holds the lock.

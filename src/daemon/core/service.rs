@@ -94,7 +94,7 @@ impl StatusReporter {
             return;
         }
         // A line break would end the value in this protocol.
-        let line = report::status_line(&engine).replace(char::is_control, " ");
+        let line = report::status_line(engine).replace(char::is_control, " ");
         if line != self.last {
             self.last.clone_from(&line);
             self.manager.notify_status(line);

@@ -93,14 +93,14 @@ async fn speak(
     mut socket: WebSocket,
     mut answers: mpsc::Receiver<LiveAnswer>,
 ) {
-    let mut ends = pin!(play::end_with(&engine, right, id));
+    let mut ends = pin!(play::end_with(engine, right, id));
     loop {
         // Messages that have come already would otherwise keep other clients waiting.
         consume_budget().await;
         let answer = tokio::select! {
             message = socket.recv() => match message {
-                Some(Ok(Message::Text(text))) => play::live_message(&engine, right, id, text.as_bytes(), HostInstant::now()),
-                Some(Ok(Message::Binary(bytes))) => play::live_message(&engine, right, id, &bytes, HostInstant::now()),
+                Some(Ok(Message::Text(text))) => play::live_message(engine, right, id, text.as_bytes(), HostInstant::now()),
+                Some(Ok(Message::Binary(bytes))) => play::live_message(engine, right, id, &bytes, HostInstant::now()),
                 Some(Ok(Message::Ping(_) | Message::Pong(_))) => None,
                 Some(Ok(Message::Close(_)) | Err(_)) | None => return,
             },

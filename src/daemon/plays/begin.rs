@@ -177,7 +177,7 @@ async fn hold<'e>(
         let number = state.hold_vibration(&compiled.vibration, terms.replace, onset(terms))?;
         let saved = state.save_exposure(Now::read());
         let waits = !state.exposure.is_disk_silent();
-        (Held { engine: engine, number, breaks: by.breaks, _turn: turn }, saved.filter(|_| waits))
+        (Held { engine, number, breaks: by.breaks, _turn: turn }, saved.filter(|_| waits))
     };
     if let Some(mut saved) = saved {
         let answer = tokio::time::timeout(DISK, &mut saved).await.ok().map(|saved| saved == Ok(true));
