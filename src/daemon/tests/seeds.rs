@@ -27,7 +27,7 @@ use std::time::Duration;
 /// Limits and silences that some orders meet, and motors whose every pulse counts the same: pins are where their pulses say.
 const CONFIG: &str = "session_silence_s = 20\narmed_silence_s = 30\ndrift_limit_um = 10000\n\
     mock = {gain_sd = 0.0, asymmetry_sd = 0.0, transient_gain = 1.0, telemetry_hz = TELEMETRY}\n\
-    [participant]\nmax_continuous_s = 4\npause_s = 1\nmax_day_s = 15\nmax_amplitude_um = 100\n";
+    [participant]\nmax_continuous_s = 4\npause_s = 1\nmax_day_s = 8\nmax_amplitude_um = 100\n";
 const PATTERNS: [&str; 5] = ["pin-60", "edge-45", "disc", "wave", "no-such"];
 /// Without an answer for so long, an order counts as never answered.
 const NEVER: Duration = Duration::from_secs(600);
@@ -321,7 +321,7 @@ impl World {
             17 => self.live(&client),
             18 => self.lose_token(at),
             19..22 if self.random.chance(self.badness) => faults::begin(self),
-            22 if self.random.chance(0.15) => {
+            22 if self.random.chance(0.5) => {
                 return Some(Duration::from_secs_f64(self.random.between(0.1, 3.0)));
             }
             _ => {
@@ -461,7 +461,7 @@ impl World {
     fn session(&mut self, at: usize) {
         let (client, patience) = (self.clients[at].clone(), self.patience());
         if let Some(session) = &self.life.session {
-            if self.random.chance(0.5) {
+            if self.random.chance(0.2) {
                 let mut owner = client;
                 owner.set_token(Some(session.token.clone()));
                 let path = format!("/v1/sessions/{}/end", session.id);

@@ -6,6 +6,7 @@ use firmware_protocol::tick::Tick;
 use jiff::SignedDuration;
 use jiff::civil::Date;
 use meissner_array::spec::Array;
+use meissner_stream::time::wall_set_since;
 use std::collections::BTreeMap;
 use std::time::Duration;
 
@@ -29,6 +30,8 @@ pub(super) struct Truth {
     pub(super) stretch_s: f64,
     /// Vibration by person, and the date that the wall clock showed.
     pub(super) days: BTreeMap<(Option<String>, Date), f64>,
+    /// The same by the date that would be if nobody had set the clock since the daemon began.
+    pub(super) passed: BTreeMap<(Option<String>, Date), f64>,
 }
 
 impl Truth {
@@ -58,7 +61,10 @@ impl Truth {
                 }
             }
         }
-        let date = began.to_zoned(clock::zone()).date();
-        *self.days.entry((self.person.clone(), date)).or_default() += new_s;
+        let unset = began - SignedDuration::from_nanos(wall_set_since());
+        for (days, at) in [(&mut self.days, began), (&mut self.passed, unset)] {
+            let date = at.to_zoned(clock::zone()).date();
+            *days.entry((self.person.clone(), date)).or_default() += new_s;
+        }
     }
 }
