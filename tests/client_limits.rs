@@ -2,7 +2,7 @@
 
 use crate::harness::{Daemon, TIMEOUT, refusal, wait_until};
 use meissner_api::{MAX_CLIENTS, Status};
-use meissner_client::{Client, Events, STOPPED, estop, estop_socket};
+use meissner_client::{Client, STOPPED, estop, estop_socket};
 use serde_json::{Value, json};
 use std::io::{Read, Write};
 use std::net::Shutdown;
@@ -160,43 +160,6 @@ fn another_terminal_resets_an_emergency_stop_by_force_alone() {
 }
 
 #[test]
-fn event_streams_leave_places_for_commands() {
-    let daemon = Daemon::start();
-    let listen = || daemon.client().events();
-    // Nobody reads them, and nobody waits for them.
-    let streams: Vec<Events> = (0..MAX_CLIENTS).map_while(|_| listen().ok()).collect();
-    assert_eq!(streams.len(), MAX_CLIENTS * 3 / 4);
-    assert_eq!(refusal(listen().map(|_| Value::Null)), ("too-many-clients".into(), 503));
-    let _: Status = daemon.client().post("/v1/stop", &json!({})).unwrap();
-    drop(streams);
-    wait_until(|| listen().is_ok());
-}
-
-#[test]
-fn clients_that_wait_for_plays_leave_places_for_commands_and_give_them_back() {
-    let daemon = Daemon::start();
-    let mut client = daemon.armed();
-    let _: Value = client.post("/v1/play", &json!({"pattern": "pin-60", "endless": true})).unwrap();
-    let wait = || {
-        let mut stream = UnixStream::connect(daemon.socket()).unwrap();
-        stream.write_all(b"GET /v1/plays/last?wait=60 HTTP/1.1\r\nhost: x\r\n\r\n").unwrap();
-        stream
-    };
-    let mut waiting: Vec<_> = (0..MAX_CLIENTS * 3 / 4).map(|_| wait()).collect();
-    let answer = |client: &mut Client| client.get::<Value>("/v1/plays/last?wait=0.001");
-    wait_until(|| {
-        // This client takes one of the places for a moment.
-        waiting.push(wait());
-        answer(&mut client).is_err()
-    });
-    assert_eq!(refusal(answer(&mut client)), ("too-many-clients".into(), 503));
-    let _: Status = client.get("/v1/status").unwrap();
-    // The waiting clients hang up long before their timeout.
-    drop(waiting);
-    wait_until(|| answer(&mut client).is_ok());
-}
-
-#[test]
 fn with_few_descriptors_there_are_fewer_clients_and_emergency_stops_work() {
     let mut shell = process::Command::new("sh");
     shell.args(["-c", "ulimit -n 64; exec \"$0\" \"$@\"", crate::harness::PROGRAM]);
@@ -330,68 +293,5 @@ fn slow_sequences_keep_no_other_file_waiting() {
         let mut answer = String::new();
         stream.read_to_string(&mut answer).unwrap();
         assert!(answer.contains("slow-request"), "{answer}");
-    }
-}
-
-#[test]
-fn an_emergency_stop_counts_behind_requests_that_wait() {
-    let wait = "GET /v1/plays/last?wait=50 HTTP/1.1\r\nhost: x\r\n\r\n";
-    let chunked =
-        "PUT /v1/patterns/x HTTP/1.1\r\nhost: x\r\ntransfer-encoding: chunked\r\n\r\n3\r\nabc\r\n0\r\n\r\n";
-    let status = "GET /v1/status HTTP/1.1\r\nhost: x\r\n\r\n";
-    // The requests before the emergency stop, and the number of answers including its own.
-    for (before, answers) in [
-        (wait.to_owned(), 2),
-        ([wait, chunked, wait].concat(), 4),
-        // More than the daemon reads of a request at once.
-        (wait.to_owned() + &status.repeat(1000), 1002),
-    ] {
-        let daemon = Daemon::start();
-        let mut client = daemon.armed();
-        let _: Value = client.post("/v1/play", &json!({"pattern": "pin-60", "endless": true})).unwrap();
-        let mut stream = UnixStream::connect(daemon.socket()).unwrap();
-        let mut reader = stream.try_clone().unwrap();
-        let (sender, first) = std::sync::mpsc::channel();
-        let read = thread::spawn(move || {
-            let mut answer = vec![0; 1 << 16];
-            let len = reader.read(&mut answer).unwrap();
-            answer.truncate(len);
-            sender.send(()).unwrap();
-            reader.read_to_end(&mut answer).unwrap();
-            String::from_utf8(answer).unwrap()
-        });
-        stream.write_all(before.as_bytes()).unwrap();
-        // The daemon is at the first request when the emergency stop comes.
-        thread::sleep(Duration::from_millis(200));
-        assert!(first.try_recv().is_err(), "it waits");
-        stream.write_all(ESTOP).unwrap();
-        let answer = read.join().unwrap();
-        let status: Status = client.get("/v1/status").unwrap();
-        assert_eq!((status.state.as_str(), status.estops), ("faulted", 1), "once");
-        assert_eq!(answer.matches("HTTP/1.1 ").count(), answers, "{answer}");
-        let waited = answer.split("HTTP/1.1 ").nth(1).unwrap();
-        let receipt: Value = serde_json::from_str(waited.split("\r\n\r\n").nth(1).unwrap()).unwrap();
-        assert_eq!(receipt["cause"], "estop", "the play has ended by it: {receipt}");
-    }
-}
-
-#[test]
-fn a_reset_that_waits_undoes_no_later_emergency_stop() {
-    let daemon = Daemon::start();
-    let mut client = daemon.client();
-    let mut stream = UnixStream::connect(daemon.socket()).unwrap();
-    stream.set_read_timeout(Some(TIMEOUT)).unwrap();
-    let reset = "POST /v1/reset HTTP/1.1\r\nhost: x\r\ncontent-length: 14\r\n\r\n{\"force\":true}";
-    for _ in 0..10 {
-        stream.write_all(format!("{reset}{reset}").as_bytes()).unwrap();
-        stream.write_all(b"POST /v1/estop HTTP/1.1\r\nhost: x\r\n\r\n").unwrap();
-        let mut answer = Vec::new();
-        while String::from_utf8_lossy(&answer).matches("HTTP/1.1 ").count() < 3 {
-            let mut bytes = [0; 4096];
-            let len = stream.read(&mut bytes).unwrap();
-            assert!(len > 0, "{}", String::from_utf8_lossy(&answer));
-            answer.extend_from_slice(&bytes[..len]);
-        }
-        assert!(is_faulted(&mut client));
     }
 }

@@ -12,8 +12,7 @@ use rustix::process::Signal;
 use serde_json::{Value, json};
 use std::collections::{BTreeMap, HashSet};
 use std::fs::{self, File};
-use std::io::{self, Write};
-use std::os::unix::net::UnixStream;
+use std::io;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::sync::Arc;
@@ -249,43 +248,6 @@ fn a_read_only_state_directory_stops_no_play() {
     let (dir, state) = (directory(), Path::new("/sys/kernel"));
     let mut daemon = start_with_state(&dir, "", state, &format!("patterns_dir = {state:?}\n"));
     survives(&mut daemon, "/sys/kernel/mine.toml: ");
-}
-
-#[test]
-fn the_session_record_tells_a_session_from_start_to_end() {
-    let dir = directory();
-    let mut daemon = start(&dir, "");
-    let mut client = armed(&mut daemon);
-    let receipt = play(&mut client, 0.2);
-    let refused: Result<Value, _> = client.post("/v1/play", &json!({"pattern": "edge-46"}));
-    assert!(refused.is_err());
-    // An incomplete request.
-    let mut stream = UnixStream::connect(daemon.socket()).unwrap();
-    stream.write_all(b"POST /v1/stop HTTP/1.1\r\nHost: m\r\nContent-Length: 9\r\n\r\n{").unwrap();
-    drop(stream);
-    daemon.wait_for_log("the body broke off");
-    daemon.wait_for_record();
-    assert!(daemon.end().success());
-
-    let lines = lines(&dir.path().join("logbook"));
-    let names: Vec<_> = lines.iter().map(|line| line["event"].as_str().unwrap()).collect();
-    assert_eq!((names[0], names[names.len() - 1]), ("daemon-started", "daemon-ended"), "{names:?}");
-    let of = |event: &str| lines.iter().position(|line| line["event"] == event).unwrap();
-    assert!(of("connected") < of("queued") && of("queued") < of("began") && of("began") < of("ended"));
-    assert_eq!(lines[of("ended")]["receipt"]["bursts"], receipt["bursts"]);
-    let (pid, uid) = (std::process::id(), rustix::process::getuid().as_raw());
-    let mut commands = lines.iter().filter(|line| line["event"] == "command");
-    for (command, answer) in [("arm", "ok"), ("play", "ok"), ("play", "not-found"), ("stop", "bad-request")] {
-        let line = commands.next().unwrap();
-        assert_eq!((&line["command"], &line["answer"]), (&json!(command), &json!(answer)), "{line}");
-        assert_eq!((&line["pid"], &line["uid"]), (&json!(pid), &json!(uid)), "{line}");
-    }
-    let log = daemon.log();
-    assert_eq!(log.lines().filter(|line| line.contains("edge-45")).count(), 1, "{log}");
-    assert!(log.contains("INFO play 1 edge-45 by ") && log.contains(": done, began "), "{log}");
-    let is_arm =
-        |line: &str| line.contains("arm, assuming rest, by ") && line.contains(&format!("pid {pid})"));
-    assert!(log.lines().any(is_arm), "{log}");
 }
 
 #[test]

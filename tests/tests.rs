@@ -1,13 +1,11 @@
 //! The integration tests, one binary, a module per theme.
 #![expect(clippy::unwrap_used, reason = "a test that panics has failed")]
 
-/// The local API over sockets: clients that wait, a body that comes late, and the daemon's end.
-mod api;
 /// The architecture page against the tree; no circles of imports.
 mod architecture;
 /// The numbers of the paper's array are in its description only.
 mod array_literals;
-/// Other arrays: each shipped one, one of a site's own, and what is for another array.
+/// An array of a site's own.
 mod arrays;
 /// Boards: found, missing, in use, or something else; the doctor's report about them.
 mod boards;
@@ -15,7 +13,7 @@ mod boards;
 mod book;
 /// The builds that tests run check for overflows.
 mod build_checks;
-/// `calibrate` on a real daemon: played, fitted, stored, used only by its own device.
+/// `calibrate`: mistakes, and gains that were measured with a laser.
 mod calibration;
 /// Careless systems: an open umask, too little memory, floods of refusals.
 mod careless;
@@ -27,20 +25,12 @@ mod client_limits;
 mod displacement;
 /// `GET /v1/doctor`: the same findings as the command's, each verdict, many clients at once.
 mod doctor;
-/// `session check`: what a pilot on a simulated array is told of a board.
-mod drift;
-/// Edges of the trigger input: marks, starts, stops, the record, refusals, restarts.
-mod edges;
-/// `session export`: a row for each play and each item of a sequence; a damaged record.
-mod export;
 /// The data of figures: `motor --simulated` and `optimise --json` against the models.
 mod figures;
 /// A real daemon in its own directory, and helpers for the other tests.
 mod harness;
 /// `render` and `judge`: traces, what observers read, and what is left if something is not as told.
 mod judge;
-/// Live plays: updates over both sockets, vanishing clients, mistakes.
-mod live;
 /// The man pages and completions are made from the program.
 mod manual;
 /// The daemon's memory: files that would fill it, a full queue of the longest pattern, the stated bound.
@@ -49,34 +39,29 @@ mod memory;
 mod motions_offline;
 /// The netlist of the board against the firmware.
 mod netlist;
-/// The API over TCP: hosts, origins, tokens and roles, floods; without `listen` the daemon does not listen.
+/// The API over TCP: commands, floods; without `listen` the daemon does not listen.
 mod network;
 /// The API reference: routes, answers and the book's copies agree with the OpenAPI document.
 mod openapi;
 /// `optimise`: files and documents, budgets, interruptions, mistakes.
 mod optimise;
-/// Limits for participants: amplitude, vibration without a pause and per day, plays without end.
-mod participant;
 /// Kills at any moment, full disks and read-only directories; the session record.
 mod power;
 /// A whole session through a pseudo-terminal and the serial transport; the daemon ended and killed in mid-play.
 mod pty;
-/// Limits on motors of a rail at once, and the currents of patterns.
-mod rails;
-/// The session record under faults: full disks, kills, clock jumps, and the messages of commands.
+/// The session record on a full disk, and the messages of commands.
 mod record;
 /// Objects that are rendered over the API, and previews of patterns.
 mod renderings;
-/// Rights: a table of all routes, open requests when a right ends, silence that disarms, ended sessions.
+/// Rights of commands: signs of life, and terminals whose session is over.
 mod rights;
 /// Sequences: all or nothing, one receipt, scale and triggers; the command.
 mod sequences;
 /// The daemon as a service: notifications, watchdog, socket activation, reload, and a newer program.
 mod service;
-/// Sessions on a real daemon: the command line's, bodies that come late, the daemon's end, no record.
+/// Sessions of the command line.
 mod sessions;
 /// `simulate` and `tradeoff`: documents, mistakes, the comparison of methods; the shipped scenes.
 mod simulate;
-/// Stimuli as ordered: empty, weak, whole strokes, replaced, removed; receipts of cut plays.
 /// `validate`: a verdict for every case, and the book's table.
 mod validate;

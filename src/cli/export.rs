@@ -190,7 +190,8 @@ fn read(client: &mut Client, id: &str) -> Result<SessionPlays> {
     }
 }
 
-fn table(exported: &SessionPlays) -> Result<String> {
+/// The table of stimuli, as CSV.
+pub(crate) fn table(exported: &SessionPlays) -> Result<String> {
     let mut csv = Writer::from_writer(Vec::new());
     let factors: BTreeSet<&String> = exported
         .plays

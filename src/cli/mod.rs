@@ -15,7 +15,7 @@ mod demo;
 mod displacement;
 mod doctor;
 mod ending;
-mod export;
+pub(crate) mod export;
 mod files;
 mod gate;
 mod judge;

@@ -1,9 +1,11 @@
 //! The local API of a real daemon: commands, receipts, events, errors, and the end.
 
-use super::bench::{Bench, Client, Events, began, ended, next, problem, refusal};
-use meissner_api::{EndCause, Event, MAX_BODY, PlayState, Receipt, Status};
+use super::bench::{Bench, Client, Events, LOCAL, began, ended, next, problem, refusal};
+use meissner_api::{EndCause, Event, MAX_BODY, MAX_CLIENTS, PlayState, Receipt, Status};
 use meissner_test_support::assert_accounts;
 use serde_json::{Value, json};
+use std::io::{Read, Write};
+use std::time::Duration;
 
 fn wait_for(events: &mut Events, wanted: impl Fn(&Event) -> bool) {
     next(events, |event| wanted(&event).then_some(()));
@@ -225,4 +227,118 @@ fn every_error_is_a_problem() {
     }
     let (status, answer) = client.answer("POST", "/v1/play", b"{\"pattern".to_vec());
     assert!(status == 400 && answer.windows(11).any(|part| part == b"bad-request"), "{answer:?}");
+}
+
+#[test]
+fn a_receipt_is_waited_for() {
+    let daemon = Bench::start();
+    let client = daemon.armed();
+    let wait = |id, seconds: &str| client.get::<Value>(&format!("/v1/plays/{id}?wait={seconds}"));
+    let first = play(&mut client.clone(), &json!({"pattern": "edge-45", "seconds": 0.2}));
+    let second = play(&mut client.clone(), &json!({"pattern": "pin-60", "endless": true}));
+    // Other clients get answers meanwhile.
+    let mut waiting = daemon.connect(LOCAL);
+    let request = format!("GET /v1/plays/{second}?wait=10 HTTP/1.1\r\nhost: x\r\nconnection: close\r\n\r\n");
+    waiting.write_all(request.as_bytes()).unwrap();
+    assert_eq!(wait(first, "10").unwrap()["state"], "done");
+    assert_eq!(wait(first, "60").unwrap()["state"], "done", "it is over");
+    let running = wait(second, "0.01").unwrap();
+    assert!(running["state"] == "queued" || running["state"] == "running", "{running}");
+    let _: Status = client.post("/v1/stop", &json!({})).unwrap();
+    let answer = waiting.rest();
+    assert!(answer.contains("\"state\":\"stopped\""), "{answer}");
+    for (id, seconds) in [(first, "61"), (first, "-1"), (first, "soon"), (first, "nan"), (first, "1&then=2")]
+    {
+        assert_eq!(refusal(wait(id, seconds)), ("bad-request".into(), 400), "{seconds}");
+    }
+    assert_eq!(refusal(wait(99, "1")), ("not-found".into(), 404));
+}
+
+#[test]
+fn an_emergency_stop_whose_body_comes_later_is_answered() {
+    let daemon = Bench::start();
+    daemon.armed();
+    let mut wire = daemon.connect(LOCAL);
+    let head = b"POST /v1/estop HTTP/1.1\r\nHost: m\r\nConnection: close\r\nContent-Length: 2\r\n\r\n";
+    wire.write_all(head).unwrap();
+    daemon.advance(Duration::from_millis(30));
+    wire.write_all(b"{}").unwrap();
+    let answer = wire.rest();
+    assert!(answer.starts_with("HTTP/1.1 200") && answer.contains("\"faulted\""), "{answer}");
+}
+
+#[test]
+fn an_emergency_stop_counts_behind_requests_that_wait() {
+    let wait = "GET /v1/plays/last?wait=50 HTTP/1.1\r\nhost: x\r\n\r\n";
+    let chunked =
+        "PUT /v1/patterns/x HTTP/1.1\r\nhost: x\r\ntransfer-encoding: chunked\r\n\r\n3\r\nabc\r\n0\r\n\r\n";
+    // The requests before the emergency stop, and the number of answers including its own.
+    for (before, answers) in [(wait.to_owned(), 2), ([wait, chunked, wait].concat(), 4)] {
+        let daemon = Bench::start();
+        let client = daemon.armed();
+        let _: Value = client.post("/v1/play", &json!({"pattern": "pin-60", "endless": true})).unwrap();
+        let mut wire = daemon.connect(LOCAL);
+        wire.write_all(before.as_bytes()).unwrap();
+        // The daemon is at the first request when the emergency stop comes.
+        daemon.advance(Duration::from_millis(200));
+        wire.write_all(b"POST /v1/estop HTTP/1.1\r\nhost: x\r\nconnection: close\r\n\r\n").unwrap();
+        let answer = wire.rest();
+        let status: Status = client.get("/v1/status").unwrap();
+        assert_eq!((status.state.as_str(), status.estops), ("faulted", 1), "once");
+        assert_eq!(answer.matches("HTTP/1.1 ").count(), answers, "{answer}");
+        let waited = answer.split("HTTP/1.1 ").nth(1).unwrap();
+        let receipt: Value = serde_json::from_str(waited.split("\r\n\r\n").nth(1).unwrap()).unwrap();
+        assert_eq!(receipt["cause"], "estop", "the play has ended by it: {receipt}");
+    }
+}
+
+#[test]
+fn a_reset_that_waits_undoes_no_later_emergency_stop() {
+    let daemon = Bench::start();
+    let reset = "POST /v1/reset HTTP/1.1\r\nhost: x\r\ncontent-length: 14\r\n\r\n{\"force\":true}";
+    for _ in 0..10 {
+        let estop = "POST /v1/estop HTTP/1.1\r\nhost: x\r\nconnection: close\r\n\r\n";
+        let answer = daemon.raw(LOCAL, &format!("{reset}{reset}{estop}"));
+        assert_eq!(answer.matches("HTTP/1.1 ").count(), 3, "{answer}");
+        assert_eq!(daemon.client().get::<Status>("/v1/status").unwrap().state, "faulted");
+    }
+}
+
+#[test]
+fn event_streams_and_clients_that_wait_leave_places_for_commands_and_give_them_back() {
+    let daemon = Bench::start();
+    let client = daemon.armed();
+    let _: Value = client.post("/v1/play", &json!({"pattern": "pin-60", "endless": true})).unwrap();
+    for path in ["/v1/events", "/v1/plays/last?wait=60"] {
+        let ask = || {
+            let mut wire = daemon.connect(LOCAL);
+            wire.write_all(format!("GET {path} HTTP/1.1\r\nhost: x\r\n\r\n").as_bytes()).unwrap();
+            daemon.advance(Duration::from_millis(1));
+            wire
+        };
+        let waiting: Vec<_> = (0..MAX_CLIENTS * 3 / 4).map(|_| ask()).collect();
+        let mut beyond = ask();
+        let mut line = [0; 12];
+        beyond.read_exact(&mut line).unwrap();
+        assert_eq!(&line, b"HTTP/1.1 503", "{path}");
+        let _: Status = client.get("/v1/status").unwrap();
+        // They hang up long before their timeout.
+        drop(waiting);
+        daemon.advance(Duration::from_secs(10));
+        let answer = client.get::<Value>("/v1/plays/last?wait=0.001");
+        assert!(answer.is_ok(), "{path}: {answer:?}");
+    }
+}
+
+#[test]
+fn a_daemon_that_ends_closes_event_streams() {
+    let daemon = Bench::start();
+    let mut client = daemon.armed();
+    let mut wire = daemon.connect(LOCAL);
+    wire.write_all(b"GET /v1/events HTTP/1.1\r\nhost: x\r\nconnection: close\r\n\r\n").unwrap();
+    play(&mut client, &json!({"pattern": "all-in-phase"}));
+    began(&mut client.events());
+    daemon.end();
+    let text = wire.rest();
+    assert!(text.contains("event: ended") && text.contains("\"state\":\"stopped\""), "{text}");
 }

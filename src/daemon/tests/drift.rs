@@ -1,7 +1,7 @@
 //! Drift: `status`, plays that end or are refused at the limit without telemetry, and the level check of `assume_rest`.
 
 use super::bench::{Bench, ended, problem, refusal};
-use meissner_api::{EndCause, Status};
+use meissner_api::{EndCause, PlanCheck, Status};
 use serde_json::{Value, json};
 use std::fs;
 
@@ -60,4 +60,33 @@ fn plays_below_the_level_check_sum_up_until_somebody_looks() {
     assert_eq!(refusal(assumed), ("level-not-checked".into(), 409));
     let _: Value = client.post("/v1/arm", &json!({"assume_rest": true, "checked": "Ada"})).unwrap();
     let _: Value = client.post("/v1/play", &one_stroke).unwrap();
+}
+
+#[test]
+fn a_pilot_is_told_what_a_board_would_do() {
+    let item = json!({"pattern": "edge-45", "seconds": 0.3, "gap_ms": 100.0});
+    let order = json!({"items": vec![item; 40]});
+    let checked = |daemon: &Bench| -> PlanCheck { daemon.client().post("/v1/play/check", &order).unwrap() };
+    let told = checked(&Bench::start());
+    let stop = told.stopped_at.clone().expect("a board would stop");
+    assert_eq!((told.items, told.calibrated, told.followed_ms), (40, false, None));
+
+    let board = Bench::with("device = \"mock:board\"\n");
+    let client = board.armed();
+    let status: Status = client.get("/v1/status").unwrap();
+    let device = status.device.unwrap();
+    assert_eq!((&*device.kind, device.simulated, device.telemetry), ("mock:board", true, false));
+    assert_eq!(checked(&board), told, "the same plan, limit and array");
+    let (_, receipt) = client.played(&order);
+    assert_eq!((receipt.state.name(), receipt.cause.as_ref()), ("stopped", Some(&EndCause::DriftLimit)));
+    let begun =
+        receipt.items.iter().flat_map(|items| items.iter()).filter(|item| item.onset.is_some()).count();
+    // What was sent ahead may still begin.
+    assert!((stop.item..stop.item + 4).contains(&begun), "{begun} items have begun, told was {stop:?}");
+    drop((client, board));
+
+    let with_stop = Bench::with("device = \"mock:board,lower-stop\"\n");
+    let _: Value = with_stop.client().post("/v1/arm", &json!({})).unwrap();
+    let told = checked(&with_stop);
+    assert_eq!((told.lower_stop, told.stopped_at, told.drift_um), (true, None, 0.0));
 }

@@ -1,8 +1,9 @@
 //! Sessions: one at a time, exclusive sessions, their owner's silence, their record, and failing disks.
 
-use super::bench::{Bench, Client, began, ended, next, problem, refusal};
-use meissner_api::{Event, PlayState, Session, SessionStarted, Status};
+use super::bench::{Bench, Client, LOCAL, began, ended, next, problem, refusal};
+use meissner_api::{Event, PlayState, Session, SessionList, SessionStarted, Status};
 use serde_json::{Value, json};
+use std::io::{Read, Write};
 use std::time::Duration;
 
 fn start(client: &mut Client, participant: &str, exclusive: bool) -> SessionStarted {
@@ -151,4 +152,56 @@ fn a_session_has_a_limit_of_its_own_and_participants_have_their_days() {
     assert!(refused.starts_with("limit for participants: `participant.max_day_s` allows 0.8 s"), "{refused}");
     next(&mut client, "P08");
     play(&mut client, 0.4).unwrap();
+}
+
+#[test]
+fn a_session_ends_with_its_daemon_and_the_record_says_how() {
+    let mut daemon = Bench::start();
+    let mut ids = Vec::new();
+    for is_killed in [false, true] {
+        let (client, started) = owner(&daemon, "P07", true);
+        client.played(&json!({"pattern": "pin-60", "seconds": 0.1}));
+        let _: SessionList = client.get("/v1/sessions").unwrap();
+        ids.push(started.id);
+        if !is_killed {
+            daemon.end();
+        }
+        drop(client);
+        daemon = daemon.again();
+    }
+    let list: SessionList = daemon.client().get("/v1/sessions").unwrap();
+    let ended: Vec<_> =
+        list.sessions.iter().map(|session| (session.id.clone(), session.reason.clone().unwrap())).collect();
+    assert_eq!(ended, [(ids[0].clone(), "daemon-ended".to_owned()), (ids[1].clone(), "unknown".to_owned())]);
+    assert_eq!(list.sessions.iter().map(|session| session.plays).max(), Some(1));
+    // A new session can begin.
+    start(&mut daemon.client(), "P08", true);
+}
+
+#[test]
+fn a_daemon_that_keeps_no_record_has_sessions_too() {
+    let daemon = Bench::with("logbook_days = 0\n");
+    let (client, started) = owner(&daemon, "P07", false);
+    assert!(started.record_problem.unwrap().contains("keeps no session record"));
+    let _: Session = client.post("/v1/sessions/running/end", &json!({})).unwrap();
+    let list: SessionList = client.get("/v1/sessions").unwrap();
+    assert_eq!(list, SessionList::default());
+    assert!(!daemon.path("logbook").exists());
+}
+
+/// A request that came before the session began is refused if its body comes after.
+#[test]
+fn a_session_that_begins_during_a_body_counts() {
+    let daemon = Bench::start();
+    let mut wire = daemon.connect(LOCAL);
+    let head = "PUT /v1/patterns/mine HTTP/1.1\r\nhost: x\r\nconnection: close\r\nexpect: 100-continue\r\ncontent-length: 2\r\n\r\n";
+    wire.write_all(head.as_bytes()).unwrap();
+    // The daemon reads the body, so the guard has let the request pass.
+    let mut line = [0; 25];
+    wire.read_exact(&mut line).unwrap();
+    assert_eq!(&line, b"HTTP/1.1 100 Continue\r\n\r\n");
+    start(&mut daemon.client(), "P07", true);
+    wire.write_all(b"{}").unwrap();
+    let answer = wire.rest();
+    assert!(answer.starts_with("HTTP/1.1 409 ") && answer.contains("session-exclusive"), "{answer}");
 }

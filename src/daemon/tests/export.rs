@@ -1,15 +1,22 @@
-use crate::harness::{Daemon, TIMEOUT, began, complaint, document, ended, printed, problem};
-use crate::sessions::{exported, owner};
-use meissner_api::{Event, Receipt, Session, Status};
-use meissner_client::{Client, Events};
+//! Recorded plays of a session as they are exported: a row for each play and each item of a sequence; a damaged record.
+
+use super::bench::{Bench, Client, Events, began, ended, next, problem};
+use super::sessions::owner;
+use crate::cli::export::table;
+use meissner_api::{Event, Receipt, Session, SessionList, SessionPlays, Status};
 use serde_json::{Value, json};
+use std::cell::{Cell, RefCell};
 use std::fs;
+
+fn exported(client: &Client, id: &str) -> SessionPlays {
+    client.get(&format!("/v1/sessions/{id}/plays")).unwrap()
+}
 
 #[test]
 fn an_export_has_one_row_per_play() {
-    let daemon = Daemon::start();
+    let daemon = Bench::start();
     let (mut client, started) = owner(&daemon, "P07", false);
-    let mut events = client.events().unwrap();
+    let mut events = client.events();
     let mut receipts = Vec::new();
     for (trial, label) in [(1, "a"), (2, "b, \"c\"")] {
         let play =
@@ -26,10 +33,7 @@ fn an_export_has_one_row_per_play() {
     client.set_token(None);
     let _: Value = client.post("/v1/play", &json!({"pattern": "pin-60", "seconds": 0.1})).unwrap();
     ended(&mut events);
-    let file = daemon.path("session.csv");
-    printed(daemon.meissner().args(["session", "export", &started.id, "-o"]).arg(&file));
-    let text = fs::read_to_string(&file).unwrap();
-    assert_eq!(text, printed(daemon.meissner().args(["session", "export", &started.id])));
+    let text = table(&exported(&client, &started.id)).unwrap();
     let mut table = csv::Reader::from_reader(text.as_bytes());
     let head = table.headers().unwrap().clone();
     let rows: Vec<_> = table.records().map(Result::unwrap).collect();
@@ -58,31 +62,25 @@ fn an_export_has_one_row_per_play() {
         }
     }
     // The line of a play's end is lost: the export keeps the play and names the damage.
-    daemon.wait_for_record();
-    let folder = fs::read_dir(daemon.path("state/meissner/logbook")).unwrap();
-    let mut files = folder.map(|file| file.unwrap().path());
-    let day = files.find(|file| file.extension().is_some_and(|extension| extension == "jsonl")).unwrap();
+    let _: SessionList = client.get("/v1/sessions").unwrap();
+    let day = daemon.days().remove(0);
     let is_end = |line: &str| line.contains("\"event\":\"ended\"") && line.contains("\"id\":2,");
     let text = fs::read_to_string(&day).unwrap();
     let damaged = text.split_inclusive('\n').map(|line| if is_end(line) { "{\"tor\n" } else { line });
     fs::write(&day, damaged.collect::<String>()).unwrap();
-    let line = complaint(daemon.meissner().args(["session", "export", &started.id]));
-    assert!(line.contains("1 of 3 plays are missing") && line.contains("--incomplete"), "{line}");
-    let (exported, warning) = exported(&daemon, &started.id);
-    let states: Vec<_> =
-        exported["plays"].as_array().unwrap().iter().map(|play| (&play["play"], &play["state"])).collect();
-    assert_eq!(
-        states,
-        [(&json!(1), &json!("done")), (&json!(3), &json!("stopped")), (&json!(2), &json!("unknown"))]
-    );
-    assert!(warning.contains(".jsonl:") && warning.contains("not a line of JSON"), "{warning}");
+    let exported = exported(&client, &started.id);
+    assert!(!exported.complete && exported.missing[0].contains("1 of 3 plays are missing"), "{exported:?}");
+    let states: Vec<_> = exported.plays.iter().map(|play| (play.play, &*play.state)).collect();
+    assert_eq!(states, [(1, "done"), (3, "stopped"), (2, "unknown")]);
+    let is_line = |problem: &String| problem.contains(".jsonl:") && problem.contains("not a line of JSON");
+    assert!(exported.problems.iter().any(is_line), "{:?}", exported.problems);
 }
 
 #[test]
 fn answers_of_the_participant_stand_in_the_rows_of_their_plays() {
-    let daemon = Daemon::start();
+    let daemon = Bench::start();
     let (mut client, started) = owner(&daemon, "P07", true);
-    let mut events = client.events().unwrap();
+    let mut events = client.events();
     let item = json!({"pattern": "pin-60", "seconds": 0.05, "gap_ms": 10});
     for (path, play) in [
         ("/v1/play", json!({"pattern": "pin-60", "seconds": 0.1})),
@@ -97,25 +95,25 @@ fn answers_of_the_participant_stand_in_the_rows_of_their_plays() {
     let whole = json!({"response": response, "correct": true, "rt_ms": 512.5, "level": -0.4, "factors": {"b": "2", "a": "1"}});
     assert_eq!(client.post::<Value>("/v1/plays/1/answer", &whole).unwrap(), json!({}));
     let _: Value = client.post("/v1/plays/2/answer", &json!({"response": "2", "correct": null})).unwrap();
-    let refused = |client: &mut Client, play: &str, answer: &Value| {
+    let refused = |client: &Client, play: &str, answer: &Value| {
         problem(client.post(&format!("/v1/plays/{play}/answer"), answer)).code
     };
-    assert_eq!(refused(&mut client, "1", &whole), "exists");
-    assert_eq!(refused(&mut client, "3", &json!({"response": "x".repeat(8192)})), "bad-request");
-    assert_eq!(refused(&mut client, "77", &whole), "not-found");
-    assert_eq!(refused(&mut client, "last", &whole), "bad-request");
+    assert_eq!(refused(&client, "1", &whole), "exists");
+    assert_eq!(refused(&client, "3", &json!({"response": "x".repeat(8192)})), "bad-request");
+    assert_eq!(refused(&client, "77", &whole), "not-found");
+    assert_eq!(refused(&client, "last", &whole), "bad-request");
     // Only the owner of an exclusive session.
-    assert_eq!(refused(&mut daemon.client(), "3", &whole), "session-exclusive");
-    let answer = "answer 3 -3 --wrong --rt-ms 20.5 --level -1.5 --factor c=2";
-    let mut command = daemon.meissner();
-    command.env("MEISSNER_SESSION_TOKEN", &started.token);
-    assert_eq!(printed(command.args(answer.split(' '))).trim(), "play 3: answer recorded");
+    assert_eq!(refused(&daemon.client(), "3", &whole), "session-exclusive");
+    let wrong =
+        json!({"response": "-3", "correct": false, "rt_ms": 20.5, "level": -1.5, "factors": {"c": "2"}});
+    let _: Value = client.post("/v1/plays/3/answer", &wrong).unwrap();
     let _: Status = client.post("/v1/stop", &json!({})).unwrap();
     ended(&mut events);
     let _: Session = client.post("/v1/sessions/running/end", &json!({})).unwrap();
     client.set_token(None);
-    assert_eq!(refused(&mut client, "3", &whole), "session-running");
-    let text = printed(daemon.meissner().args(["session", "export", &started.id]));
+    assert_eq!(refused(&client, "3", &whole), "session-running");
+    let exported = exported(&client, &started.id);
+    let text = table(&exported).unwrap();
     let mut table = csv::Reader::from_reader(text.as_bytes());
     let head: Vec<_> = table.headers().unwrap().iter().map(str::to_owned).collect();
     let answer = ["response", "correct", "response_time", "level", "factor_a", "factor_b", "factor_c"];
@@ -137,42 +135,44 @@ fn answers_of_the_participant_stand_in_the_rows_of_their_plays() {
             ["-3", "false", "0.0205", "-1.5", "", "", "2"]
         ]
     );
-    let (exported, _) = exported(&daemon, &started.id);
-    assert_eq!(exported["plays"][0]["answer"], whole);
+    assert_eq!(serde_json::to_value(&exported.plays[0].answer).unwrap(), whole);
 }
 
 #[test]
 fn an_export_has_a_row_for_each_item_of_a_sequence() {
-    let daemon = Daemon::start();
-    let (mut client, started) = owner(&daemon, "P07", false);
-    let mut events = client.events().unwrap();
+    let daemon = Bench::start();
+    let (client, started) = owner(&daemon, "P07", false);
+    let mut events = client.events();
     let item = json!({"pattern": "pin-60", "seconds": 0.02, "gap_ms": 10, "scale": 0.5, "trigger": {"code": 9, "width_ms": 1}});
     let items = vec![item; 40];
     let sequence = json!({"items": items, "trial": 4, "labels": {"block": "1"}, "name": "taps"});
     let _: Value = client.post("/v1/play", &sequence).unwrap();
-    let mut told = Vec::new();
+    let told = RefCell::new(Vec::new());
     let receipt = next_ended(&mut events, |event| {
         if let Event::Items { first, items, session, .. } = event {
+            let mut told = told.borrow_mut();
             assert_eq!((first, session.as_deref()), (told.len(), Some(&*started.id)));
             told.extend(items);
         }
     });
     let whole: Receipt = client.get(&format!("/v1/plays/{}", receipt.id)).unwrap();
     let records = whole.items.clone().unwrap();
-    assert_eq!(told, *records);
+    assert_eq!(told.into_inner(), *records);
     // For a stopped sequence, the export has the items that began.
     let _: Value = client.post("/v1/play", &sequence).unwrap();
     began(&mut events);
     let _: Status = client.post("/v1/stop", &json!({})).unwrap();
-    let mut begun = 0;
+    let begun = Cell::new(0);
     next_ended(&mut events, |event| {
         if let Event::Items { items, .. } = event {
-            begun += items.len();
+            begun.set(begun.get() + items.len());
         }
     });
+    let begun = begun.get();
     assert!(begun < 40);
     let _: Session = client.post("/v1/sessions/running/end", &json!({})).unwrap();
-    let text = printed(daemon.meissner().args(["session", "export", &started.id]));
+    let exported = exported(&client, &started.id);
+    let text = table(&exported).unwrap();
     let mut table = csv::Reader::from_reader(text.as_bytes());
     let head = table.headers().unwrap().clone();
     let rows: Vec<_> = table.records().map(Result::unwrap).collect();
@@ -200,21 +200,18 @@ fn an_export_has_a_row_for_each_item_of_a_sequence() {
         let [first, wall] = [&rows[0], row].map(|row| of(row, "onset_wall_ns").parse::<i64>().unwrap());
         assert!((wall - first - 30_000_000 * number as i64).abs() < 1_000_000);
     }
-    let exported = document(daemon.meissner().args(["session", "export", &started.id, "--json"]));
-    assert_eq!(
-        (&exported["plays"][0]["items"], &exported["plays"][0]["pattern"]),
-        (&json!(40), &json!("taps"))
-    );
+    assert_eq!((exported.plays[0].items, &*exported.plays[0].pattern), (40, "taps"));
     // The boot from the mock's handshake.
-    assert!(exported["plays"][1]["boot"].is_u64() && exported["plays"][1]["pattern_kept"] == true);
+    assert!(exported.plays[1].boot.is_some() && exported.plays[1].pattern_kept);
 }
 
 /// The next receipt; `see` gets the events before it.
-fn next_ended(events: &mut Events, mut see: impl FnMut(Event)) -> Receipt {
-    loop {
-        match events.next(Some(TIMEOUT)).unwrap().unwrap() {
-            Event::Ended { receipt } => return *receipt,
-            event => see(event),
+fn next_ended(events: &mut Events, see: impl Fn(Event)) -> Receipt {
+    next(events, |event| match event {
+        Event::Ended { receipt } => Some(*receipt),
+        event => {
+            see(event);
+            None
         }
-    }
+    })
 }

@@ -1,6 +1,6 @@
-//! A daemon that lets few motors of a rail, or of a driver chip, have pulses at once; and what patterns draw from the rails.
+//! Limits on motors of a rail, or of a driver chip, that have pulses at once; and what patterns draw from the rails.
 
-use crate::harness::{Daemon, PATIENT, document, printed, problem, write_pattern};
+use super::bench::{Bench, problem};
 use meissner_api::PatternDetails;
 use serde_json::{Value, json};
 
@@ -15,15 +15,13 @@ fn drives(phases: [f64; 3]) -> String {
 #[test]
 fn a_play_that_needs_too_many_motors_at_once_is_refused_with_numbers() {
     let limits = "[array]\nrail_motors_at_once = 2\nchip_motors_at_once = 1\n[mock]\ntelemetry_hz = 1000\n";
-    let daemon = Daemon::with("mock", &format!("{PATIENT}{limits}"));
-    let files = tempfile::tempdir().unwrap();
+    let daemon = Bench::with(limits);
+    let client = daemon.armed();
     for (name, phases) in [("apart", [0.0, 0.15, 0.3]), ("chip", [0.0, 0.1, 0.3]), ("rail", [0.0, 0.5, 0.55])]
     {
-        let file = files.path().join(format!("{name}.toml"));
-        write_pattern(&file, name, &drives(phases));
-        document(daemon.meissner().args(["import", "--json"]).arg(file));
+        let text = format!("format = 1\nname = \"{name}\"\n{}", drives(phases));
+        let _: Value = client.put(&format!("/v1/patterns/{name}"), text).unwrap();
     }
-    let mut client = daemon.armed();
     let play = |name: &str| json!({"pattern": name, "seconds": 0.5});
     let of_chip = problem(client.post("/v1/play", &play("chip")));
     assert_eq!(of_chip.code, "power-limit");
@@ -46,7 +44,7 @@ fn a_play_that_needs_too_many_motors_at_once_is_refused_with_numbers() {
     assert_eq!(problem(client.post("/v1/live", &live(&[6, 7]))).code, "power-limit");
 
     // An allowed play is played whole, even with corrections, because they make no burst longer.
-    printed(daemon.meissner().args(["play", "apart", "--seconds", "0.5", "--wait"]));
+    client.played(&play("apart"));
     let receipt: Value = client.get("/v1/plays/last").unwrap();
     assert_eq!(receipt["id"], 1, "no play was accepted before: {receipt}");
     assert_eq!(receipt["bursts"]["refused"], 0, "{receipt}");
@@ -55,7 +53,7 @@ fn a_play_that_needs_too_many_motors_at_once_is_refused_with_numbers() {
 
 #[test]
 fn a_pattern_shows_what_its_rails_draw() {
-    let daemon = Daemon::start();
+    let daemon = Bench::start();
     let shown: PatternDetails = daemon.client().get("/v1/patterns/pin-60").unwrap();
     let busy: Vec<_> = shown.rails.iter().filter(|rail| rail.most_at_once > 0).collect();
     assert_eq!((shown.rails.len(), busy.len()), (4, 1));
@@ -64,6 +62,4 @@ fn a_pattern_shows_what_its_rails_draw() {
     assert_eq!(busy[0].most_at_once, 1);
     assert!((busy[0].mean_at_once - mean).abs() < 0.01, "{busy:?}");
     assert!((busy[0].most_ma - 30.6).abs() < 0.01 && (busy[0].mean_ma - 30.6 * mean).abs() < 0.4, "{busy:?}");
-    let text = printed(daemon.meissner().args(["show", "pin-60"]));
-    assert!(text.contains("motors at once, most"), "{text}");
 }
