@@ -23,7 +23,7 @@ mod cli;
 mod client_limits;
 /// `displacement`: samples of the pins as table and as document; patterns of files and stdin.
 mod displacement;
-/// `GET /v1/doctor`: the same findings as the command's, each verdict, many clients at once.
+/// `GET /v1/doctor`: the same findings as the command's.
 mod doctor;
 /// The data of figures: `motor --simulated` and `optimise --json` against the models.
 mod figures;

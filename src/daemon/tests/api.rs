@@ -1,7 +1,7 @@
 //! The local API of a real daemon: commands, receipts, events, errors, and the end.
 
 use super::bench::{Bench, Client, Events, LOCAL, began, ended, next, problem, refusal};
-use meissner_api::{EndCause, Event, MAX_BODY, MAX_CLIENTS, PlayState, Receipt, Status};
+use meissner_api::{DoctorReport, EndCause, Event, Level, MAX_BODY, MAX_CLIENTS, PlayState, Receipt, Status};
 use meissner_test_support::assert_accounts;
 use serde_json::{Value, json};
 use std::io::{Read, Write};
@@ -341,4 +341,22 @@ fn a_daemon_that_ends_closes_event_streams() {
     daemon.end();
     let text = wire.rest();
     assert!(text.contains("event: ended") && text.contains("\"state\":\"stopped\""), "{text}");
+}
+
+#[test]
+fn each_verdict_of_the_doctor_comes_with_its_remedy() {
+    let daemon = Bench::start();
+    let report = || daemon.client().get::<DoctorReport>("/v1/doctor").unwrap();
+    let verdict = |report: &DoctorReport, what: &str| {
+        report.findings.iter().find(|finding| finding.what == what).map(|finding| finding.level)
+    };
+    let found = report();
+    assert!(found.ok && verdict(&found, "network") == Some(Level::Ok), "{found:#?}");
+    assert_eq!([verdict(&found, "device"), verdict(&found, "state")], [Some(Level::Warn); 2]);
+    assert!(found.findings.iter().all(|of| (of.level == Level::Ok) == of.advice.is_empty()), "{found:#?}");
+    daemon.armed();
+    assert_eq!(verdict(&report(), "state"), Some(Level::Ok));
+    let _: Status = daemon.client().post("/v1/estop", &json!({})).unwrap();
+    let found = report();
+    assert!(!found.ok && verdict(&found, "state") == Some(Level::Fail), "{found:#?}");
 }

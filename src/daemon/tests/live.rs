@@ -274,7 +274,7 @@ fn a_flood_of_messages_keeps_nobody_waiting() {
     let accepted = start(&daemon, json!({"drives": [drive(9, 80.0)]}));
     let mut lines = Updates::open(&daemon, &accepted.path);
     (1..=500).for_each(|seq| {
-        lines.0.write(Message::text(json!({"seq": seq, "drives": [drive(9, 40.0)]}).to_string())).unwrap()
+        lines.0.write(Message::text(json!({"seq": seq, "drives": [drive(9, 40.0)]}).to_string())).unwrap();
     });
     lines.0.flush().unwrap();
     assert_eq!(client.get::<Status>("/v1/status").unwrap().state, "armed");
