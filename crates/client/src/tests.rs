@@ -1,6 +1,6 @@
 //! The client against sockets that do not exist, do not answer, or close the connection.
 //!
-//! No daemon runs here; `tests/api.rs` of the program tests the client with a real one.
+//! No daemon runs here; `tests/cli.rs` of the program tests the client with a real one.
 
 use super::*;
 use crate::connection::connect;
