@@ -11,7 +11,7 @@ use syn::visit::{self, Visit};
 
 const ROOT: &str = env!("CARGO_MANIFEST_DIR");
 /// Where the workspace has source folders.
-const GROUPS: [&str; 4] = ["", "crates", "tests", "firmware"];
+const GROUPS: [&str; 5] = ["", "crates", "tests", "firmware", "verify"];
 
 type Module = Vec<String>;
 
@@ -98,8 +98,11 @@ impl Names {
 
 fn is_for_tests(attributes: &[syn::Attribute]) -> bool {
     let is_test = |attribute: &syn::Attribute| {
-        attribute.path().is_ident("cfg")
-            && attribute.parse_args::<syn::Path>().is_ok_and(|argument| argument.is_ident("test"))
+        // Also `any(test, …)`.
+        let has = |list: &syn::MetaList| {
+            list.tokens.to_string().split(|c: char| !c.is_alphabetic()).any(|word| word == "test")
+        };
+        attribute.path().is_ident("cfg") && attribute.meta.require_list().is_ok_and(has)
     };
     attributes.iter().any(is_test)
 }

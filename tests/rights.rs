@@ -66,7 +66,7 @@ fn a_terminal_whose_session_is_over_says_so_and_is_not_locked() {
     let status: Status = daemon.client().get("/v1/status").unwrap();
     assert_eq!(status.session.unwrap().id, other.id);
     // Then its plays belong to the running session, and it may end a named one.
-    assert_eq!(command(&daemon, &play)["session"], other.id);
+    assert_eq!(command(&daemon, &play)["order"]["session"], other.id);
     command(&daemon, &["session", "end", &other.id]);
     let started = command(&daemon, &["session", "start", "--participant", "P09"]);
     let id = started["id"].as_str().unwrap();
