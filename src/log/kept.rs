@@ -1,5 +1,7 @@
 //! The log of a thread, kept in memory: for tests.
 
+#![expect(clippy::unwrap_used, reason = "a test that panics has failed")]
+
 use super::lines;
 use std::io::{self, Write};
 use std::sync::{Arc, Mutex};

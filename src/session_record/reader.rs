@@ -328,7 +328,7 @@ pub fn sessions(
 /// The most ended plays whose command line may still follow: far more than ever occur.
 const UNDER_WAY: usize = 64;
 
-/// The plays of a session from number `from` on, as many as [`MAX_BYTES`] have, in the order of their ends. A play whose end is missing
+/// The plays of a session from number `from` on, as many as 4 MiB of lines have, in the order of their ends. A play whose end is missing
 /// comes last.
 ///
 /// # Errors

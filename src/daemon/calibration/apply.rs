@@ -234,7 +234,7 @@ mod tests {
         thread::scope(|scope| {
             for motor in 0..MOTORS {
                 let (engine, new) = (&engine, of(motor));
-                scope.spawn(move || add_calibration(&engine, new, |_| Ok(())).unwrap());
+                scope.spawn(move || add_calibration(engine, new, |_| Ok(())).unwrap());
             }
         });
         let motors =

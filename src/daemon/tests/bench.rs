@@ -392,7 +392,7 @@ async fn connect_again(engine: Arc<Engine>) {
             Ok(_) => connector::connect(&engine, held).err(),
             Err(_) => Some(held),
         });
-        tokio::time::sleep(CONNECTS).await;
+        sleep(CONNECTS).await;
     }
 }
 

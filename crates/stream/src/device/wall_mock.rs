@@ -141,9 +141,12 @@ impl WallMock {
     fn run_with(&mut self, faults: &mut Faults, now: HostInstant) {
         let until = Tick::BOOT + self.rate.duration_to_ticks(now.since(self.started));
         faults.now = now;
-        if std::mem::replace(&mut faults.is_out, faults.is_unplugged) < faults.is_unplugged {
+        let was_out = std::mem::replace(&mut faults.is_out, faults.is_unplugged);
+        if faults.is_unplugged && !was_out {
             self.mock.unplug();
-            (faults.to_device.clear(), faults.to_host.clear(), faults.inbox.clear());
+            faults.to_device.clear();
+            faults.to_host.clear();
+            faults.inbox.clear();
         }
         let bytes = faults.to_device.arrived(now);
         if faults.hangs {
