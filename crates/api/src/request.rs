@@ -96,7 +96,7 @@ pub struct ResetRequest {
     /// Whether pins that stand above rest are left where they are, until the next `arm`. Otherwise the device returns them.
     #[serde(default, deserialize_with = "null_as_default", skip_serializing_if = "std::ops::Not::not")]
     pub keep: bool,
-    /// The emergency stops that this decision knows of, as `estops` in the status. The daemon refuses the reset if one came later.
+    /// The emergency stops that this decision knows of, as `estop.orders` in the status. The daemon refuses the reset if one came later.
     #[serde(default, deserialize_with = "given", skip_serializing_if = "Option::is_none")]
     pub estops_seen: Option<u64>,
 }

@@ -279,7 +279,7 @@ routes! {
         description: "The daemon acts before it reads the body, and passes the command on even if its queue is full, \
                       too many clients are connected or it shuts down. As the first request of a connection it \
                       waits for no other client. It answers when the device has confirmed that all lines are off; \
-                      `estop_off_ms` says how long after the order that was. `POST /v1/reset` clears the latch.",
+                      `estop.off_ms` in the status says how long after the order that was. `POST /v1/reset` clears the latch.",
         body: Body::None,
         ..Operation::post("/v1/estop")
     };
