@@ -53,9 +53,9 @@ impl<'p> Row<'p> {
     }
 
     fn onset(&self) -> Option<InstantRecord> {
-        match self.part() {
-            Some(item) => item.onset,
-            None => self.play.receipt.onset.map(|onset| InstantRecord {
+        match self.item {
+            Some(item) if self.whole.is_none() || item.planned_onset_ticks > 0 => item.onset,
+            _ => self.play.receipt.onset.map(|onset| InstantRecord {
                 tick: onset.actual_tick,
                 monotonic_ns: onset.monotonic_ns,
                 uncertainty_ns: onset.uncertainty_ns,
@@ -77,8 +77,7 @@ impl<'p> Row<'p> {
     }
 
     fn played_ms(&self) -> Option<f64> {
-        let Some(item) = self.part() else { return self.play.receipt.duration_ms.played };
-        let ticks = item.offset?.tick.checked_sub(item.onset?.tick)?;
+        let ticks = self.offset()?.tick.checked_sub(self.onset()?.tick)?;
         Some(TickRate::new(self.play.receipt.device.tick_hz).ticks_to_ms(ticks))
     }
 
