@@ -9,16 +9,17 @@ use crate::daemon::net::app::{App, Call};
 use crate::daemon::net::body;
 use crate::daemon::net::request_log::LoggedRequest;
 use crate::daemon::net::server::Ordered;
-use crate::daemon::plays::terms::edge_at;
+use crate::daemon::plays::begin::nanoseconds;
 use crate::daemon::sessions::caller::{Asker, Caller};
 use crate::daemon::status::report;
 use axum::Json;
 use axum::body::Body;
 use axum::extract::Extension;
+use firmware_protocol::tick::Tick;
 use meissner_api::{
     ArmRequest, Code, DisarmRequest, EdgeRequest, Event, Problem, ResetRequest, Status, parse_empty,
 };
-use meissner_stream::queues::Command;
+use meissner_stream::queues::{At, Command};
 use std::time::Duration;
 
 /// How long to wait for the body of an emergency stop that was carried out.
@@ -164,7 +165,12 @@ pub(in crate::daemon) async fn edge(Call { app, by }: Call, body: Body) -> Answe
     let result = async {
         let request = EdgeRequest::parse(&body::read_command(body).await?)?;
         logged.set_arguments(&request);
-        carry_out(&app, &by, Command::Edge { at: edge_at(&request), by: 0 }, TIMEOUT).await
+        let at = match (request.at_tick, request.at_ms) {
+            (Some(tick), _) => At::Tick(Tick(tick)),
+            (_, Some(ms)) => At::After(nanoseconds(ms)),
+            (None, None) => At::Next,
+        };
+        carry_out(&app, &by, Command::Edge { at, by: 0 }, TIMEOUT).await
     }
     .await;
     logged.result(result)

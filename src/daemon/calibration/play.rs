@@ -62,5 +62,5 @@ pub(in crate::daemon) async fn calibrate(
             state.calibration.running = Some(CalibrationRun::new(id, by.caller.clone(), plan));
         }
     };
-    begin::begin(engine, by, &order.terms, compiled, check, sent).await
+    begin::begin(engine, by, compiled, check, sent).await
 }

@@ -10,8 +10,8 @@ use crate::daemon::core::state::State;
 use crate::daemon::live::state::LivePlay;
 use crate::daemon::plays::begin;
 use crate::daemon::plays::begin::Compiled;
+use crate::daemon::plays::order::trigger;
 use crate::daemon::plays::state::NewPlay;
-use crate::daemon::plays::terms::trigger;
 use crate::daemon::sessions::caller::Asker;
 use crate::daemon::sessions::right::Right;
 use crate::exposure::Vibration;
@@ -25,7 +25,7 @@ use meissner_array::motor::MotorError;
 use meissner_array::spec::Array;
 use meissner_array::strokes::{LiveStrokes, StrokeOptions};
 use meissner_render::Poses;
-use meissner_stream::queues::{Command, HOLD_ALWAYS, Item};
+use meissner_stream::queues::{Command, Item, Play};
 use meissner_stream::time::HostInstant;
 use meissner_stream::{Bandwidth, Source};
 use meissner_touch::{Object, Pose as TouchPose};
@@ -77,11 +77,12 @@ pub(in crate::daemon) async fn start_live(
         span: (0, None),
     };
     let compiled = Compiled {
-        strokes: Source::Live(Box::new(LiveStrokes::new(waves))),
-        items: vec![Item::new(trigger(request.trigger, settings.array.rate()))],
-        live: Some(timeout),
-        bandwidth,
-        hold: HOLD_ALWAYS,
+        play: Play {
+            items: vec![Item::new(trigger(request.trigger, settings.array.rate()))],
+            live: Some(timeout),
+            bandwidth,
+            ..begin::ordered(Source::Live(Box::new(LiveStrokes::new(waves))), terms)
+        },
         settings,
         vibration: Vibration::without_end(&settings),
         endless: true,
@@ -94,8 +95,7 @@ pub(in crate::daemon) async fn start_live(
     let path = format!("/v1/live/{}", live.key());
     let session = terms.session.as_deref();
     let sent = |state: &mut State, id| state.live.add(id, live);
-    let accepted =
-        begin::begin(engine, by, terms, compiled, |state| state.check_before_play(session), sent).await?;
+    let accepted = begin::begin(engine, by, compiled, |state| begin::check(state, session), sent).await?;
     Ok(LiveAccepted { id: accepted.id, path })
 }
 

@@ -11,14 +11,15 @@ use crate::daemon::core::commands::Reply;
 use crate::daemon::core::engine::{Engine, TIMEOUT, answer};
 use crate::daemon::core::state::State;
 use crate::daemon::plays::state::NewPlay;
-use crate::daemon::plays::terms::onset;
 use crate::daemon::sessions::caller::Asker;
 use crate::exposure::{Now, Vibration};
+use firmware_protocol::tick::Tick;
 use meissner_api::{Code, PlayAccepted, Problem, Terms};
 use meissner_array::per_motor::PerMotor;
 use meissner_array::strokes::Surplus;
-use meissner_stream::queues::{Command, Item, Play};
-use meissner_stream::{Bandwidth, Settings, Source};
+use meissner_stream::queues::{At, Command, Play};
+use meissner_stream::time::HostInstant;
+use meissner_stream::{Settings, Source};
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::sync::MutexGuard;
@@ -27,16 +28,11 @@ use tracing::warn;
 /// How long a play waits for the disk: less than the shortest time from an order to its requested onset.
 const DISK: Duration = Duration::from_millis(300);
 
-/// A play that is compiled, and has no id yet.
+/// A play that is compiled, and what the daemon checks and keeps of it.
 #[derive(Debug)]
 pub(in crate::daemon) struct Compiled {
-    pub(in crate::daemon) strokes: Source,
-    pub(in crate::daemon) items: Vec<Item>,
-    /// How long the client of a live play may be silent; none for other plays.
-    pub(in crate::daemon) live: Option<Duration>,
-    pub(in crate::daemon) bandwidth: Bandwidth,
-    /// How long a pin may stay above rest without a pulse, ticks.
-    pub(in crate::daemon) hold: u32,
+    /// The play as the streamer gets it; its id is 0 until it is sent.
+    pub(in crate::daemon) play: Play,
     /// The settings that it was compiled for.
     pub(in crate::daemon) settings: Settings,
     pub(in crate::daemon) vibration: Vibration,
@@ -87,6 +83,24 @@ impl Drop for Held<'_> {
     }
 }
 
+/// A play of these strokes by these terms, without an id; at most one of the keys for its onset is set.
+pub(in crate::daemon) fn ordered(strokes: impl Into<Source>, terms: &Terms) -> Play {
+    let &Terms { late, replace, open_loop, stop_on_edge, .. } = terms;
+    let at = match (terms.at_tick, terms.at_ms, terms.at_monotonic_ns, terms.on_edge_ms) {
+        (Some(tick), ..) => At::Tick(Tick(tick)),
+        (_, Some(ms), ..) => At::After(nanoseconds(ms)),
+        (_, _, Some(ns), _) => At::Monotonic(HostInstant::from_ns(ns)),
+        (.., Some(ms)) => At::Edge(nanoseconds(ms)),
+        (None, None, None, None) => At::Next,
+    };
+    Play { at, late, replace, open_loop, stop_on_edge, ..Play::new(0, strokes) }
+}
+
+#[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "checked: 0 to an hour")]
+pub(in crate::daemon) fn nanoseconds(ms: f64) -> u64 {
+    (ms * 1e6).round() as u64
+}
+
 /// What a play is compiled for: the settings, and what follows from the calibration.
 pub(in crate::daemon) type Basis = (Settings, Surplus, PerMotor<f64>);
 
@@ -112,32 +126,19 @@ pub(in crate::daemon) fn compiles_for(
 pub(in crate::daemon) async fn begin(
     engine: &Engine,
     by: &Asker,
-    terms: &Terms,
     compiled: Compiled,
     check: impl Fn(&mut State) -> Result<(), Problem> + Send,
     sent: impl FnOnce(&mut State, u64) + Send,
 ) -> Result<PlayAccepted, Problem> {
-    let held = hold(engine, by, terms, &compiled, &check).await?;
-    let Compiled { strokes, items, live, bandwidth, hold, settings, memory, new, texts, .. } = compiled;
-    let (at, &Terms { late, replace, open_loop, stop_on_edge, .. }) = (onset(terms), terms);
-    let play = Play {
-        items,
-        at,
-        late,
-        replace,
-        open_loop,
-        stop_on_edge,
-        live,
-        bandwidth,
-        hold,
-        ..Play::new(0, strokes)
-    };
+    let held = hold(engine, by, &compiled, &check).await?;
+    let Compiled { play, settings, memory, new, texts, .. } = compiled;
+    let replace = play.replace;
     let (duration, motions) = (new.receipt.duration_ms, new.receipt.reach.motions.clone());
     let (id, reply) = {
         let mut state = engine.lock();
         held.check(&state)?;
         check(&mut state)?;
-        let (id, reply) = state.send_play(by, play, &settings, new)?;
+        let (id, reply) = send(&mut state, by, play, &settings, new)?;
         state.plays.hold_memory(id, memory);
         held.begin(&mut state, id);
         sent(&mut state, id);
@@ -158,15 +159,14 @@ pub(in crate::daemon) async fn begin(
 async fn hold<'e>(
     engine: &'e Engine,
     by: &Asker,
-    terms: &Terms,
     compiled: &Compiled,
     check: &(impl Fn(&mut State) -> Result<(), Problem> + Send),
 ) -> Result<Held<'e>, Problem> {
-    let turn = engine.orders.lock().await;
+    let (turn, play) = (engine.orders.lock().await, &compiled.play);
     let (held, saved) = {
         let mut state = engine.lock();
         check(&mut state)?;
-        if *state.reach(terms.open_loop) != *compiled.reach {
+        if *state.reach(play.open_loop) != *compiled.reach {
             let detail = "the calibration has changed meanwhile: send the play again";
             return Err(Problem::new(Code::Busy, detail));
         }
@@ -174,7 +174,7 @@ async fn hold<'e>(
         state.check_amplitude(what, *largest_um)?;
         state.check_end(what, compiled.vibration.is_endless() && !compiled.endless)?;
         state.plays.check_memory(&compiled.memory)?;
-        let number = state.hold_vibration(&compiled.vibration, terms.replace, onset(terms))?;
+        let number = state.hold_vibration(&compiled.vibration, play.replace, play.at)?;
         let saved = state.save_exposure(Now::read());
         let waits = !state.exposure.is_disk_silent();
         (Held { engine, number, breaks: by.breaks, _turn: turn }, saved.filter(|_| waits))
@@ -191,45 +191,41 @@ async fn hold<'e>(
     Ok(held)
 }
 
-impl State {
-    /// Refuses a play during a calibration, or for another session than the one that it was prepared for.
-    pub(in crate::daemon) fn check_before_play(&mut self, session: Option<&str>) -> Result<(), Problem> {
-        self.forget_unanswered();
-        self.check_not_calibrating()?;
-        if self.session_of_play(session)?.as_deref() == session {
-            return Ok(());
-        }
-        Err(Problem::new(Code::SessionRunning, "a session has begun meanwhile: send the play again"))
+/// Refuses a play during a calibration, or for another session than the one that it was prepared for.
+pub(in crate::daemon) fn check(state: &mut State, session: Option<&str>) -> Result<(), Problem> {
+    state.forget_unanswered();
+    state.check_not_calibrating()?;
+    if state.session_of_play(session)?.as_deref() == session {
+        return Ok(());
     }
+    Err(Problem::new(Code::SessionRunning, "a session has begun meanwhile: send the play again"))
+}
 
-    /// Sends a play that was compiled for `compiled_for`, under the id that it gets with its receipt. Returns the id and where the answer
-    /// arrives.
-    fn send_play(
-        &mut self,
-        by: &Asker,
-        play: Play,
-        compiled_for: &Settings,
-        new: NewPlay,
-    ) -> Result<(u64, Reply), Problem> {
-        if !self.publisher.session_record.takes_plays() {
-            let detail = "the session record keeps every play and has no room for more at this rate: play less often; see \
-                          docs/reference/session-record.md";
-            return Err(Problem::new(Code::TooManyPlays, detail));
-        }
-        if self.settings != *compiled_for {
-            return Err(Problem::new(
-                Code::Busy,
-                "the configuration has changed meanwhile: send the play again",
-            ));
-        }
-        let id = self.plays.add(new);
-        self.rights.add_play(id, by.caller.clone());
-        let sent = self.send(Some(by), Command::Play(Box::new(Play { id, ..play })), Some(id));
-        if sent.is_err() {
-            self.settle_play(id, false);
-        }
-        Ok((id, sent?))
+/// Sends a play that was compiled for these settings, under the id that it gets with its receipt. Returns the id and where the answer
+/// arrives.
+fn send(
+    state: &mut State,
+    by: &Asker,
+    play: Play,
+    compiled_for: &Settings,
+    new: NewPlay,
+) -> Result<(u64, Reply), Problem> {
+    if !state.publisher.session_record.takes_plays() {
+        let detail = "the session record keeps every play and has no room for more at this rate: play less often; see \
+                      docs/reference/session-record.md";
+        return Err(Problem::new(Code::TooManyPlays, detail));
     }
+    if state.settings != *compiled_for {
+        let detail = "the configuration has changed meanwhile: send the play again";
+        return Err(Problem::new(Code::Busy, detail));
+    }
+    let id = state.plays.add(new);
+    state.rights.add_play(id, by.caller.clone());
+    let sent = state.send(Some(by), Command::Play(Box::new(Play { id, ..play })), Some(id));
+    if sent.is_err() {
+        state.settle_play(id, false);
+    }
+    Ok((id, sent?))
 }
 
 #[cfg(test)]

@@ -24,7 +24,7 @@ pub(in crate::daemon) async fn check_order<P, F: Future<Output = Result<(Stored,
     };
     let settings = basis.0;
     let compiled = Compiled::of_order(order, basis, client, &CHECKS, find).await?;
-    let Source::Compiled(strokes) = compiled.strokes else {
+    let Source::Compiled(strokes) = compiled.play.strokes else {
         return Err(Problem::new(Code::BadRequest, "internal error: an order is not live"));
     };
     let rate = settings.array.rate();

@@ -10,15 +10,16 @@ use crate::daemon::exposure::limits::check_limits;
 use crate::daemon::plays::begin;
 use crate::daemon::plays::begin::{Basis, Compiled};
 use crate::daemon::plays::state::{NewPlay, check_samples};
-use crate::daemon::plays::terms::trigger;
 use crate::daemon::sessions::caller::Asker;
 use crate::exposure::Vibration;
 use crate::receipts::{Outline, PlannedItem, counts, fit, motions, motions_of_items, too_slow, walk};
 use crate::session_record::Peer;
 use crate::store::{Stored, hash};
+use firmware_protocol::message::Trigger;
 use firmware_protocol::tick::Tick;
 use meissner_api::{
     Code, FollowedMotion, Item, Order, OrderedCounts, PlayAccepted, Problem, Receipt, TriggerRequest,
+    TriggerShape,
 };
 use meissner_array::motion::TRIED_S;
 use meissner_array::pattern::Pattern;
@@ -27,7 +28,7 @@ use meissner_array::strokes::{
     self, CompiledItem, Sequence, SequenceError, Start, StrokeOptions, Strokes, Surplus,
 };
 use meissner_array::units::TickRate;
-use meissner_stream::queues::{HOLD_ALWAYS, Item as Played};
+use meissner_stream::queues::{HOLD_ALWAYS, Item as Played, Play};
 use meissner_stream::{Bandwidth, Hold, Settings, find_longest_hold};
 use std::collections::hash_map::Entry;
 use std::collections::{HashMap, HashSet};
@@ -220,11 +221,7 @@ impl Compiled {
         receipt.reach.warnings.splice(0..0, unchecked.into_iter().chain(slow.into_iter().take(MAX_LINES)));
         let endless = prepared.filter(|_| strokes.end().is_none()).map(|one| (one.pattern, one.options));
         Ok(Self {
-            strokes: strokes.into(),
-            items,
-            live: None,
-            bandwidth,
-            hold,
+            play: Play { items, bandwidth, hold, ..begin::ordered(strokes, terms) },
             settings,
             vibration,
             endless: terms.endless,
@@ -332,6 +329,18 @@ impl Preparing {
         };
         Ok(Placed { strokes, items, spans, bandwidth, hold, unchecked, vibration, counts })
     }
+}
+
+/// The trigger output's pulse for a request.
+#[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "checked: half a second at most")]
+pub(in crate::daemon) fn trigger(request: Option<TriggerRequest>, rate: TickRate) -> Option<Trigger> {
+    let shape = match request {
+        Some(TriggerRequest::Off) => return None,
+        Some(TriggerRequest::On(shape)) => shape,
+        None => TriggerShape::default(),
+    };
+    let width = rate.ms_in_ticks(shape.width_ms()).round() as u16;
+    Some(Trigger { width, code: shape.code.unwrap_or(0) })
 }
 
 /// The items as the streamer plays them. A pulse by default ends before the next item.
@@ -464,6 +473,5 @@ pub(in crate::daemon) async fn play<P, F: Future<Output = Result<(Stored, P), Pr
     let basis = begin::compiles_for(engine, order.terms.boot, order.terms.open_loop)?;
     let compiled = Compiled::of_order(order, basis, by.peer(), lane, find).await?;
     let session = order.terms.session.as_deref();
-    begin::begin(engine, by, &order.terms, compiled, |state| state.check_before_play(session), |_, _| {})
-        .await
+    begin::begin(engine, by, compiled, |state| begin::check(state, session), |_, _| {}).await
 }
