@@ -558,7 +558,7 @@ def test_over_tcp_with_tokens() -> None:
                         assert live.keep().wait(20.0).state == "applied"
                         m.core.token, own = None, m.core.token
                         with pytest.raises(errors.Unauthorized):
-                            Live(m, Started(live._accepted, "/v1/live/0123"))
+                            Live(m.core, Started(live._accepted, "/v1/live/0123"))
                         m.core.token = own
                     with meissner.connect(daemon.socket) as other, pytest.raises(errors.SessionExclusive):
                         other.play("pin-60", 0.05)

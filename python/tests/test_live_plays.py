@@ -143,7 +143,7 @@ def test_starts_that_are_refused(m: meissner.Client) -> None:
             m.live(**arguments)  # type: ignore[arg-type]
     accepted = Accepted(1, "live", None, None)
     with pytest.raises(errors.NotFound, match="no live play has this key"):
-        live.Live(m, Started(accepted, "/v1/live/0123"))
+        live.Live(m.core, Started(accepted, "/v1/live/0123"))
     m.disarm()
     with pytest.raises(errors.Disarmed):
         m.live(drives=DRIVES)
@@ -349,7 +349,7 @@ def live_at(m: meissner.Client, endpoint: Endpoint) -> live.Live:
     """Opens the connection of a live play elsewhere."""
     own, m.core.endpoint = m.core.endpoint, endpoint
     try:
-        return live.Live(m, Started(Accepted(999_999, "live", None, None), "/v1/live/0123"))
+        return live.Live(m.core, Started(Accepted(999_999, "live", None, None), "/v1/live/0123"))
     finally:
         m.core.endpoint = own
 

@@ -63,13 +63,8 @@ struct Report {
     pattern: String,
     seconds: f64,
     device: String,
-    state: &'static str,
-    cause: Option<EndCause>,
-    cut_after_ms: Option<f64>,
-    duration_ms: DurationRecord,
-    ordered: Option<OrderedCounts>,
-    bursts: BurstCounts,
-    pulses: PulseCounts,
+    #[serde(flatten)]
+    played: PlayedReport,
     wire: WireReport,
     onset_latency_ms: Option<f64>,
     lead_ms: f64,
@@ -85,6 +80,32 @@ struct Report {
     rendered: RenderedReport,
     realtime: Realtime,
     duration_s: f64,
+}
+
+/// What came of the play.
+#[derive(Debug, Serialize)]
+struct PlayedReport {
+    state: &'static str,
+    cause: Option<EndCause>,
+    cut_after_ms: Option<f64>,
+    duration_ms: DurationRecord,
+    ordered: Option<OrderedCounts>,
+    bursts: BurstCounts,
+    pulses: PulseCounts,
+}
+
+impl PlayedReport {
+    fn of(receipt: &Receipt) -> Self {
+        Self {
+            state: receipt.state.name(),
+            cause: receipt.cause.clone(),
+            cut_after_ms: receipt.duration_ms.cut_after,
+            duration_ms: receipt.duration_ms,
+            ordered: receipt.counts.ordered,
+            bursts: receipt.counts.bursts.unwrap_or_default(),
+            pulses: receipt.counts.pulses.unwrap_or_default(),
+        }
+    }
 }
 
 /// The error of what a finger feels, of SA1 and of RA afferents: the size of the difference from its response to the real edge, blurred over the
@@ -394,13 +415,7 @@ fn report(
         pattern: receipt.name.clone(),
         seconds: request.items[0].seconds.unwrap_or_default(),
         device: status.device.as_ref().map(|device| device.kind.clone()).unwrap_or_default(),
-        state: receipt.state.name(),
-        cause: receipt.cause.clone(),
-        cut_after_ms: receipt.duration_ms.cut_after,
-        duration_ms: receipt.duration_ms,
-        ordered: receipt.counts.ordered,
-        bursts: receipt.counts.bursts.unwrap_or_default(),
-        pulses: receipt.counts.pulses.unwrap_or_default(),
+        played: PlayedReport::of(receipt),
         wire: WireReport { traffic, bytes_per_burst_open_loop: open.bytes_per_burst },
         onset_latency_ms: receipt.onset.map(|onset| onset.latency_ms),
         lead_ms: status.daemon.lead_ms,
@@ -430,7 +445,7 @@ fn report(
 }
 
 fn summary(report: &Report) -> String {
-    let Report { bursts, pulses, wire, rest_error_um, response, rendered, realtime, .. } = report;
+    let Report { played, wire, rest_error_um, response, rendered, realtime, .. } = report;
     let contrast = |rates: Option<Rates>| text::number(rates.and_then(|rates| rates.contrast), 1);
     let yes = |granted| if granted { "yes" } else { "no" };
     text::pairs(&[
@@ -441,12 +456,12 @@ fn summary(report: &Report) -> String {
                 report.pattern,
                 report.seconds,
                 report.device,
-                end_text(report.state, report.cause.as_ref(), report.cut_after_ms)
+                end_text(played.state, played.cause.as_ref(), played.cut_after_ms)
             ),
         ),
-        ("duration", text::duration(&report.duration_ms)),
-        ("bursts", text::burst_counts(report.ordered.as_ref(), bursts)),
-        ("pulses", text::pulse_counts(report.ordered.as_ref(), pulses)),
+        ("duration", text::duration(&played.duration_ms)),
+        ("bursts", text::burst_counts(played.ordered.as_ref(), &played.bursts)),
+        ("pulses", text::pulse_counts(played.ordered.as_ref(), &played.pulses)),
         (
             "wire",
             format!(

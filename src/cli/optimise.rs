@@ -73,6 +73,15 @@ impl FromStr for Limit {
     }
 }
 
+/// What the search took.
+#[derive(Debug, Serialize)]
+struct Spent {
+    /// Evaluations of each frame.
+    evaluations: Vec<u64>,
+    receptor_s: f64,
+    ended: &'static str,
+}
+
 /// The document of `optimise --json`.
 #[derive(Debug, Serialize)]
 struct Document<'a> {
@@ -84,10 +93,8 @@ struct Document<'a> {
     robust: bool,
     /// Seeds of the populations it was made for.
     populations: Vec<u64>,
-    /// Evaluations of each frame.
-    evaluations: Vec<u64>,
-    receptor_s: f64,
-    ended: &'static str,
+    #[serde(flatten)]
+    spent: Spent,
     #[serde(flatten)]
     verdict: Verdict,
     /// What the naive rules reach in the same conditions.
@@ -206,7 +213,6 @@ pub(super) fn run(asked: &Optimise) -> Result<ExitCode> {
     if let Some(file) = &asked.file {
         files::beside(file)?.write(&text)?;
     }
-    let spent = made.spent();
     let document = Document {
         target: target.name(),
         file: asked.file.as_ref().map(|file| file.to_string_lossy().into_owned()),
@@ -214,12 +220,14 @@ pub(super) fn run(asked: &Optimise) -> Result<ExitCode> {
         seed: asked.seed,
         robust: asked.robust,
         populations: populations(&target, asked.robust),
-        evaluations: made.found.iter().map(|found| found.spent.evaluations).collect(),
-        receptor_s: spent.afferent_s,
-        ended: match made.ended() {
-            Ended::Converged => "converged",
-            Ended::Limit => "budget",
-            Ended::Interrupted => "interrupted",
+        spent: Spent {
+            evaluations: made.found.iter().map(|found| found.spent.evaluations).collect(),
+            receptor_s: made.spent().afferent_s,
+            ended: match made.ended() {
+                Ended::Converged => "converged",
+                Ended::Limit => "budget",
+                Ended::Interrupted => "interrupted",
+            },
         },
         verdict: made.verdict,
         baselines: &made.baselines,
@@ -269,7 +277,7 @@ fn summary(target: &Target, document: &Document<'_>, made: &Made) -> String {
         Ended::Limit => "the budget is used up",
         Ended::Interrupted => "interrupted; this is the best so far",
     };
-    let evaluations: u64 = document.evaluations.iter().sum();
+    let evaluations: u64 = document.spent.evaluations.iter().sum();
     let of =
         |seeds: usize| if seeds == 1 { "1 population".to_owned() } else { format!("{seeds} populations") };
     let mut lines = vec![
@@ -281,7 +289,7 @@ fn summary(target: &Target, document: &Document<'_>, made: &Made) -> String {
             "search",
             format!(
                 "{evaluations} evaluations, {:.0} afferent-seconds, {:.1} s: {ended}",
-                document.receptor_s, document.wall_s
+                document.spent.receptor_s, document.wall_s
             ),
         ),
         (

@@ -15,7 +15,7 @@ use meissner_array::per_motor::PerMotor;
 use meissner_array::spec::Array;
 use meissner_array::strokes::{StrokeOptions, Strokes};
 use meissner_stream::link::{Clock, Traffic};
-use meissner_stream::queues::{End, Movement, Onset, Play, RestErrors, Stamp};
+use meissner_stream::queues::{End, Movement, Onset, Pins, Play, RestErrors, Stamp};
 use meissner_stream::{PlayBoard, Settings};
 
 /// The same estimate of every motor's rest error.
@@ -56,12 +56,13 @@ fn snapshot(connected: bool, state: State, play: Option<(u64, f64)>) -> Snapshot
         play,
         lead_ms: 100.0,
         settings: Settings::of(meissner_array::spec::Array::paper()),
-        rest_error_um: PerMotor::all(Array::paper(), 0.0),
-        source: PerMotor::all(Array::paper(), ErrorSource::None),
-        sensor_faults: PerMotor::all(Array::paper(), None),
-        movements: PerMotor::all(Array::paper(), Movement::default()),
-        standing: None,
-        pins_seen: true,
+        pins: Pins {
+            rest: RestErrors::none(Array::paper()),
+            sensor_faults: PerMotor::all(Array::paper(), None),
+            movements: PerMotor::all(Array::paper(), Movement::default()),
+            standing: None,
+            seen: true,
+        },
         line_bytes_per_s: None,
         traffic: Traffic::default(),
         board: None,

@@ -55,8 +55,8 @@ fn swapped_sensors_are_reported_and_both_motors_play_on_in_open_loop() {
     for motor in 0..MOTORS {
         let expected =
             if motor == 3 || motor == 8 { ErrorSource::DeadReckoning } else { ErrorSource::Telemetry };
-        assert_eq!(snapshot.source[motor], expected, "motor {motor}");
-        assert_eq!(snapshot.sensor_faults[motor].is_some(), motor == 3 || motor == 8, "motor {motor}");
+        assert_eq!(snapshot.pins.rest.source[motor], expected, "motor {motor}");
+        assert_eq!(snapshot.pins.sensor_faults[motor].is_some(), motor == 3 || motor == 8, "motor {motor}");
     }
     let outcome = rig::outcomes(&events)[0].bursts;
     assert_eq!(outcome.played, outcome.planned);
@@ -72,8 +72,8 @@ fn swapped_sensors_are_reported_and_both_motors_play_on_in_open_loop() {
     rig.send(Command::Arm { assume_rest: false });
     rig.run_ms(1500);
     let snapshot = last_snapshot(&rig.take_events());
-    assert_eq!(*snapshot.source, [ErrorSource::Telemetry; MOTORS]);
-    assert_eq!(*snapshot.sensor_faults, [None; MOTORS]);
+    assert_eq!(*snapshot.pins.rest.source, [ErrorSource::Telemetry; MOTORS]);
+    assert_eq!(*snapshot.pins.sensor_faults, [None; MOTORS]);
 }
 
 /// A disarmed device sends no telemetry. The streamer still knows whether telemetry showed the pins until then. It did not if no
@@ -93,10 +93,10 @@ fn a_cut_does_not_forget_whether_telemetry_showed_the_pins() {
         rig.run_ms(2000);
         let snapshot = last_snapshot(&rig.take_events());
         assert_eq!(
-            (snapshot.state, snapshot.source),
+            (snapshot.state, snapshot.pins.rest.source),
             (State::Disarmed, PerMotor::all(Array::paper(), ErrorSource::DeadReckoning))
         );
-        snapshot.pins_seen
+        snapshot.pins.seen
     };
     assert!(pins_seen(&mut played(|_| true, 500)));
     assert!(pins_seen(&mut played(|_| false, 500)), "half a second without a sample is not for good");
@@ -118,7 +118,7 @@ fn a_cut_does_not_forget_whether_telemetry_showed_the_pins() {
     let mut rig = played(|_| true, 500);
     rig.unplug();
     rig.run_ms(100);
-    assert!(!last_snapshot(&rig.take_events()).pins_seen);
+    assert!(!last_snapshot(&rig.take_events()).pins.seen);
 }
 
 /// Telemetry that showed the pins is expected to show them again. If it does, it overrides the operator; if not, the estimate
@@ -133,21 +133,21 @@ fn arming_forgets_nothing_where_telemetry_showed_the_pins() {
         rig.run_ms(500);
         let before = last_snapshot(&rig.take_events());
         let farthest = |of: &[f32]| of.iter().fold(0.0, |most: f32, um| most.max(um.abs()));
-        assert!(before.pins_seen && farthest(&before.rest_error_um) > 60.0, "{before:?}");
+        assert!(before.pins.seen && farthest(&before.pins.rest.um) > 60.0, "{before:?}");
         rig.mock.filter_telemetry(move |_| comes_back);
         rig.send(Command::Arm { assume_rest: true });
         rig.run_ms(4000);
         let after = last_snapshot(&rig.take_events());
-        assert_eq!((after.state, after.pins_seen), (State::Armed, comes_back));
+        assert_eq!((after.state, after.pins.seen), (State::Armed, comes_back));
         if comes_back {
-            assert_eq!(*after.source, [ErrorSource::Telemetry; MOTORS]);
-            for (&shown, motor) in after.rest_error_um.iter().zip(0..) {
+            assert_eq!(*after.pins.rest.source, [ErrorSource::Telemetry; MOTORS]);
+            for (&shown, motor) in after.pins.rest.um.iter().zip(0..) {
                 let um = rig.mock.position_um(motor);
                 assert!((f64::from(shown) - um).abs() < 0.5, "motor {motor}: {shown} um shown, {um} um true");
             }
         } else {
-            assert_eq!(*after.source, [ErrorSource::DeadReckoning; MOTORS]);
-            assert_eq!(after.rest_error_um, before.rest_error_um);
+            assert_eq!(*after.pins.rest.source, [ErrorSource::DeadReckoning; MOTORS]);
+            assert_eq!(after.pins.rest.um, before.pins.rest.um);
         }
     }
 }
@@ -199,9 +199,9 @@ fn without_telemetry_the_estimated_error_is_warned_of_once_and_stays_within_the_
         let events = rig.take_events();
         warned += events.iter().filter(|event| matches!(event, StreamEvent::DriftWarning { .. })).count();
         let snapshot = last_snapshot(&events);
-        assert_eq!(*snapshot.source, [ErrorSource::DeadReckoning; MOTORS]);
+        assert_eq!(*snapshot.pins.rest.source, [ErrorSource::DeadReckoning; MOTORS]);
         assert!((0..24).all(|motor| rig.mock.position_um(motor).abs() <= blind.end_stop_um));
-        estimates.push(f64::from(snapshot.rest_error_um[0]));
+        estimates.push(f64::from(snapshot.pins.rest.um[0]));
     }
     assert!(estimates[0] < 200.0 && warned == 1, "{estimates:?}, {warned} warnings");
     assert_eq!(estimates[1..], [blind.end_stop_um; 2]);

@@ -64,8 +64,8 @@ fn positions(rig: &Rig) -> impl Iterator<Item = f64> {
 fn estimates(rig: &mut Rig) -> Vec<f64> {
     rig.run_ms(1100);
     let snapshot = last_snapshot(&rig.take_events());
-    assert_eq!(*snapshot.source, [ErrorSource::DeadReckoning; MOTORS]);
-    snapshot.rest_error_um.iter().copied().map(f64::from).collect()
+    assert_eq!(*snapshot.pins.rest.source, [ErrorSource::DeadReckoning; MOTORS]);
+    snapshot.pins.rest.um.iter().copied().map(f64::from).collect()
 }
 
 /// Of 40 trials without telemetry and stop, the daemon plays three whole ones; the fourth ends at the limit, and the fifth is
@@ -86,7 +86,7 @@ fn forty_trials_without_telemetry_are_refused_at_the_limit_with_the_reason() {
                 },
                 Some(Err(refusal @ CommandError::DriftLimit { um, limit_um: 150 })) => {
                     refused += 1;
-                    assert_eq!(um, snapshot.rest_error_um[0].round() as u32);
+                    assert_eq!(um, snapshot.pins.rest.um[0].round() as u32);
                     let line = refusal.to_string();
                     assert!(
                         line.starts_with("pins may be 15") && line.contains("drift_limit_um = 150"),
@@ -97,8 +97,8 @@ fn forty_trials_without_telemetry_are_refused_at_the_limit_with_the_reason() {
                 other => panic!("{other:?}"),
             }
             assert_eq!(snapshot.state, State::Armed);
-            assert!(snapshot.rest_error_um[0] >= last_um, "it never shrinks by itself");
-            last_um = snapshot.rest_error_um[0];
+            assert!(snapshot.pins.rest.um[0] >= last_um, "it never shrinks by itself");
+            last_um = snapshot.pins.rest.um[0];
         }
         assert_eq!((whole, cut, refused), (3, 1, 36));
         // No pin is much farther than that; without the limit they would be: the worst of 24 is two or three deviations off.
@@ -203,7 +203,7 @@ fn arms_that_nobody_has_checked_leave_the_estimate() {
     // Only this motor is driven: the others have no estimate.
     let estimate = |rig: &mut Rig| {
         rig.run_ms(1100);
-        f64::from(last_snapshot(&rig.take_events()).rest_error_um[3])
+        f64::from(last_snapshot(&rig.take_events()).pins.rest.um[3])
     };
     let one = pattern("one", Some(1.0 / 60.0), [drive(3, 60.0, 80.0)]);
     let (mut um, mut taken) = (0.0, 0);

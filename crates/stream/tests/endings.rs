@@ -326,7 +326,7 @@ fn without_telemetry_the_rest_error_at_the_end_counts_every_stroke_so_far() {
         }
         // Nothing is left to be counted later.
         rig.run_ms(3000);
-        let settled = rig::last_snapshot(&rig.take_events()).rest_error_um[2];
+        let settled = rig::last_snapshot(&rig.take_events()).pins.rest.um[2];
         assert!((settled - last).abs() < 0.01 * settled, "{last} um at the last end, {settled} um later");
         // 17 strokes of 80 um a trial, or 12, scatter by 10 % each way, and drift by 2 % of their sum at most.
         let strokes = 40.0 * if stop_ms.is_some() { 12.0_f32 } else { 17.0 };

@@ -497,7 +497,7 @@ fn a_pin_that_is_held_for_too_long_comes_down_and_follows_the_next_level() {
     // Until a status says that the pins are still.
     live.run(2_000 * MS);
     assert_eq!(bursts_on_the_lines(&live.rig.mock.take_trace()).net[4], -300);
-    let (known, is) = (f64::from(last_snapshot(&live.events).rest_error_um[4]), live.rig.mock.position_um(4));
+    let (known, is) = (f64::from(last_snapshot(&live.events).pins.rest.um[4]), live.rig.mock.position_um(4));
     assert_closed(&into_outcomes(live.events).pop().expect("it ended"));
     assert!((known - is).abs() < 2.0, "{known} um where the pin is at {is} um");
 }

@@ -66,8 +66,8 @@ fn without_telemetry_a_minute_of_all_motors_stays_at_rest() {
         let mut rig = armed(0, seed);
         let (rms_um, _) = play(&mut rig, &all_motors(60.0, 60.0), 61_000);
         let snapshot = last_snapshot_now(&mut rig);
-        assert_eq!(*snapshot.source, [ErrorSource::LowerStop; MOTORS]);
-        let estimate = rms(snapshot.rest_error_um.iter().map(|&um| f64::from(um)));
+        assert_eq!(*snapshot.pins.rest.source, [ErrorSource::LowerStop; MOTORS]);
+        let estimate = rms(snapshot.pins.rest.um.iter().map(|&um| f64::from(um)));
         assert!(rms_um < 5.0, "{rms_um} um");
         assert!((0.6..1.7).contains(&(estimate / rms_um)), "estimate {estimate} um, really {rms_um} um");
     }
@@ -98,7 +98,7 @@ fn home_seeks_the_stop_and_knows_where_pins_are() {
     rig.run_ms(100);
     assert_eq!(answer(&rig.take_events(), home), Some(Ok(())));
     assert!(rig.rest_rms_um() < 1e-9);
-    assert_eq!(*last_snapshot_now(&mut rig).rest_error_um, [0.0; MOTORS]);
+    assert_eq!(*last_snapshot_now(&mut rig).pins.rest.um, [0.0; MOTORS]);
     // During a play it is refused.
     rig.start(&all_motors(60.0, 1.0), None);
     rig.run_ms(100);
@@ -197,22 +197,22 @@ fn no_play_is_taken_while_pins_go_home() {
 fn pins_are_at_rest_when_a_seek_is_over_and_not_before() {
     let mut rig = armed(0, 8);
     play(&mut rig, &all_motors(60.0, 2.0), 3_000);
-    let before = last_snapshot_now(&mut rig).rest_error_um;
+    let before = last_snapshot_now(&mut rig).pins.rest.um;
     assert!(before.iter().all(|&um| um > 0.5), "{before:?}");
     rig.send(Command::Home);
     rig.run_ms(50);
     let during = last_snapshot(&rig.take_events());
-    assert_eq!((during.state, during.rest_error_um), (State::Returning, before));
+    assert_eq!((during.state, during.pins.rest.um), (State::Returning, before));
     // An e-stop leaves pins somewhere on the way.
     rig.send(Command::EStop);
     rig.run_ms(300);
     let after = last_snapshot_now(&mut rig);
-    assert_eq!((after.state, after.rest_error_um), (State::Faulted, before));
+    assert_eq!((after.state, after.pins.rest.um), (State::Faulted, before));
     rig.send(Command::Reset { estops_seen: u64::MAX, keep: true });
     rig.run_ms(50);
     rig.send(Command::Arm { assume_rest: false });
     rig.run_ms(200);
-    assert_eq!(*last_snapshot(&rig.take_events()).rest_error_um, [0.0; MOTORS]);
+    assert_eq!(*last_snapshot(&rig.take_events()).pins.rest.um, [0.0; MOTORS]);
 }
 
 #[test]
@@ -241,7 +241,7 @@ fn a_new_daemon_does_not_take_pins_for_resting_that_it_has_not_seen() {
     let snapshot = last_snapshot_now(&mut rig);
     assert!(snapshot.position_known, "by the device");
     assert_eq!(
-        (&*snapshot.rest_error_um, &*snapshot.source),
+        (&*snapshot.pins.rest.um, &*snapshot.pins.rest.source),
         (&[500.0; MOTORS][..], &[ErrorSource::LowerStop; MOTORS][..])
     );
 }

@@ -18,7 +18,7 @@ fn now(rig: &mut Rig) -> Vec<(f64, f64, f64)> {
         let (low, high) = (um(pin.low), um(pin.high));
         (f64::midpoint(low, high), high - low, f64::from(pin.hz))
     };
-    snapshot.movements.iter().map(of).collect()
+    snapshot.pins.movements.iter().map(of).collect()
 }
 
 #[track_caller]

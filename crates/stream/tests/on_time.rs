@@ -41,7 +41,7 @@ fn play(rig: &mut Rig, pattern: &Pattern, seconds: f64, stop_ms: Option<u64>) ->
     rig.mock.take_trace();
     let events = rig.take_events();
     let faults = events.iter().filter(|event| matches!(event, StreamEvent::SensorFault { .. })).count();
-    let source = last_snapshot(&events).source;
+    let source = last_snapshot(&events).pins.rest.source;
     let blind = source.iter().filter(|&&source| source != ErrorSource::Telemetry).count();
     let outcome = into_outcomes(events).remove(0);
     assert_closed(&outcome);

@@ -159,8 +159,8 @@ impl Lab {
     fn assert_told(&mut self, what: &str) {
         let at = self.snapshot();
         for (motor, shaft) in self.shafts_um().into_iter().enumerate() {
-            let (is, said) = (um(self.net[motor]), f64::from(at.rest_error_um[motor]));
-            let height = um(i64::from(at.movements[motor].high));
+            let (is, said) = (um(self.net[motor]), f64::from(at.pins.rest.um[motor]));
+            let height = um(i64::from(at.pins.movements[motor].high));
             // The estimate adds what the motor may have scattered.
             assert!((shaft - 1.0..=is + 60.0).contains(&said), "{what}, pin {motor}: {said} um, is {shaft}");
             assert!((height - is).abs() < 0.1, "{what}, pin {motor}: height {height} um, is {is}");
@@ -213,9 +213,9 @@ fn a_pin_that_stands_after_a_restart_is_not_taken_for_at_rest() {
             matches!(lab.order(Command::ArmUnchecked, 100), Some(Err(CommandError::LevelNotChecked { um })) if f64::from(um) >= 0.95 * height_um)
         );
         let at = lab.snapshot();
-        assert!(!at.position_known && f64::from(at.rest_error_um[9]) >= 0.95 * height_um);
+        assert!(!at.position_known && f64::from(at.pins.rest.um[9]) >= 0.95 * height_um);
         assert_eq!(lab.order(Command::Arm { assume_rest: true }, 50), Some(Ok(())));
-        assert!(lab.snapshot().rest_error_um[9] < 1.0);
+        assert!(lab.snapshot().pins.rest.um[9] < 1.0);
     }
 }
 
@@ -257,8 +257,8 @@ fn status_says_how_high_pins_stand_in_every_phase() {
                 assert_eq!(lab.order(Command::Arm { assume_rest: false }, 400), Some(Ok(())), "{what}");
                 assert_eq!(lab.net, [0; MOTORS], "{what}: armed");
                 let at = lab.snapshot();
-                assert!(at.movements.iter().all(|pin| pin.high == 0), "{what}");
-                for (&said, is) in at.rest_error_um.iter().zip(lab.shafts_um()) {
+                assert!(at.pins.movements.iter().all(|pin| pin.high == 0), "{what}");
+                for (&said, is) in at.pins.rest.um.iter().zip(lab.shafts_um()) {
                     let said = f64::from(said);
                     assert!((is.abs() - 1.0..is.abs() + 45.0).contains(&said), "{what}: {said} um, is {is}");
                 }
@@ -301,12 +301,12 @@ fn reset_returns_the_pins_unless_they_must_not_move() {
         lab.order(Command::EStop, 50);
         let (stood, pulses) = (lab.net[9], lab.pulses);
         let at = lab.snapshot();
-        assert_eq!(at.standing.map_or(0, |(height, _)| i64::from(height)), stood, "{ms} ms");
-        let since = at.standing.map(|(_, since)| since);
+        assert_eq!(at.pins.standing.map_or(0, |(height, _)| i64::from(height)), stood, "{ms} ms");
+        let since = at.pins.standing.map(|(_, since)| since);
         assert_eq!(lab.order(reset(true), 50), Some(Ok(())));
         assert_eq!((lab.pulses, lab.rig.mock.controller().state()), (pulses, State::Disarmed));
         let at = lab.snapshot();
-        assert_eq!(at.standing.map(|(_, since)| since), since, "{ms} ms: its age counts from the stop");
+        assert_eq!(at.pins.standing.map(|(_, since)| since), since, "{ms} ms: its age counts from the stop");
         // A second reset returns them, and so does each later one that finds some.
         let ticket = lab.rig.send(reset(false));
         let armed = lab.rig.send(Command::Arm { assume_rest: false });
@@ -320,7 +320,7 @@ fn reset_returns_the_pins_unless_they_must_not_move() {
         assert_eq!((lab.net, lab.rig.mock.controller().state()), ([0; MOTORS], State::Disarmed));
         assert!(lab.answered.contains(&(ticket, Ok(()))));
         assert!(lab.answered.contains(&(armed, Err(CommandError::Returning))));
-        assert_eq!(lab.snapshot().standing, None);
+        assert_eq!(lab.snapshot().pins.standing, None);
         assert_eq!(lab.order(Command::Arm { assume_rest: false }, 50), Some(Ok(())));
     }
 }
@@ -351,7 +351,7 @@ fn an_emergency_stop_ends_the_return_of_a_reset() {
         lab.run(200);
         lab.order(Command::EStop, 50);
         let at = lab.snapshot();
-        let said: Vec<_> = at.movements.iter().map(|pin| i64::from(pin.high)).collect();
+        let said: Vec<_> = at.pins.movements.iter().map(|pin| i64::from(pin.high)).collect();
         assert_eq!(said, lab.net, "{ms} ms");
     }
 }
@@ -383,12 +383,12 @@ fn a_new_daemon_bounds_what_stands() {
     lab.rig.connect();
     lab.run(500);
     let at = lab.snapshot();
-    for (pin, net) in at.movements.iter().zip(lab.net) {
+    for (pin, net) in at.pins.movements.iter().zip(lab.net) {
         assert!((net..=outstanding).contains(&i64::from(pin.high)), "{at:?}");
     }
-    assert!(at.standing.is_some() && outstanding > 0);
+    assert!(at.pins.standing.is_some() && outstanding > 0);
     assert_eq!(lab.order(reset(false), 300), Some(Ok(())));
-    assert_eq!((lab.net, lab.snapshot().standing), ([0; MOTORS], None));
+    assert_eq!((lab.net, lab.snapshot().pins.standing), ([0; MOTORS], None));
 }
 
 /// An emergency stop in a seek of the lower stop: the device knows of no heights then, so pins stand as high as before until a seek is
@@ -414,15 +414,15 @@ fn a_seek_that_is_cut_leaves_the_heights() {
             lab.order(Command::EStop, 50);
             let at = lab.snapshot();
             let (what, is_um) = (format!("{ms} ms, {round}"), lab.rig.mock.position_um(9));
-            let (height, _) = at.standing.unwrap_or_else(|| panic!("{what}: {is_um} um, {at:?}"));
+            let (height, _) = at.pins.standing.unwrap_or_else(|| panic!("{what}: {is_um} um, {at:?}"));
             assert!(
-                um(height.into()) + 10.0 > is_um && f64::from(at.rest_error_um[9]) > is_um,
+                um(height.into()) + 10.0 > is_um && f64::from(at.pins.rest.um[9]) > is_um,
                 "{what}: {at:?}"
             );
             lab.order(reset(false), 300);
             assert_eq!(lab.order(Command::Arm { assume_rest: false }, 300), Some(Ok(())));
             let at = lab.snapshot();
-            assert_eq!((at.standing, at.rest_error_um[9]), (None, 0.0), "{what}");
+            assert_eq!((at.pins.standing, at.pins.rest.um[9]), (None, 0.0), "{what}");
         }
     }
 }
@@ -478,7 +478,7 @@ fn the_estimate_follows_returns_after_a_rest() {
             }
             lab.order(Command::Arm { assume_rest: false }, 100);
             assert_eq!((lab.net[9], lab.rig.mock.controller().state()), (0, State::Armed), "{what}");
-            let (said_um, is_um) = (f64::from(lab.snapshot().rest_error_um[9]), lab.shafts_um()[9].abs());
+            let (said_um, is_um) = (f64::from(lab.snapshot().pins.rest.um[9]), lab.shafts_um()[9].abs());
             let most_um = if matches!(by, Return::LostLink) && hold_ms < 500 { is_um + 15.0 } else { is_um };
             assert!(
                 (is_um - 1.0..=most_um + 1.0).contains(&said_um),
@@ -514,7 +514,9 @@ fn a_lost_link_leaves_no_height_behind() {
     lab.run(300);
     lab.rig.unplug();
     lab.run(50);
-    assert!(lab.latest.is_some_and(|at| at.standing.is_some_and(|(height, _)| um(height.into()) > 190.0)));
+    assert!(
+        lab.latest.is_some_and(|at| at.pins.standing.is_some_and(|(height, _)| um(height.into()) > 190.0))
+    );
     lab.rig.connect();
     lab.run(500);
     assert_eq!(lab.net, [0; MOTORS]);
@@ -635,7 +637,7 @@ impl Lab {
         }
         for (motor, off_um) in self.off_um().into_iter().enumerate() {
             let (said_um, high_um) =
-                (f64::from(at.rest_error_um[motor]), um(at.movements[motor].high.into()));
+                (f64::from(at.pins.rest.um[motor]), um(at.pins.movements[motor].high.into()));
             // The height of a pin that a play holds is no error; that of one that a cut has left is part of the error.
             let told_um = if off { said_um } else { said_um + high_um };
             assert!(

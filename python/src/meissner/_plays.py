@@ -14,7 +14,7 @@ from . import _kept, _sessions
 from . import _operations as ops
 from ._arguments import hints, listed, table
 from ._bodies import Labels, Verdict
-from ._operations import Accepted
+from ._operations import Accepted, Core
 from ._presses import Press
 from .clocks import Instant
 from .errors import MeissnerError, NotKnownYet
@@ -23,7 +23,6 @@ from .results import Item, Receipt
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
-    from .client import Client
     from .experiment.trials import Trial
 
 P = TypeVar("P")
@@ -33,8 +32,8 @@ P = TypeVar("P")
 class KnownPlay:
     """A play or live play that the daemon has taken, and what is known of it. It takes an answer."""
 
-    def __init__(self, client: Client, accepted: Accepted) -> None:
-        self._client, self._accepted = client, accepted
+    def __init__(self, core: Core, accepted: Accepted) -> None:
+        self._core, self._accepted = core, accepted
         self._receipt: Receipt | None = None
 
     @property
@@ -85,7 +84,7 @@ class KnownPlay:
 
     def refresh(self) -> Receipt:
         """Ask for the receipt as it is now."""
-        self._receipt = ops.receipt(self._client.core, self.id)
+        self._receipt = ops.receipt(self._core, self.id)
         return self._receipt
 
     def answer(
@@ -104,7 +103,7 @@ class KnownPlay:
         the onset of the play, and becomes the factors `response_tick` and `response_uncertainty_s`, too. What the daemon does not take
         is kept in a file of the user, which the error names.
         """
-        session = self._client.core.session
+        session = self._core.session
         with _kept.answer(
             session=session and session.id,
             play=self.id,
@@ -117,7 +116,7 @@ class KnownPlay:
             if isinstance(response, Press) and (self._receipt is None or self._receipt.onset is None):
                 self.refresh()
             onset = self.onset if isinstance(response, Press) else None
-            _sessions.answer(self._client.core, self._accepted, onset, response, correct, rt_ms, level, factors)
+            _sessions.answer(self._core, self._accepted, onset, response, correct, rt_ms, level, factors)
 
     def __repr__(self) -> str:
         state = self._receipt.state if self._receipt else "accepted"

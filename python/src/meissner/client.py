@@ -63,12 +63,12 @@ def _arming(operation: Callable[Concatenate[Core, P], T]) -> Callable[Concatenat
 
 
 def _played(client: Client, accepted: Accepted, trial: object) -> Play:
-    play = client.trials[trial] = Play(client, accepted)
+    play = client.trials[trial] = Play(client.core, accepted)
     return play
 
 
 def _lives(client: Client, started: _live.Started, trial: object) -> Live:
-    play = client.trials[trial] = Live(client, started)
+    play = client.trials[trial] = Live(client.core, started)
     return play
 
 
@@ -87,13 +87,13 @@ class Play(KnownPlay):
 
         Raises `PlayStopped` if it was stopped or aborted, unless `check` is False, and `TimeoutError` after `timeout` s.
         """
-        result = ops.wait(self._client.core, self._accepted, timeout)
+        result = ops.wait(self._core, self._accepted, timeout)
         self._receipt = result
         return ops.checked(result) if check else result
 
     def withdraw(self) -> Receipt:
         """Take the play out of the queue, and return its receipt. Raises `Playing` once it runs."""
-        self._receipt = ops.withdraw(self._client.core, self.id)
+        self._receipt = ops.withdraw(self._core, self.id)
         return self._receipt
 
 

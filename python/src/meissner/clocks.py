@@ -20,7 +20,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from ._arguments import hints, number
-from .errors import NotKnownYet
+from ._base import NotKnownYet
 
 NS = 1_000_000_000
 MAX_SKEW = 200e-6

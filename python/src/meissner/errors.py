@@ -8,12 +8,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, ClassVar
 
+from ._base import MeissnerError as MeissnerError
+from ._base import NotKnownYet as NotKnownYet
+
 if TYPE_CHECKING:
     from .results import Receipt
-
-
-class MeissnerError(Exception):
-    """Everything that this package raises on purpose."""
 
 
 class Unreachable(MeissnerError):
@@ -30,10 +29,6 @@ class UnexpectedAnswer(MeissnerError):
 
 class DaemonRestarted(MeissnerError):
     """The daemon was restarted after the play was ordered. The device is disarmed, and the play's result is in the session record."""
-
-
-class NotKnownYet(MeissnerError):
-    """The play has not come so far: call `wait()` first."""
 
 
 class PlayStopped(MeissnerError):

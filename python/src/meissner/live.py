@@ -29,7 +29,6 @@ from .results import LiveResult, Receipt
 if TYPE_CHECKING:
     from websockets.sync.client import ClientConnection
 
-    from .client import Client
 
 _CONNECT_TIMEOUT = 10.0
 _CLOSE_TIMEOUT = 1.0
@@ -41,13 +40,13 @@ _BUFFER = 1 << 20
 class Live(KnownPlay):
     """A live play. As a context manager it ends with its block; `receipt` and `wait()` then say what became of it."""
 
-    def __init__(self, client: Client, started: Started) -> None:
+    def __init__(self, core: Core, started: Started) -> None:
         """`Client.live()` makes them."""
-        super().__init__(client, started.accepted)
+        super().__init__(core, started.accepted)
         self._lock = threading.Condition(threading.Lock())
         self._updates = Updates(self.id, started.array, self._wait_for)
         self._is_over = threading.Event()
-        self._connection = _open(client.core, started.path)
+        self._connection = _open(core, started.path)
         threading.Thread(target=self._read, name="meissner-live", daemon=True).start()
 
     def send(self, *, drives: Drives | None = None, pose: Pose | None = None, scale: float | None = None) -> Update:
@@ -120,7 +119,7 @@ class Live(KnownPlay):
             except (ConnectionClosed, MeissnerError) as error:
                 lost = self._updates.lost(error)
                 self._hang_up()
-            receipt, failure = _live.outcome(self._client.core, self._updates, lost)
+            receipt, failure = _live.outcome(self._core, self._updates, lost)
         except Exception as error:  # A client that was closed meanwhile, or a mistake in this package.
             receipt, failure = None, self._updates.lost(repr(error))
         with self._lock:
@@ -143,7 +142,7 @@ class Live(KnownPlay):
         with self._lock:
             self._updates.wait_ends(update)
             raw = self._updates.answer(update)
-        return _live.result(self._client.core, raw)
+        return _live.result(self._core, raw)
 
     def end(self) -> None:
         """End the play, and wait until the daemon has ended it. The pins return.
@@ -174,7 +173,7 @@ class Live(KnownPlay):
             raise TimeoutError(f"live play {self.id} runs after {timeout} s: wait longer, or call `end()`")
         if self._receipt is None or not self._receipt.is_over:
             left = None if timeout is None else max(0.0, timeout - (time.monotonic() - begun))
-            self._receipt = ops.wait(self._client.core, self._accepted, left)
+            self._receipt = ops.wait(self._core, self._accepted, left)
         return ops.checked(self._receipt) if check and not self._updates.ended_as_asked else self._receipt
 
     def __enter__(self) -> Live:

@@ -27,10 +27,10 @@ pub(in crate::daemon) fn status(engine: &Engine, by: Option<&Asker>) -> Status {
     let motor = |at: &Snapshot, motor: u8| {
         let index = usize::from(motor);
         MotorStatus {
-            rest_error_um: at.rest_error_um[index],
-            source: at.source[index],
+            rest_error_um: at.pins.rest.um[index],
+            source: at.pins.rest.source[index],
             calibrated: is_calibrated(motor),
-            sensor_fault: at.sensor_faults[index],
+            sensor_fault: at.pins.sensor_faults[index],
             now: movement(at, motor),
         }
     };
@@ -136,7 +136,7 @@ fn tenths(number: f64) -> f64 {
 
 /// The pins that stand above rest, and since when.
 fn standing(at: &Snapshot, now: HostInstant) -> Option<StandingPins> {
-    let (pulses, since) = at.standing?;
+    let (pulses, since) = at.pins.standing?;
     let height_um = tenths(f64::from(pulses) * at.settings.array.motor().um_per_pulse);
     Some(StandingPins { height_um, age_s: tenths(now.since(since).as_secs_f64()) })
 }
@@ -146,7 +146,7 @@ fn movement(at: &Snapshot, motor: u8) -> Option<PinMovement> {
     if !at.connected || !at.position_known {
         return None;
     }
-    let of = at.movements.get(usize::from(motor))?;
+    let of = at.pins.movements.get(usize::from(motor))?;
     let um_per_pulse = at.settings.array.motor().um_per_pulse;
     let [low, high] = [of.low, of.high].map(|pulses| f64::from(pulses) * um_per_pulse);
     let (height_um, swing_um) = (tenths(f64::midpoint(low, high)), tenths(high - low));

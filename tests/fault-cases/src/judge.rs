@@ -131,7 +131,8 @@ impl Expect {
 /// Motors whose position is known by dead reckoning only, in the second half of a play.
 fn unmeasured(snapshot: &Snapshot) -> u64 {
     let half = PLAY.as_secs_f64() / 2.0;
-    let sources = snapshot.source.iter().filter(|source| matches!(source, ErrorSource::DeadReckoning));
+    let sources =
+        snapshot.pins.rest.source.iter().filter(|source| matches!(source, ErrorSource::DeadReckoning));
     if snapshot.play.is_some_and(|(_, played_s)| played_s > half) { sources.count() as u64 } else { 0 }
 }
 

@@ -26,14 +26,39 @@ use std::sync::Arc;
 /// Steps and knots that are looked at for a move, at most; some thousand knots more if the last step has so many. Some 50 µs of work.
 const MOST_WORK: u64 = 4_096;
 
+/// A waveform of a pattern, so many times as high.
 #[derive(Clone, Debug)]
-pub(super) struct MotionLane {
-    array: Array,
-    rule: Rule,
+struct Scaled {
     /// The pattern's waveforms, and which of them this is.
     waveforms: Arc<[(u8, Waveform)]>,
     of: usize,
     scale: f64,
+}
+
+impl Scaled {
+    fn motor(&self) -> u8 {
+        self.waveforms[self.of].0
+    }
+
+    fn unscaled(&self) -> &Waveform {
+        &self.waveforms[self.of].1
+    }
+
+    fn highest_um(&self) -> f64 {
+        self.scale * self.unscaled().extremes_um()[1]
+    }
+
+    /// [`Waveform::stays_until`]; the scale is not 0.
+    fn stays_until(&self, from_ns: u64, within_um: [f64; 2]) -> (u64, usize) {
+        self.unscaled().stays_until(from_ns, within_um.map(|um| um / self.scale))
+    }
+}
+
+#[derive(Clone, Debug)]
+pub(super) struct MotionLane {
+    array: Array,
+    rule: Rule,
+    waveform: Scaled,
     tried_s: f64,
     surplus: Surplus,
     duration_s: Option<f64>,
@@ -67,16 +92,15 @@ impl MotionLane {
         let (array, waveforms) = (pattern.array(), pattern.shared_waveforms());
         let (duration_s, scale, tried_s) = (pattern.duration_s(), options.scale, options.tried_s);
         (0..waveforms.len()).map(move |of| {
-            let (motor, waveform) = &waveforms[of];
-            let (motor, rule) = (*motor, Rule::new(array, grid));
+            let waveform = Scaled { waveforms: waveforms.clone(), of, scale };
+            let (motor, rule) = (waveform.motor(), Rule::new(array, grid));
+            let span_ns = waveform.unscaled().span_ns();
             Self {
                 array,
                 rule,
-                is_silent: scale * waveform.extremes_um()[1] < rule.kept_um(0)[1],
-                over: waveforms[of].1.span_ns().map_or(0, |(_, until)| tick_of(until, array.rate())),
-                waveforms: waveforms.clone(),
-                of,
-                scale,
+                is_silent: waveform.highest_um() < rule.kept_um(0)[1],
+                over: span_ns.map_or(0, |(_, until)| tick_of(until, array.rate())),
+                waveform,
                 tried_s,
                 surplus: options.surplus.clone(),
                 duration_s,
@@ -97,7 +121,7 @@ impl MotionLane {
     }
 
     pub(super) fn motor(&self) -> u8 {
-        self.waveforms[self.of].0
+        self.waveform.motor()
     }
 
     /// The grid of its moves.
@@ -112,8 +136,8 @@ impl MotionLane {
 
     /// The motor's waveform in one run, as high as it is played.
     pub(super) fn scaled(&self) -> Waveform {
-        let whole = self.waveforms[self.of].1.clone();
-        if self.scale == 1.0 { whole } else { whole.scaled(self.scale) }
+        let (whole, scale) = (self.waveform.unscaled().clone(), self.waveform.scale);
+        if scale == 1.0 { whole } else { whole.scaled(scale) }
     }
 
     /// Goes back to the beginning of a play that ends at `end`; returns when the first move begins.
@@ -189,9 +213,8 @@ impl MotionLane {
     fn skip(&mut self, start: u64) {
         let (step, rate) = (u64::from(self.rule.step), self.rule.rate);
         // A scale of 0 is silent, and never comes here.
-        let kept_um = self.rule.kept_um(self.level).map(|um| um / self.scale);
-        let (steady, knots) =
-            self.waveforms[self.of].1.stays_until(ns_at(start - self.repeat.start, rate), kept_um);
+        let kept_um = self.rule.kept_um(self.level);
+        let (steady, knots) = self.waveform.stays_until(ns_at(start - self.repeat.start, rate), kept_um);
         self.work += knots as u64;
         let steady = if steady == u64::MAX { NEVER } else { tick_of(steady, rate).saturating_sub(1) };
         let until = steady.saturating_add(self.repeat.start).min(self.repeat.end);
@@ -209,7 +232,7 @@ impl MotionLane {
             let until = to.min(repeat.end);
             let [begin, end] = [at, until].map(|tick| ns_at(tick - repeat.start, rate));
             let Section { rise_um, mean_um, extremes_um: [low, high], knots } =
-                self.waveforms[self.of].1.section(begin, end);
+                self.waveform.unscaled().section(begin, end);
             let share = (until - at) as f64 / (to - from) as f64;
             let before = whole.unwrap_or(Section { extremes_um: [low, high], ..Section::default() });
             whole = Some(Section {
@@ -220,12 +243,12 @@ impl MotionLane {
             });
             (at, repeat) = (until, Repeat::of(repeat.number + 1, self.duration_s, rate));
         }
-        let whole = whole.unwrap_or_default();
+        let (whole, scale) = (whole.unwrap_or_default(), self.waveform.scale);
         Section {
             knots: whole.knots,
-            rise_um: self.scale * whole.rise_um,
-            mean_um: self.scale * whole.mean_um,
-            extremes_um: whole.extremes_um.map(|um| self.scale * um),
+            rise_um: scale * whole.rise_um,
+            mean_um: scale * whole.mean_um,
+            extremes_um: whole.extremes_um.map(|um| scale * um),
         }
     }
 }

@@ -29,7 +29,7 @@ pub use error::{CommandError, MAX_QUEUED_PLAYS, refusal_text};
 pub use estop::{ESTOP_TICKETS, EStopSwitch};
 pub use live::{Applied, LiveResult, LiveUpdate};
 pub use message::{Command, Emit, Request, StreamEvent};
-pub use outcome::{End, Movement, Onset, Outcome, RestErrors, Snapshot};
+pub use outcome::{End, Movement, Onset, Outcome, Pins, RestErrors, Snapshot};
 pub use play::{At, Edge, HOLD_ALWAYS, Item, Play, Stamp};
 
 /// Most requests that wait. The model checker has small queues, so that they become full.

@@ -117,6 +117,21 @@ pub struct Movement {
     pub hz: f32,
 }
 
+/// What is known of the pins at one instant.
+#[derive(Clone, Copy, Debug)]
+pub struct Pins {
+    /// The estimated rest errors.
+    pub rest: RestErrors,
+    /// Why a motor's telemetry is not trusted.
+    pub sensor_faults: PerMotor<Option<SensorFault>>,
+    /// What each pin did in the 0.2 s before.
+    pub movements: PerMotor<Movement>,
+    /// The height in pulses of the highest pin that a cut has left above rest, and since when; `None`: all have come back.
+    pub standing: Option<(u16, HostInstant)>,
+    /// Telemetry shows all pins, or did until the last cut: a device sends none while it is disarmed.
+    pub seen: bool,
+}
+
 /// A finished play.
 #[derive(Debug)]
 pub struct Outcome {
@@ -177,18 +192,8 @@ pub struct Snapshot {
     pub lead_ms: f64,
     /// The settings in use.
     pub settings: Settings,
-    /// Estimated rest error per motor, µm.
-    pub rest_error_um: PerMotor<f32>,
-    /// Where the estimates come from.
-    pub source: PerMotor<ErrorSource>,
-    /// Why a motor's telemetry is not trusted.
-    pub sensor_faults: PerMotor<Option<SensorFault>>,
-    /// What each pin did in the 0.2 s before `tick`.
-    pub movements: PerMotor<Movement>,
-    /// The height in pulses of the highest pin that a cut has left above rest, and since when; `None`: all have come back.
-    pub standing: Option<(u16, HostInstant)>,
-    /// Telemetry shows all pins, or did until the last cut: a device sends none while it is disarmed.
-    pub pins_seen: bool,
+    /// What is known of the pins.
+    pub pins: Pins,
     /// Measured capacity of the line, bytes/s; `None` before the link probe.
     pub line_bytes_per_s: Option<u32>,
     /// Bytes and frames since the device was connected.

@@ -23,7 +23,7 @@ mod updates;
 use crate::active::{Active, Phase};
 use crate::control::PositionControl;
 use crate::link::{Budget, Event, LineRate, Session};
-use crate::queues::{CommandError, Emit, MAX_QUEUED_PLAYS, Snapshot, StreamEvent};
+use crate::queues::{CommandError, Emit, MAX_QUEUED_PLAYS, Pins, Snapshot, StreamEvent};
 use crate::settings::Settings;
 use crate::time::HostInstant;
 use firmware_protocol::frame::MAX_FRAME;
@@ -263,7 +263,6 @@ impl Streamer {
     fn snapshot(&self, now: HostInstant) -> Snapshot {
         let open = self.session.as_ref().filter(|session| session.is_open());
         let tick = self.tick_at(now).unwrap_or_default();
-        let rest = self.control.rest_error_um(tick);
         let status = self.known.status.map(|(status, _)| status);
         let running =
             self.plays.iter().rev().find(|active| {
@@ -289,12 +288,15 @@ impl Streamer {
             play: running.map(played),
             lead_ms: if self.short_of_credits && running.is_some() { lead } else { self.settings.lead_ms },
             settings: self.settings,
-            rest_error_um: rest.um,
-            source: rest.source,
-            sensor_faults: self.control.faults(),
-            movements: self.control.movements(tick, status.map_or(State::Disarmed, |status| status.state)),
-            standing: self.standing_since.map(|since| (self.control.highest_standing(), since)),
-            pins_seen: self.control.sees_all(),
+            pins: Pins {
+                rest: self.control.rest_error_um(tick),
+                sensor_faults: self.control.faults(),
+                movements: self
+                    .control
+                    .movements(tick, status.map_or(State::Disarmed, |status| status.state)),
+                standing: self.standing_since.map(|since| (self.control.highest_standing(), since)),
+                seen: self.control.sees_all(),
+            },
             line_bytes_per_s: self.session.as_ref().and_then(Session::capacity),
             traffic: self.session.as_ref().map(Session::traffic).unwrap_or_default(),
             board: self.known.board,

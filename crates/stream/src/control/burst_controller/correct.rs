@@ -40,7 +40,7 @@ impl BurstController {
     /// Marks the next burst's count as final.
     pub(super) fn finalise(&mut self) {
         let Queued { burst, level, .. } = self.queue[self.finalised];
-        let counted = if level == 0 && self.lower_stop {
+        let counted = if level == 0 && self.has_lower_stop() {
             // The burst takes the pin down to the stop from wherever it is, and no further.
             let um_per_pulse = self.um_per_pulse();
             let pulses = self.position_um() / (um_per_pulse * self.estimator.gain(Direction::Down));
@@ -87,7 +87,8 @@ impl BurstController {
         let way = match burst.direction {
             Direction::Down => position - f64::from(level),
             Direction::Up => {
-                let is_down = |next: &&Queued| next.burst.direction == Direction::Down && !self.lower_stop;
+                let is_down =
+                    |next: &&Queued| next.burst.direction == Direction::Down && !self.has_lower_stop();
                 // What the next burst can undo at most.
                 let top = self.queue.get(at + 1).filter(is_down).map_or(f64::INFINITY, |next| {
                     let down = f64::from(most(at + 1)) * self.estimator.gain(Direction::Down);
@@ -133,7 +134,7 @@ impl BurstController {
             let measured = fresh && self.anchored && self.monitor.allows_correction(now);
             // Calibrated gains correct without telemetry too, all but the scatter.
             let reckoned = !fresh && self.is_calibrated() && self.monitor.fault().is_none();
-            let corrects = queued.closed_loop && !(queued.lands() && self.lower_stop);
+            let corrects = queued.closed_loop && !(queued.lands() && self.has_lower_stop());
             if (measured || reckoned) && corrects && queued.accepted && burst.start >= now + send_by {
                 let (pulses, limited_um) = self.target_pulses(&free, may_lengthen);
                 let limited_um = limited_um.map(|um| um as f32);

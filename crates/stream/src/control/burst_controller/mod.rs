@@ -1,6 +1,7 @@
 //! The burst controller of one motor: tracks the bursts sent and decides the pulse count of each.
 //!
-//! `correct` decides the counts, `rest` says where the pin rests between plays and without telemetry, `trail` what the pin did lately.
+//! `correct` decides the counts, `rest` says where the pin rests between plays and without telemetry, `trail` what the pin did lately,
+//! `last_cut` which bursts a cut has found begun.
 //!
 //! [`BurstController::correct`] finalises the count of a burst shortly before it begins. The [`Estimator`] predicts where the
 //! shaft will be then; the new count leads from there to the burst's level. The control is dead-beat: it corrects the whole known error
@@ -24,6 +25,7 @@
 //! variance of the rest error from stroke to stroke ([`ReflectedWalk::after`]).
 
 mod correct;
+mod last_cut;
 mod rest;
 mod trail;
 
@@ -36,19 +38,19 @@ use crate::queues::Movement;
 use firmware_protocol::controller::POOL;
 use firmware_protocol::stroke::Direction;
 use firmware_protocol::tick::Tick;
+use last_cut::LastCut;
 use meissner_api::SensorFault;
 use meissner_array::motor::HalfTick;
 use meissner_array::reflected_walk::Bursts;
 use meissner_array::spec::Array;
 use meissner_array::strokes::{Burst, Step};
 use meissner_array::units::TickRate;
+use rest::Reckoned;
 use std::collections::VecDeque;
 use trail::{Passed, Trail};
 
 /// Bursts of one motor that may begin in [`Times::longest_age`]: strokes at 300 Hz, moves every 1.6 ms.
 const PAST: usize = 800;
-/// Bursts that a motor remembers after a cut: those that began until the device said when it cut. It says so within milliseconds.
-const CUT: usize = 32;
 
 /// The controller of one motor.
 #[derive(Debug)]
@@ -61,11 +63,7 @@ pub(crate) struct BurstController {
     trail: Trail,
     /// The bursts that have begun since the pin was last at rest.
     bursts: Bursts,
-    /// The last bursts that had begun when the queue was last cut, and the level before them, pulses above rest.
-    cut: heapless::Deque<Queued, CUT>,
-    cut_level: u16,
-    /// Bursts before this tick are no part of the last cut: the pin was at rest since.
-    rested: Tick,
+    last_cut: LastCut,
     /// How many bursts at the front of `queue` the estimator knows as begun.
     begun: usize,
     /// How many bursts at the front of `queue` have a final count.
@@ -79,15 +77,9 @@ pub(crate) struct BurstController {
     anchored: bool,
     /// The last move: from this position, µm, by this expected shift, µm.
     move_from: Option<(f64, f64)>,
-    /// The array has a lower stop.
-    lower_stop: bool,
     /// With a lower stop: mean and variance of the rest error, µm and µm².
-    landing: [f64; 2],
-    /// Dead reckoning since the last sample: variance by scatter, µm², and summed amplitudes, which asymmetry multiplies, µm.
-    scattered: f64,
-    reckoned_travel_um: f64,
-    /// Travel up and down since the last sample, of bursts and shifts at a gain of 1, µm: new gains apply to it, too.
-    reckoned_um: [f64; 2],
+    landing: Option<[f64; 2]>,
+    reckoned: Reckoned,
 }
 
 impl BurstController {
@@ -103,9 +95,7 @@ impl BurstController {
             level: 0,
             trail: Trail::new(),
             bursts: Bursts::default(),
-            cut: heapless::Deque::new(),
-            cut_level: 0,
-            rested: Tick(0),
+            last_cut: LastCut::default(),
             begun: 0,
             finalised: 0,
             pending: [0; 2],
@@ -114,17 +104,18 @@ impl BurstController {
             monitor: TelemetryMonitor::new(array.rate()),
             anchored: false,
             move_from: None,
-            lower_stop: false,
-            landing: [0.0; 2],
-            scattered: 0.0,
-            reckoned_travel_um: 0.0,
-            reckoned_um: [0.0; 2],
+            landing: None,
+            reckoned: Reckoned::default(),
         }
     }
 
-    /// Whether the array has a lower stop.
+    /// Whether the array has a lower stop; then the pin is at it.
     pub(crate) fn set_lower_stop(&mut self, lower_stop: bool) {
-        self.lower_stop = lower_stop;
+        self.landing = lower_stop.then_some([0.0; 2]);
+    }
+
+    const fn has_lower_stop(&self) -> bool {
+        self.landing.is_some()
     }
 
     /// Tracks a step sent; its play ends at `until`. Steps come in order. Calls `gone` as [`Self::advance`] does.
@@ -171,11 +162,8 @@ impl BurstController {
 
     /// How many moves the step has that begins at this tick, also after a cut; of an unknown one, as many as a stroke.
     pub(crate) fn moves_at(&self, begin: Tick) -> usize {
-        let cut = || {
-            let at = self.cut.iter().position(|queued| queued.burst.start == begin)?;
-            Some(1 + usize::from(self.cut.iter().nth(at + 1).is_some_and(|next| next.joined)))
-        };
-        self.find(begin).map(|(_, bursts)| bursts).or_else(cut).unwrap_or(2)
+        let queued = self.find(begin).map(|(_, bursts)| bursts);
+        queued.or_else(|| self.last_cut.moves_at(begin)).unwrap_or(2)
     }
 
     /// The level before the burst at this place, pulses above rest.
@@ -192,11 +180,7 @@ impl BurstController {
 
     /// The device will not play the step that begins at this tick.
     pub(crate) fn withdrawn(&mut self, begin: Tick) {
-        let mut is_first = false;
-        self.cut.retain(|queued| {
-            let is_second = std::mem::replace(&mut is_first, queued.burst.start == begin) && queued.joined;
-            !is_first && !is_second
-        });
+        self.last_cut.withdrawn(begin);
         let Some((at, bursts)) = self.find(begin) else { return };
         if self.begun > at {
             // The estimator took it as played: the position is unknown until the next sample.
@@ -315,13 +299,8 @@ impl BurstController {
         if self.queue.is_empty() && self.level == 0 {
             return;
         }
-        self.cut.clear();
         let begun = self.queue.iter().filter(|queued| queued.burst.start < tick);
-        for queued in begun.rev().take(CUT) {
-            // Cannot fail: there is room for as many.
-            let _ = self.cut.push_front(*queued);
-        }
-        self.cut_level = self.cut.front().map_or(self.level, Queued::level_before);
+        self.last_cut.remember(begun, self.level);
     }
 
     /// The highest level that the pin may have had since bursts last left the queue and until `tick`, pulses above rest.
@@ -332,18 +311,16 @@ impl BurstController {
 
     /// The level at the tick of a cut, pulses above rest, before [`Self::cut`] or after it.
     pub(crate) fn height_at(&self, tick: Tick) -> u16 {
-        let begun = |queued: &&Queued| queued.burst.start < tick;
-        if !self.queue.is_empty() || self.level > 0 {
-            return self.queue.iter().rev().find(begun).map_or(self.level, |last| last.level_at(tick));
+        if self.queue.is_empty() && self.level == 0 {
+            return self.last_cut.height_at(tick);
         }
-        let cut = self.cut.iter().rev().filter(|queued| queued.burst.start >= self.rested);
-        cut.into_iter().find(begun).map_or(self.cut_level, |last| last.level_at(tick))
+        let last = self.queue.iter().rev().find(|queued| queued.burst.start < tick);
+        last.map_or(self.level, |last| last.level_at(tick))
     }
 
     /// The device's clock has begun again: no tick of the past means anything.
     pub(crate) fn restarted(&mut self) {
-        self.cut.clear();
-        (self.cut_level, self.rested) = (0, Tick(0));
+        self.last_cut = LastCut::default();
         self.estimator.ended(None);
     }
 
@@ -357,11 +334,9 @@ impl BurstController {
         cut: Option<Cutting>,
     ) -> Result<Option<Tick>, Forgotten> {
         let at = cut.map_or(Tick(u64::MAX), |cut| cut.at);
-        if self.cut.is_full() && self.cut.front().is_some_and(|first| first.burst.start >= at.max(from)) {
-            return Err(Forgotten);
-        }
+        let before = self.last_cut.since(at.max(from))?;
         let queued = self.queue.iter().filter(|queued| queued.accepted || cut.is_some());
-        let mut played = self.cut.iter().chain(queued).filter(|queued| {
+        let mut played = before.chain(queued).filter(|queued| {
             let start = queued.burst.start;
             start >= from && start < until.min(at)
         });
@@ -477,11 +452,13 @@ impl BurstController {
         self.estimator.forget(HalfTick::from(burst.start), &mut *over);
         let planned = next.planned - next.surplus;
         self.bursts.add(sign(burst.direction) * f64::from(planned) * self.um_per_pulse());
-        let merged = if next.lands() && self.lower_stop {
-            self.landing = self.walk(next.surplus).after(self.landing);
-            self.estimator.begin_stopped(burst, self.landing)
-        } else {
-            self.estimator.begin(burst)
+        let merged = match self.landing.filter(|_| next.lands()) {
+            Some(before) => {
+                let landing = self.walk(next.surplus).after(before);
+                self.landing = Some(landing);
+                self.estimator.begin_stopped(burst, landing)
+            }
+            None => self.estimator.begin(burst),
         };
         if next.lands() {
             self.bursts = Bursts::default();
@@ -490,14 +467,11 @@ impl BurstController {
             over(travel);
         }
         self.begun += 1;
-        if !self.lower_stop {
+        if !self.has_lower_stop() {
             let um_per_pulse = self.um_per_pulse();
-            let um = f64::from(planned) * um_per_pulse;
-            self.scattered += (self.estimator.scatter() * um).powi(2);
-            if burst.direction == Direction::Down {
-                self.reckoned_travel_um += um;
-            }
-            self.reckoned_um[gain_index(burst.direction)] += counted as f64 / 10.0 * um_per_pulse;
+            let [um, counted_um] =
+                [planned.into(), counted as f64 / 10.0].map(|pulses| pulses * um_per_pulse);
+            self.reckoned.burst(burst.direction, um, counted_um, self.estimator.scatter());
         }
     }
 
@@ -531,7 +505,7 @@ impl BurstController {
             monitor.travel(&travel, gains.mean[gain_index(travel.burst.direction)], &self.estimator);
             over(travel);
         }
-        self.forget_reckoned();
+        self.reckoned = Reckoned::default();
         if self.monitor.fault().is_some() {
             // Forget what the faulty telemetry taught.
             self.estimator.relearn(&self.gains);

@@ -10,6 +10,34 @@ use firmware_protocol::tick::Tick;
 use meissner_array::reflected_walk::{Bursts, ReflectedWalk, Spread};
 use meissner_array::strokes::Burst;
 
+/// Dead reckoning since the last sample.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Reckoned {
+    /// Variance by scatter, µm².
+    scattered: f64,
+    /// Summed amplitudes, which asymmetry multiplies, µm.
+    travel_um: f64,
+    /// Travel up and down, of bursts and shifts at a gain of 1, µm: new gains apply to it, too.
+    um: [f64; 2],
+}
+
+impl Reckoned {
+    /// A burst of `um` has begun; it counts as `counted_um`, of which this share scatters.
+    pub(super) fn burst(&mut self, direction: Direction, um: f64, counted_um: f64, scatter: f64) {
+        self.scattered += (scatter * um).powi(2);
+        if direction == Direction::Down {
+            self.travel_um += um;
+        }
+        self.um[gain_index(direction)] += counted_um;
+    }
+
+    /// Error of the rest position, one standard deviation, µm.
+    fn sd_um(&self, asymmetry: f64) -> f64 {
+        let drift = asymmetry * self.travel_um;
+        (self.scattered + drift * drift).sqrt()
+    }
+}
+
 impl BurstController {
     /// The device has flushed the queue at `tick` and returns the pin.
     pub(crate) fn cut(&mut self, tick: Tick) {
@@ -30,13 +58,12 @@ impl BurstController {
         self.queue.clear();
         (self.begun, self.finalised, self.pending, self.level) = (0, 0, [0; 2], 0);
         self.bursts = Bursts::default();
-        if self.lower_stop {
+        if let Some([mean, variance]) = self.landing {
             // The return ends at the stop, too.
-            let [mean, variance] = self.landing;
             self.estimator.rest_at(mean, variance);
         } else {
             self.estimator.rest_at(rest_um, self.estimator.variance() + 2.0 * unsure * unsure);
-            self.scattered += 2.0 * unsure * unsure;
+            self.reckoned.scattered += 2.0 * unsure * unsure;
         }
         (self.anchored, self.move_from) = (false, None);
     }
@@ -56,13 +83,13 @@ impl BurstController {
     /// The device has brought the pin down by so many pulses of its height, in one burst until `tick`: not by the whole height, if its
     /// gain is low or it has rested. A lower stop brings it to rest all the same.
     fn came_down(&mut self, pulses: u16, tick: Tick) {
-        if pulses == 0 || self.lower_stop {
+        if pulses == 0 || self.has_lower_stop() {
             return;
         }
         let ideal_um = f64::from(pulses) * self.um_per_pulse();
         let rest = self.return_rest(pulses, tick);
         self.estimator.shift(ideal_um * (1.0 - rest * self.estimator.gain(Direction::Down)));
-        self.reckoned_um[gain_index(Direction::Down)] += rest * ideal_um;
+        self.reckoned.um[gain_index(Direction::Down)] += rest * ideal_um;
         self.estimator.moved(tick);
     }
 
@@ -70,7 +97,7 @@ impl BurstController {
     pub(crate) fn short_um(&self, pulses: u16, tick: Tick) -> f64 {
         let ideal_um = f64::from(pulses) * self.um_per_pulse();
         let gain = self.return_rest(pulses, tick) * self.estimator.gain(Direction::Down);
-        if self.lower_stop { 0.0 } else { ideal_um * (1.0 - gain) }
+        if self.has_lower_stop() { 0.0 } else { ideal_um * (1.0 - gain) }
     }
 
     /// Mean gain, relative to the motor's, of a return by so many pulses until `tick`.
@@ -82,7 +109,7 @@ impl BurstController {
     /// The pin is at rest at `tick`, after a cut: it has come down by so many pulses.
     pub(crate) fn returned(&mut self, pulses: u16, tick: Tick) {
         self.came_down(pulses, tick);
-        (self.cut_level, self.rested) = (0, tick);
+        self.last_cut.returned(tick);
     }
 
     /// The pin stands so many pulses lower than known so far, at `tick`. If it had rested, its height was known, and this is a part of a
@@ -100,16 +127,15 @@ impl BurstController {
     /// The operator says that the pin is at rest.
     pub(crate) fn assume_rest(&mut self) {
         self.estimator.rest_at(0.0, 1.0);
-        self.landing = [0.0; 2];
-        self.forget_reckoned();
+        self.landing = self.landing.map(|_| [0.0; 2]);
+        self.reckoned = Reckoned::default();
     }
 
     /// The pin may be anywhere up to `um` from rest, one standard deviation.
     pub(crate) fn lose_rest(&mut self, um: f64) {
         self.estimator.rest_at(0.0, um * um);
-        self.landing = [0.0, um * um];
-        self.forget_reckoned();
-        self.scattered = um * um;
+        self.landing = self.landing.map(|_| [0.0, um * um]);
+        self.reckoned = Reckoned { scattered: um * um, ..Reckoned::default() };
     }
 
     /// The pin stands so many pulses above rest, and counts as at rest from here on.
@@ -120,13 +146,8 @@ impl BurstController {
         let um = f64::from(pulses) * self.um_per_pulse();
         let (up, unsure) = (self.rest_um() + um, (self.estimator.scatter() * um).powi(2));
         self.estimator.rest_at(up, self.estimator.variance() + unsure);
-        self.landing[0] += um;
-        self.scattered += unsure;
-    }
-
-    /// Ends dead reckoning, because something has shown where the pin is.
-    pub(super) fn forget_reckoned(&mut self) {
-        (self.scattered, self.reckoned_travel_um, self.reckoned_um) = (0.0, 0.0, [0.0; 2]);
+        self.landing = self.landing.map(|[mean, variance]| [mean + um, variance]);
+        self.reckoned.scattered += unsure;
     }
 
     /// Uses the gains of a calibration, also for what was reckoned so far: the offset that they explain is known from now on, and
@@ -135,7 +156,7 @@ impl BurstController {
         let before = [Direction::Up, Direction::Down].map(|direction| self.estimator.gain(direction));
         self.gains = *gains;
         self.estimator.relearn(gains);
-        let explained = [Direction::Up, Direction::Down].into_iter().zip(before).zip(self.reckoned_um);
+        let explained = [Direction::Up, Direction::Down].into_iter().zip(before).zip(self.reckoned.um);
         let explained = explained.map(|((direction, before), um)| {
             sign(direction) * (self.estimator.gain(direction) - before) * um
         });
@@ -160,17 +181,17 @@ impl BurstController {
         let (shift, scatter) = (sign(direction) * um, self.estimator.scatter() * um);
         let before = self.estimator.position_um();
         let (mut after, variance) = (before + shift, self.estimator.variance() + scatter * scatter);
-        if self.lower_stop {
+        if let Some(landing) = &mut self.landing {
             after = after.max(0.0);
-            self.landing = [after, variance];
+            *landing = [after, variance];
         }
         self.move_from = self.anchored.then_some((before, after - before));
         self.estimator.rest_at(after, variance);
         // A move goes one way only, so the whole uncertainty of its gain counts.
         let ideal_um = rest * f64::from(pulses) * self.um_per_pulse();
         let unsure = self.gains.sd[gain_index(direction)] * ideal_um;
-        self.scattered += scatter * scatter + unsure * unsure;
-        self.reckoned_um[gain_index(direction)] += ideal_um;
+        self.reckoned.scattered += scatter * scatter + unsure * unsure;
+        self.reckoned.um[gain_index(direction)] += ideal_um;
         self.anchored = false;
     }
 
@@ -198,16 +219,10 @@ impl BurstController {
     /// Distance from rest to expect by dead reckoning, root mean square, µm: the expected offset and what is uncertain. 0 if
     /// nothing was reckoned since the last sample.
     pub(crate) fn dead_reckoning_um(&self) -> f64 {
-        match self.dead_reckoning_sd_um() {
+        match self.reckoned.sd_um(ASYMMETRY.min(self.estimator.asymmetry_sd())) {
             0.0 => 0.0,
             sd => sd.hypot(self.rest_um()),
         }
-    }
-
-    /// Error of the rest position since the last sample, one standard deviation, µm.
-    fn dead_reckoning_sd_um(&self) -> f64 {
-        let drift = ASYMMETRY.min(self.estimator.asymmetry_sd()) * self.reckoned_travel_um;
-        (self.scattered + drift * drift).sqrt()
     }
 
     /// The rest error of excursions of the bursts since the last rest, with this surplus, from one to the next.
@@ -224,8 +239,7 @@ impl BurstController {
 
     /// With a lower stop: root mean square of the rest error to expect, µm.
     pub(crate) fn landing_rms_um(&self) -> Option<f64> {
-        let [mean, variance] = self.landing;
-        self.lower_stop.then(|| (mean * mean + variance).sqrt())
+        self.landing.map(|[mean, variance]| (mean * mean + variance).sqrt())
     }
 }
 

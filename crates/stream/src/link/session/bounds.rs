@@ -50,6 +50,34 @@ fn stroke_pulses(layout: &Layout) -> u64 {
     u64::from(layout.max_up_pulses()) + u64::from(layout.max_down_pulses())
 }
 
+/// What the session has asked for since the last command whose epoch a status named.
+#[derive(Clone, Copy, Debug)]
+struct Ordered {
+    arms: bool,
+    resets: bool,
+    /// To seek the lower stop.
+    seeks: bool,
+}
+
+impl Ordered {
+    /// A command is about to be sent.
+    fn command(&mut self, op: &Op) {
+        self.arms |= matches!(op, Op::Arm { .. });
+        self.resets |= matches!(op, Op::Reset);
+        self.seeks |= match op {
+            Op::Arm { lower_stop, .. } => lower_stop.is_some_and(|stop| stop.seek > 0),
+            op => matches!(op, Op::Seek { .. }),
+        };
+    }
+
+    /// A status names the epoch of the last command.
+    fn answered(&mut self, state: State) {
+        (self.arms, self.resets) = (false, false);
+        // The position is known when the seek is over, unless it was cut.
+        self.seeks &= state == State::Returning;
+    }
+}
+
 /// What the session knows of the device besides the stream.
 #[derive(Clone, Debug)]
 pub(super) struct DeviceKnowledge {
@@ -68,11 +96,7 @@ pub(super) struct DeviceKnowledge {
     reported: Counters,
     /// The device's clock was not beyond this when the last report was read.
     report_read_by: Tick,
-    /// Since the last command whose epoch a status named, the session has sent a command that arms, or one that resets.
-    arms: bool,
-    resets: bool,
-    /// The same for a command that seeks the lower stop.
-    seeks: bool,
+    ordered: Ordered,
     /// Ticks of a return that the statuses show.
     returning: u64,
     /// Marks sent that may still be reported.
@@ -134,10 +158,8 @@ impl DeviceKnowledge {
             epoch: 0,
             reported: Counters::NONE,
             report_read_by: Tick(0),
-            arms: false,
-            resets: false,
             // A seek that another session began may be under way.
-            seeks: true,
+            ordered: Ordered { arms: false, resets: false, seeks: true },
             returning: 0,
             marks: VecDeque::with_capacity(MARKS),
             trigger_input: false,
@@ -171,12 +193,7 @@ impl DeviceKnowledge {
 
     /// A command is about to be sent.
     pub(super) fn command(&mut self, op: &Op) {
-        self.arms |= matches!(op, Op::Arm { .. });
-        self.resets |= matches!(op, Op::Reset);
-        self.seeks |= match op {
-            Op::Arm { lower_stop, .. } => lower_stop.is_some_and(|stop| stop.seek > 0),
-            op => matches!(op, Op::Seek { .. }),
-        };
+        self.ordered.command(op);
     }
 
     /// A frame with a mark leaves.
@@ -204,9 +221,7 @@ impl DeviceKnowledge {
         };
         self.epoch = status.epoch;
         if status.epoch == current {
-            (self.arms, self.resets) = (false, false);
-            // The position is known when the seek is over, unless it was cut.
-            self.seeks &= status.state == State::Returning;
+            self.ordered.answered(status.state);
         }
     }
 
@@ -245,8 +260,8 @@ impl DeviceKnowledge {
     /// Whether a status that says `now` may follow what is known.
     fn may_become(&self, now: &Status) -> bool {
         let begins_epoch = now.epoch != self.epoch;
-        let (arms, resets) = (self.arms && begins_epoch, self.resets && begins_epoch);
-        let seeks = self.seeks && begins_epoch;
+        let [arms, resets, seeks] = [self.ordered.arms, self.ordered.resets, self.ordered.seeks]
+            .map(|ordered| ordered && begins_epoch);
         // At the handshake an armed device returns its pins.
         let (before, cause) = self
             .status
@@ -331,7 +346,9 @@ impl DeviceKnowledge {
         }
         if let Some((before, _)) = &self.status
             && before.position_known != status.position_known
-            && !(self.seeks || (self.arms && status.position_known) || status.cause == Cause::Output)
+            && !(self.ordered.seeks
+                || (self.ordered.arms && status.position_known)
+                || status.cause == Cause::Output)
         {
             return Err(Contradiction::State);
         }
