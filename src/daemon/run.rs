@@ -171,7 +171,7 @@ impl Daemon {
         watchdog.abort();
         {
             let mut state = engine.lock();
-            state.cancel_running_rendering();
+            state.cancel_rendering();
             state.close_session("daemon-ended");
             state.publisher.close();
         }

@@ -140,7 +140,7 @@ pub(in crate::daemon) async fn disarm(Call { app, by }: Call, body: Body) -> Ans
     let result = async {
         let request = DisarmRequest::parse(&body::read_command(body).await?)?;
         logged.set_arguments(&request);
-        if request.own && app.engine.lock().give_back_armed(&by.caller) {
+        if request.own && watch::give_back(&mut app.engine.lock(), &by.caller) {
             return Ok((Json(report::status(&app.engine, Some(&by))), false));
         }
         Ok((carry_out(&app, &by, Command::Disarm, TIMEOUT).await?, true))

@@ -9,11 +9,9 @@
 //!
 //! Invariant: while motors are armed there is a holder, except between the device's answer and the next event.
 
-use crate::daemon::core::commands::Reply;
-use crate::daemon::core::state::State;
-use crate::daemon::sessions::caller::{Caller, DAEMON};
-use meissner_api::{ArmedStatus, EndCause, Event, Problem};
-use meissner_stream::queues::{Command, StreamEvent};
+use crate::daemon::sessions::caller::Caller;
+use meissner_api::{ArmedStatus, EndCause, Event};
+use meissner_stream::queues::StreamEvent;
 use meissner_stream::time::HostInstant;
 use std::time::Duration;
 
@@ -69,7 +67,7 @@ impl Armed {
     }
 
     /// Makes this client the holder. Returns the number of its watch.
-    fn hold(&mut self, caller: Caller, name: String, silence: Silence) -> u64 {
+    pub(in crate::daemon) fn hold(&mut self, caller: Caller, name: String, silence: Silence) -> u64 {
         let silence = match silence {
             Silence::Default => Some(self.default),
             Silence::For(silence) => Some(silence),
@@ -149,7 +147,7 @@ impl Armed {
 
     /// Takes back what this client has armed. Returns whether the motors stay armed, for another client whose time is not over. One
     /// without a time does not count: it may have ended long ago.
-    fn give_back(&mut self, caller: &Caller) -> bool {
+    pub(in crate::daemon) fn give_back(&mut self, caller: &Caller) -> bool {
         let holds = |holder: &Holder| {
             !holder.caller.is_same(caller) && self.left(holder).is_some_and(|left| !left.is_zero())
         };
@@ -174,56 +172,27 @@ impl Armed {
             left_s: self.left(holder).map(|left| left.as_secs_f64()),
         })
     }
-}
 
-impl State {
-    /// Notes that the motors are armed for this client, by this name. Returns the number of its watch, if it needs one.
-    pub(in crate::daemon) fn hold_armed(
-        &mut self,
-        caller: Caller,
-        name: String,
-        silence: Silence,
-    ) -> Option<u64> {
-        // The motors may have been disarmed again.
-        let number = self.is_armed().then(|| self.armed.hold(caller, name, silence))?;
-        (silence != Silence::Unattended).then_some(number)
+    /// Whether the client with this watch has been silent for too long, and no other one that has armed was heard meanwhile.
+    pub(in crate::daemon) fn is_silent(&mut self, number: u64) -> bool {
+        self.until_silent(number).is_some_and(|left| left.is_zero()) && !self.passes_on(number)
     }
 
-    fn is_armed(&self) -> bool {
-        matches!(self.plays.receipts.device_state().state, "armed" | "returning")
-    }
-
-    /// Takes back what this client has armed, and ends its plays, if the motors stay armed for another one. Returns whether they do.
-    pub(in crate::daemon) fn give_back_armed(&mut self, caller: &Caller) -> bool {
-        let stays = self.is_armed() && self.armed.give_back(caller);
-        if stays {
-            for id in self.rights.plays_of(caller) {
-                self.cancel_play(id, EndCause::Disarm);
-            }
-        }
-        stays
-    }
-
-    /// Stops and disarms if the client with this watch has been silent for too long. Returns where the answer arrives.
-    pub(in crate::daemon) fn disarm_silent(&mut self, number: u64) -> Option<Result<Reply, Problem>> {
-        self.armed.until_silent(number).filter(Duration::is_zero)?;
-        if self.armed.passes_on(number) {
+    /// Notes that the motors are disarmed because of the silence of the client with this watch. Returns the event that tells of it, the
+    /// first time.
+    pub(in crate::daemon) fn fall_silent(&mut self, number: u64) -> Option<Event> {
+        if std::mem::replace(&mut self.was_silent, true) {
             return None;
         }
-        let holder = self.armed.holders.iter().find(|holder| holder.number == number);
-        if let Some(Holder { name, silence: Some(silence), .. }) = holder.filter(|_| !self.armed.was_silent) {
-            let event = Event::OwnerSilent { by: name.clone(), silence_s: silence.as_secs_f64() };
-            self.publish(&event);
-        }
-        self.armed.was_silent = true;
-        Some(self.send(DAEMON, Command::Disarm, None))
+        let holder = self.holders.iter().find(|holder| holder.number == number)?;
+        Some(Event::OwnerSilent { by: holder.name.clone(), silence_s: holder.silence?.as_secs_f64() })
     }
 
-    /// Follows the device's state, and names the silence as the cause of a play's end.
-    pub(in crate::daemon) fn follow_armed(&mut self, streamed: &mut StreamEvent) {
+    /// Names the silence as the cause of a play's end.
+    pub(in crate::daemon) fn follow(&self, streamed: &mut StreamEvent) {
         match streamed {
             StreamEvent::PlayEnded { outcome, .. }
-                if self.armed.was_silent && outcome.cause == Some(EndCause::Disarm) =>
+                if self.was_silent && outcome.cause == Some(EndCause::Disarm) =>
             {
                 outcome.cause = Some(EndCause::OwnerSilent);
             }
@@ -231,12 +200,10 @@ impl State {
         }
     }
 
-    /// Ends the watch once the motors are off.
-    pub(in crate::daemon) fn settle_armed(&mut self) {
-        if !self.is_armed() {
-            self.armed.holders.clear();
-            self.armed.mover = None;
-        }
+    /// Ends the watch: the motors are off.
+    pub(in crate::daemon) fn end(&mut self) {
+        self.holders.clear();
+        self.mover = None;
     }
 }
 

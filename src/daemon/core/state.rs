@@ -12,24 +12,25 @@
 //! - [`Renderings`]: the running rendering, and the results of earlier ones.
 //! - [`LivePlays`]: live plays, and the channels to their clients.
 //!
-//! A part uses no other part; a rule that concerns several is a method of [`State`]. There is one lock because such rules hold
+//! A part uses no other part; a rule that concerns several is a method of [`State`]: here, in `sessions/rules.rs` and in
+//! `exposure/rules.rs`. What one room does with it is a function of the room. There is one lock because such rules hold
 //! across parts: a play is in the receipts before the streamer reports anything about it, and events are published in the order of the
 //! receipts.
 //!
 //! Invariant: nothing here waits: the lock is held for microseconds.
 
-pub(in crate::daemon) use crate::daemon::arm::state::Armed;
+use crate::daemon::arm::state::Armed;
 use crate::daemon::calibration::state::Calibration;
 use crate::daemon::core::commands::{Commands, Reply};
 use crate::daemon::core::connection::{Connection, ConnectorMessage};
 use crate::daemon::core::publisher::Publisher;
-pub(in crate::daemon) use crate::daemon::exposure::state::Exposure;
-pub(in crate::daemon) use crate::daemon::jobs::state::Renderings;
-pub(in crate::daemon) use crate::daemon::live::state::LivePlays;
+use crate::daemon::exposure::state::Exposure;
+use crate::daemon::jobs::state::Renderings;
+use crate::daemon::live::state::LivePlays;
 use crate::daemon::plays::state::Plays;
 use crate::daemon::sessions::caller::{Asker, Caller};
-pub(in crate::daemon) use crate::daemon::sessions::rights::Rights;
-pub(in crate::daemon) use crate::daemon::sessions::state::Sessions;
+use crate::daemon::sessions::rights::Rights;
+use crate::daemon::sessions::state::Sessions;
 use crate::receipts::refusal;
 use meissner_api::{EndCause, Event, ItemState, MAX_ITEMS_LISTED, Problem};
 use meissner_array::per_motor::PerMotor;
@@ -91,7 +92,7 @@ impl State {
             self.settings = snapshot.settings;
         }
         self.follow_exposure(&mut streamed);
-        self.follow_armed(&mut streamed);
+        self.armed.follow(&mut streamed);
         self.live.follow(&streamed);
         let mut event = match &streamed {
             StreamEvent::Answer { ticket, result } => {
@@ -121,7 +122,9 @@ impl State {
         }
         match &streamed {
             StreamEvent::Snapshot(_) => {
-                self.settle_armed();
+                if !self.is_armed() {
+                    self.armed.end();
+                }
                 // Retry to end plays that could not be ended before, because too many commands waited.
                 self.end_forbidden();
             }
@@ -194,6 +197,17 @@ impl State {
     fn moves(&mut self, caller: Option<Caller>) {
         if let Some(caller) = caller {
             self.armed.moves(caller);
+        }
+    }
+
+    pub(in crate::daemon) fn is_armed(&self) -> bool {
+        matches!(self.plays.receipts.device_state().state, "armed" | "returning")
+    }
+
+    /// Ends the running rendering, if there is one.
+    pub(in crate::daemon) fn cancel_rendering(&mut self) {
+        if let Some(event) = self.renderings.cancel() {
+            self.publish(&event);
         }
     }
 

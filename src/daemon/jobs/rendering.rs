@@ -30,7 +30,16 @@ pub(in crate::daemon) fn start_rendering(
     let command = render_process::command().ok_or_else(|| {
         failed("this program is not meissner and cannot render: start `meissner daemon`".to_owned())
     })?;
-    let rendering = engine.lock().begin_rendering(by, request, name)?;
+    let rendering = {
+        let mut state = engine.lock();
+        state.check_asker(Some(by))?;
+        if state.commands.is_closing() {
+            return Err(Problem::new(Code::ShuttingDown, "the daemon is ending: start it again"));
+        }
+        let (rendering, event) = state.renderings.begin(by.caller.clone(), request, name)?;
+        state.publish(&event);
+        rendering
+    };
     let (works, id) = (Arc::clone(engine), rendering.id);
     let work = move || {
         run_rendering(&works, id, command, job);
@@ -38,7 +47,7 @@ pub(in crate::daemon) fn start_rendering(
     };
     if let Err(error) = thread::Builder::new().name("rendering".into()).spawn(work) {
         let detail = format!("the rendering's thread cannot start: {error}");
-        engine.lock().end_rendering(id, Err(detail.clone()));
+        end(engine, id, Err(detail.clone()));
         return Err(failed(detail));
     }
     Ok(rendering)
@@ -48,17 +57,22 @@ fn run_rendering(engine: &Engine, id: u64, command: Command, job: Job) {
     let mut process = match RenderProcess::start(command) {
         Ok(process) => process,
         Err(error) => {
-            return engine
-                .lock()
-                .end_rendering(id, Err(format!("the rendering's process cannot start: {error}")));
+            return end(engine, id, Err(format!("the rendering's process cannot start: {error}")));
         }
     };
-    if engine.lock().set_rendering_process(id, process.pid()) {
+    if engine.lock().renderings.set_process(id, process.pid()) {
         process.give(&job);
         // An object's files are large.
         drop(job);
         let outcome = follow_rendering(engine, id, &mut process);
-        engine.lock().end_rendering(id, outcome);
+        end(engine, id, outcome);
+    }
+}
+
+fn end(engine: &Engine, id: u64, outcome: Result<Box<Rendered>, String>) {
+    let mut state = engine.lock();
+    if let Some(event) = state.renderings.end(id, outcome) {
+        state.publish(&event);
     }
 }
 
@@ -76,7 +90,10 @@ fn follow_rendering(engine: &Engine, id: u64, process: &mut RenderProcess) -> Re
             Report::Failed(problem) => return Err(cut(&problem, MAX_PROBLEM)),
             Report::Found(text) => {
                 let found = stored(&text)?;
-                engine.lock().set_rendering_found(id, found);
+                let mut state = engine.lock();
+                if let Some(event) = state.renderings.set_found(id, found) {
+                    state.publish(&event);
+                }
             }
             Report::Rendered(rendered) => return Ok(rendered),
         }

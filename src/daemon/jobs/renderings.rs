@@ -13,7 +13,7 @@ use axum::body::Body;
 use axum::extract::State;
 use axum::http::StatusCode;
 use axum::response::Response;
-use meissner_api::{Code, MAX_RENDERING_BODY, Problem, Rendering, RenderingRequest};
+use meissner_api::{Code, MAX_RENDERING_BODY, Problem, Rendering, RenderingRequest, RenderingState};
 use meissner_input::message::{cut, nearest, quote};
 use meissner_paper::shipped_names;
 use serde_json::{Map, Value, json};
@@ -88,7 +88,15 @@ pub(in crate::daemon) async fn cancel(Call { app, by }: Call, id: PathPart) -> A
     let result = async {
         let id: String = path(id)?.chars().take(100).collect();
         logged.set_arguments(&json!({"id": id}));
-        let rendering = app.engine.lock().cancel_rendering(&by, &id)?;
+        let rendering = {
+            let mut state = app.engine.lock();
+            state.check_asker(Some(&by))?;
+            let shown = state.renderings.show(&id)?;
+            if shown.state == RenderingState::Running {
+                state.cancel_rendering();
+            }
+            state.renderings.show(&shown.id.to_string())?
+        };
         // A newer program may wait for the rendering to end.
         app.engine.changed.notify_one();
         Ok::<_, ErrorResponse>(rendering)

@@ -1,13 +1,12 @@
 //! The running rendering, and those that have ended.
 //!
-//! A rendering begins without a process, so that its place is taken at once; [`State::set_rendering_process`] adds the process. The first
+//! A rendering begins without a process, so that its place is taken at once; [`Renderings::set_process`] adds the process. The first
 //! to end the rendering, its process or a client that cancels it, decides how it ended. A pattern that it has found by then stays.
 //!
 //! Invariants: at most one rendering runs, and [`KEPT_RENDERINGS`] that have ended are kept; the process of a running rendering was not
 //! waited for, so no other process can get its id.
 
-use crate::daemon::core::state::State;
-use crate::daemon::sessions::caller::{Asker, Caller};
+use crate::daemon::sessions::caller::Caller;
 use crate::store::Stored;
 use meissner_api::{
     Code, Event, KEPT_RENDERINGS, Problem, Rendered, Rendering, RenderingRequest, RenderingState,
@@ -96,30 +95,23 @@ impl Renderings {
         let bad = |_| Problem::new(Code::BadRequest, "a rendering's id is a number, or `last`");
         id.parse().map_err(bad)
     }
-}
 
-impl State {
-    /// Begins a rendering, if none runs.
-    pub(in crate::daemon) fn begin_rendering(
+    /// Begins a rendering for this client, if none runs. Returns it, and the event that tells of it.
+    pub(in crate::daemon) fn begin(
         &mut self,
-        by: &Asker,
+        caller: Caller,
         request: &RenderingRequest,
         name: &str,
-    ) -> Result<Rendering, Problem> {
-        self.check_asker(Some(by))?;
-        if self.commands.is_closing() {
-            return Err(Problem::new(Code::ShuttingDown, "the daemon is ending: start it again"));
-        }
-        if let Some(Running { rendering: Rendering { id, object, .. }, .. }) = &self.renderings.running {
+    ) -> Result<(Rendering, Event), Problem> {
+        if let Some(Running { rendering: Rendering { id, object, .. }, .. }) = &self.running {
             let detail = format!(
                 "rendering {id} of `{object}` runs: wait for its end, or cancel it (`DELETE /v1/renderings/{id}`)"
             );
             return Err(Problem::new(Code::RenderingRunning, detail));
         }
-        self.renderings.last_id += 1;
-        let caller = by.caller.clone();
+        self.last_id += 1;
         let rendering = Rendering {
-            id: self.renderings.last_id,
+            id: self.last_id,
             state: RenderingState::Running,
             object: name.to_owned(),
             method: request.method,
@@ -130,15 +122,18 @@ impl State {
             rendered: None,
         };
         let (search_of, begun) = (rendering.clone(), Instant::now());
-        self.renderings.running =
-            Some(Running { rendering: search_of, caller, begun, process: None, found: None });
-        self.publish_rendering(&rendering);
-        Ok(rendering)
+        self.running = Some(Running { rendering: search_of, caller, begun, process: None, found: None });
+        let event = event(&rendering);
+        Ok((rendering, event))
+    }
+
+    fn running(&mut self, id: u64) -> Option<&mut Running> {
+        self.running.as_mut().filter(|running| running.rendering.id == id)
     }
 
     /// Sets the rendering's process; false if the rendering was cancelled meanwhile.
-    pub(in crate::daemon) fn set_rendering_process(&mut self, id: u64, process: Pid) -> bool {
-        let running = self.renderings.running.as_mut().filter(|it| it.rendering.id == id);
+    pub(in crate::daemon) fn set_process(&mut self, id: u64, process: Pid) -> bool {
+        let running = self.running(id);
         running.is_some_and(|running| {
             running.process = Some(process);
             true
@@ -146,75 +141,58 @@ impl State {
     }
 
     /// Takes the pattern that was found, and which is judged next.
-    pub(in crate::daemon) fn set_rendering_found(&mut self, id: u64, found: Stored) {
-        let Some(running) = self.renderings.running.as_mut().filter(|it| it.rendering.id == id) else {
-            return;
-        };
+    pub(in crate::daemon) fn set_found(&mut self, id: u64, found: Stored) -> Option<Event> {
+        let running = self.running(id)?;
         running.found = Some(found);
         running.rendering.found = true;
         running.rendering.seconds = running.begun.elapsed().as_secs_f64();
-        let rendering = running.rendering.clone();
-        self.publish_rendering(&rendering);
+        Some(event(&running.rendering))
     }
 
     /// Takes the result of the rendering's process, or its failure; has no effect if the rendering was cancelled before.
-    pub(in crate::daemon) fn end_rendering(&mut self, id: u64, outcome: Result<Box<Rendered>, String>) {
-        if self.renderings.running.as_ref().is_none_or(|it| it.rendering.id != id) {
-            return;
-        }
-        match outcome {
-            Ok(rendered) => self.settle_rendering(RenderingState::Done, Some(rendered), None),
-            Err(problem) => self.settle_rendering(RenderingState::Failed, None, Some(problem)),
-        }
-    }
-
-    /// Ends the rendering with this id, or the `last` one, if it runs.
-    pub(in crate::daemon) fn cancel_rendering(
+    pub(in crate::daemon) fn end(
         &mut self,
-        by: &Asker,
-        id: &str,
-    ) -> Result<Arc<Rendering>, Problem> {
-        self.check_asker(Some(by))?;
-        let shown = self.renderings.show(id)?;
-        if shown.state == RenderingState::Running {
-            self.cancel_running_rendering();
+        id: u64,
+        outcome: Result<Box<Rendered>, String>,
+    ) -> Option<Event> {
+        self.running(id)?;
+        match outcome {
+            Ok(rendered) => self.settle(RenderingState::Done, Some(rendered), None),
+            Err(problem) => self.settle(RenderingState::Failed, None, Some(problem)),
         }
-        self.renderings.show(&shown.id.to_string())
     }
 
     /// Ends the running rendering, if there is one.
-    pub(in crate::daemon) fn cancel_running_rendering(&mut self) {
-        let Some(running) = &self.renderings.running else { return };
-        if let Some(process) = running.process {
+    pub(in crate::daemon) fn cancel(&mut self) -> Option<Event> {
+        if let Some(process) = self.running.as_ref()?.process {
             // An error means that it has just ended.
             let _ = kill_process(process, Signal::KILL);
         }
-        self.settle_rendering(RenderingState::Cancelled, None, None);
+        self.settle(RenderingState::Cancelled, None, None)
     }
 
-    fn settle_rendering(
+    fn settle(
         &mut self,
         state: RenderingState,
         rendered: Option<Box<Rendered>>,
         problem: Option<String>,
-    ) {
-        let Some(Running { mut rendering, begun, found, .. }) = self.renderings.running.take() else {
-            return;
-        };
+    ) -> Option<Event> {
+        let Running { mut rendering, begun, found, .. } = self.running.take()?;
         rendering.seconds = begun.elapsed().as_secs_f64();
         (rendering.state, rendering.rendered, rendering.problem) = (state, rendered, problem);
         rendering.found = found.is_some();
-        self.publish_rendering(&rendering);
-        self.renderings.ended.push_back(Ended { rendering: Arc::new(rendering), found });
-        if self.renderings.ended.len() > KEPT_RENDERINGS {
-            self.renderings.ended.pop_front();
+        let event = event(&rendering);
+        self.ended.push_back(Ended { rendering: Arc::new(rendering), found });
+        if self.ended.len() > KEPT_RENDERINGS {
+            self.ended.pop_front();
         }
+        Some(event)
     }
+}
 
-    fn publish_rendering(&mut self, rendering: &Rendering) {
-        let Rendering { id, state, object, found, seconds, problem, .. } = rendering;
-        let (object, problem) = (object.clone(), problem.clone());
-        let (id, state, found, seconds) = (*id, *state, *found, *seconds);
-        self.publish(&Event::Rendering { id, state, object, found, seconds, problem });
-    }
+fn event(rendering: &Rendering) -> Event {
+    let Rendering { id, state, object, found, seconds, problem, .. } = rendering;
+    let (object, problem) = (object.clone(), problem.clone());
+    let (id, state, found, seconds) = (*id, *state, *found, *seconds);
+    Event::Rendering { id, state, object, found, seconds, problem }
 }

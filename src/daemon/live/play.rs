@@ -1,6 +1,6 @@
 //! Live plays: begins one, whose client then moves it by messages, and carries out the messages.
 //!
-//! A message goes under the engine's lock to the streamer ([`State::live_message`]).
+//! A message goes under the engine's lock to the streamer ([`LivePlays::change`](crate::daemon::live::state::LivePlays::change)).
 //!
 //! Invariant: a message changes nothing if its client may not operate at that moment.
 
@@ -107,7 +107,8 @@ async fn heights(
     reach: &[f64],
 ) -> Result<Option<Arc<Poses>>, Problem> {
     let Some(object) = object else { return Ok(None) };
-    let most_mm = engine.lock().most_amplitude_um() / reach.iter().copied().fold(1.0, f64::max) / 1000.0;
+    let most_mm =
+        engine.lock().exposure.most_amplitude_um() / reach.iter().copied().fold(1.0, f64::max) / 1000.0;
     let made = PLAYS.computing(move || Poses::new(array, &object)).await?;
     made.map(|heights| Some(Arc::new(heights.at_most(most_mm))))
         .map_err(|error| Problem::new(Code::BadRequest, error.to_string()))
@@ -140,7 +141,12 @@ pub(in crate::daemon) fn live_message(
     let allowed = state.check_right(&right.caller, right.access).map_err(|no| no.problem);
     let result = allowed.and_then(|()| {
         state.hear(&right.caller);
-        state.live_message(id, &message, received_at)
+        let reach = [false, true].map(|open_loop| state.reach(open_loop));
+        let State { live, commands, settings, exposure, .. } = &mut *state;
+        let check = |play: &LivePlay| {
+            exposure.check_amplitude("the live play", play.largest_um(&reach[usize::from(play.open_loop)]))
+        };
+        live.change(id, &message, received_at, settings, check, commands)
     });
     result.err().map(|problem| LiveAnswer::refused(Some(message.seq), problem))
 }

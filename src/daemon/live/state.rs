@@ -3,7 +3,7 @@
 //! Bounds: one entry for each accepted play that is not over. Invariant: a play accepts one connection, by a key that cannot be
 //! guessed.
 
-use crate::daemon::core::state::State;
+use crate::daemon::core::commands::Commands;
 use crate::daemon::exposure::limits::too_many;
 use crate::daemon::sessions::state::random_hex;
 use meissner_api::{Code, EndCause, LIVE_GLIDE_MS, LiveAnswer, LiveApplied, LiveDrive, LiveMessage, Problem};
@@ -37,7 +37,7 @@ pub(in crate::daemon) struct LivePlay {
     /// Whether messages may have levels.
     takes_levels: bool,
     /// Nothing corrects its strokes.
-    open_loop: bool,
+    pub(in crate::daemon) open_loop: bool,
     /// Scale and surplus of its strokes.
     options: StrokeOptions,
     most_hz: f64,
@@ -155,10 +155,18 @@ impl LivePlay {
         Ok(())
     }
 
+    /// Takes over a message.
+    fn take(&mut self, message: &LiveMessage) -> Result<(), Problem> {
+        self.options.scale = message.scale.unwrap_or(self.options.scale);
+        self.seq = Some(message.seq);
+        self.set(message.drives.as_deref().unwrap_or_default())?;
+        self.set_levels(message)
+    }
+
     /// What an update tells the streamer: the levels of the message, and all drives.
-    fn motions(&self, message: Option<&LiveMessage>) -> Result<PerMotor<Option<LiveMotion>>, Problem> {
+    fn motions(&self, message: &LiveMessage) -> Result<PerMotor<Option<LiveMotion>>, Problem> {
         let (array, rate) = (self.array, self.array.rate());
-        let glide_ms = message.and_then(|message| message.glide_ms).unwrap_or(LIVE_GLIDE_MS);
+        let glide_ms = message.glide_ms.unwrap_or(LIVE_GLIDE_MS);
         let mut motions = self.waves()?.map(|wave| Some(LiveMotion::Wave(wave)));
         for (motor, (motion, level)) in (0..).zip(motions.iter_mut().zip(&*self.levels)) {
             let Some(um) = level else { continue };
@@ -166,8 +174,7 @@ impl LivePlay {
             let pulses = (pulses as u16).min(array.motor().most_pulses);
             let glide_ticks = rate.ms_in_ticks(glide_ms) as u32;
             // A pin that the device has brought down stays there until a message names it again.
-            let is_new =
-                message.is_some_and(|message| message.um.contains_key(&motor)) || self.options.scale == 0.0;
+            let is_new = message.um.contains_key(&motor) || self.options.scale == 0.0;
             *motion = is_new.then_some(LiveMotion::Level { array, pulses, glide_ticks });
         }
         Ok(motions)
@@ -264,6 +271,55 @@ impl LivePlays {
         Ok((id, receiver))
     }
 
+    /// Carries out a message of a play's client, whose answer comes later: changes the play, if `check` accepts it then, and sends the change
+    /// to the streamer.
+    ///
+    /// # Errors
+    /// Why the message changes nothing.
+    pub(in crate::daemon) fn change(
+        &mut self,
+        id: u64,
+        message: &LiveMessage,
+        received_at: HostInstant,
+        settings: &Settings,
+        check: impl FnOnce(&LivePlay) -> Result<(), Problem>,
+        commands: &mut Commands,
+    ) -> Result<(), Problem> {
+        let play = self.plays.get_mut(&id).ok_or_else(over)?;
+        if let Some(last) = play.seq.filter(|last| message.seq <= *last) {
+            let detail =
+                format!("`seq` is {}: must be above that of the message before, {last}", message.seq);
+            return Err(Problem::new(Code::BadRequest, detail));
+        }
+        if message.pose.is_some() {
+            let detail = "`pose` is that of an object: this live play was started with drives";
+            return Err(Problem::new(Code::BadRequest, detail));
+        }
+        let changes = message.drives.is_some() || message.scale.is_some() || !message.um.is_empty();
+        let busy = || Problem::new(Code::Busy, "too many updates are under way: wait for their answers");
+        let before = (play.drives, play.levels, play.options.scale, play.seq);
+        let change = |play: &mut LivePlay| {
+            play.take(message)?;
+            play.check_at_once(settings)?;
+            let motions = play.motions(message)?;
+            check(play)?;
+            let mut update = LiveUpdate::new(settings.array, id, message.seq, received_at);
+            if changes {
+                update.motions = motions;
+            }
+            if play.under_way >= UNDER_WAY {
+                return Err(busy());
+            }
+            commands.send_unanswered(Command::UpdateLive(Box::new(update))).map_err(|_| busy())
+        };
+        let sent = change(play);
+        match &sent {
+            Ok(()) => play.under_way += 1,
+            Err(_) => (play.drives, play.levels, play.options.scale, play.seq) = before,
+        }
+        sent
+    }
+
     /// Passes on the result of an update, or the end of a play.
     pub(in crate::daemon) fn follow(&mut self, event: &StreamEvent) {
         match event {
@@ -300,74 +356,5 @@ fn answer(update: &LiveUpdate) -> LiveAnswer {
             seq,
             Problem::new(Code::NotFound, "the live play is over: the update changed nothing"),
         ),
-    }
-}
-
-impl State {
-    /// Carries out a message of a live play's client, whose answer comes later.
-    ///
-    /// # Errors
-    /// Why the message changes nothing.
-    pub(in crate::daemon) fn live_message(
-        &mut self,
-        id: u64,
-        message: &LiveMessage,
-        received_at: HostInstant,
-    ) -> Result<(), Problem> {
-        let play = self.live.plays.get_mut(&id).ok_or_else(over)?;
-        if play.seq.is_some_and(|last| message.seq <= last) {
-            let last = play.seq.unwrap_or(0);
-            let detail =
-                format!("`seq` is {}: must be above that of the message before, {last}", message.seq);
-            return Err(Problem::new(Code::BadRequest, detail));
-        }
-        if message.pose.is_some() {
-            let detail = "`pose` is that of an object: this live play was started with drives";
-            return Err(Problem::new(Code::BadRequest, detail));
-        }
-        let changes = message.drives.is_some() || message.scale.is_some() || !message.um.is_empty();
-        self.change_live(id, message.seq, received_at, changes, Some(message), |play| {
-            play.options.scale = message.scale.unwrap_or(play.options.scale);
-            play.seq = Some(message.seq);
-            play.set(message.drives.as_deref().unwrap_or_default())?;
-            play.set_levels(message)
-        })
-    }
-
-    /// Changes a live play and sends its drives to the streamer. A refused change has no effect.
-    fn change_live(
-        &mut self,
-        id: u64,
-        number: u64,
-        received_at: HostInstant,
-        changes: bool,
-        message: Option<&LiveMessage>,
-        change: impl FnOnce(&mut LivePlay) -> Result<(), Problem>,
-    ) -> Result<(), Problem> {
-        let (array, reach) = (self.settings.array, [false, true].map(|open_loop| self.reach(open_loop)));
-        let play = self.live.plays.get_mut(&id).ok_or_else(over)?;
-        let before = (play.drives, play.levels, play.options.scale, play.seq);
-        let settings = self.settings;
-        let changed =
-            change(play).and_then(|()| play.check_at_once(&settings)).and_then(|()| play.motions(message));
-        let full = play.under_way >= UNDER_WAY;
-        let largest_um = play.largest_um(&reach[usize::from(play.open_loop)]);
-        let busy = || Problem::new(Code::Busy, "too many updates are under way: wait for their answers");
-        let sent = changed.and_then(|motions| {
-            self.check_amplitude("the live play", largest_um)?;
-            let mut update = LiveUpdate::new(array, id, number, received_at);
-            if changes {
-                update.motions = motions;
-            }
-            let command = Command::UpdateLive(Box::new(update));
-            if full { Err(busy()) } else { self.commands.send_unanswered(command).map_err(|_| busy()) }
-        });
-        if let Some(play) = self.live.plays.get_mut(&id) {
-            match &sent {
-                Ok(()) => play.under_way += 1,
-                Err(_) => (play.drives, play.levels, play.options.scale, play.seq) = before,
-            }
-        }
-        sent
     }
 }

@@ -171,7 +171,7 @@ async fn hold<'e>(
             return Err(Problem::new(Code::Busy, detail));
         }
         let (largest_um, what) = &compiled.largest;
-        state.check_amplitude(what, *largest_um)?;
+        state.exposure.check_amplitude(what, *largest_um)?;
         state.check_end(what, compiled.vibration.is_endless() && !compiled.endless)?;
         state.plays.check_memory(&compiled.memory)?;
         let number = state.hold_vibration(&compiled.vibration, play.replace, play.at)?;

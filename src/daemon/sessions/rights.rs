@@ -3,38 +3,31 @@
 //! Work that outlives its request holds the request's [`Caller`]: plays, edges to come, homing and renderings here, and event streams,
 //! live connections and waiting requests through [`Right`](crate::daemon::sessions::right::Right). A right ends in four cases: its access
 //! token is revoked or gets a lesser role; an exclusive session begins; its owner comes back after others were allowed to act; or
-//! the session that the caller shows is over. Then [`State::rights_changed`] ends the work here, and wakes the others, which check
+//! the session that the caller shows is over. Then [`State::rights_changed`](crate::daemon::core::state::State::rights_changed) ends the work here, and wakes the others, which check
 //! their rights again.
 //!
-//! Invariant: no caller stores the answer of [`State::check_right`].
+//! Invariant: no caller stores the answer of [`State::check_right`](crate::daemon::core::state::State::check_right).
 
-use crate::daemon::core::state::State;
-use crate::daemon::net::refusal::{NOT_VALID, READS_ONLY};
-use crate::daemon::sessions::caller::{Asker, Caller};
+use crate::daemon::sessions::caller::Caller;
 use crate::daemon::tokens::store::TokenStore;
-use meissner_api::{
-    EndCause,
-    access::{Access, SessionRule},
-};
-use meissner_api::{Problem, Role, Route};
-use meissner_stream::queues::Command;
+use meissner_api::access::{Access, SessionRule};
+use meissner_api::{EndCause, Problem};
 use std::collections::HashMap;
 use std::sync::Arc;
 use tokio::sync::watch;
-use tracing::info;
 
 /// See the module.
 #[derive(Debug)]
 pub(in crate::daemon) struct Rights {
-    tokens: Arc<TokenStore>,
+    pub(super) tokens: Arc<TokenStore>,
     /// For each play that is not over, the client by whose right it was ordered.
-    plays: HashMap<u64, Caller>,
+    pub(super) plays: HashMap<u64, Caller>,
     /// The clients that have ordered edges of a simulated array, and may still order some.
-    edges: Vec<(u64, Caller)>,
+    pub(super) edges: Vec<(u64, Caller)>,
     last_edges: u64,
     /// The ticket of the homing under way, and the client that has ordered it.
-    homing: Option<(u64, Caller)>,
-    changed: watch::Sender<()>,
+    pub(super) homing: Option<(u64, Caller)>,
+    pub(super) changed: watch::Sender<()>,
 }
 
 impl Default for Rights {
@@ -112,106 +105,19 @@ pub(in crate::daemon) const fn going_on(access: Access) -> Access {
     }
 }
 
-impl State {
-    /// Refuses an action that this client may not, or may no longer, take.
-    pub(in crate::daemon) fn check_right(&self, caller: &Caller, access: Access) -> Result<(), NoRight> {
-        let lost = |problem: Problem| NoRight { problem, cause: &EndCause::Revoked };
-        match caller.access.map(|id| self.rights.tokens.role(id)) {
-            Some(None) => return Err(lost(NOT_VALID.into())),
-            Some(Some(Role::Observe)) if access.role == Role::Operate => return Err(lost(READS_ONLY.into())),
-            _ => {}
-        }
-        let session = caller.session();
-        let checked = match access.session {
-            SessionRule::Open => Ok(()),
-            SessionRule::Starts => self.sessions.check_owner(session),
-            SessionRule::Owner => {
-                self.sessions.check_owner(session).and_then(|()| self.sessions.check_running(session))
-            }
-        };
-        checked.map_err(|problem| NoRight { problem, cause: &EndCause::OwnerReturned })
-    }
-
-    /// What this client may do, and whether it shows the token of the running session. The daemon itself may do anything.
-    pub(in crate::daemon) fn role_of(&self, by: Option<&Asker>) -> (Role, bool) {
-        let Some(Asker { caller, .. }) = by else { return (Role::Operate, false) };
-        let role = caller.access.map_or(Some(Role::Operate), |id| self.rights.tokens.role(id));
-        (role.unwrap_or(Role::Observe), self.sessions.is_owner(caller.session()))
-    }
-
-    /// Refuses a change by a client that may no longer make it: since its request came, a session may have begun, or its token may
-    /// have been revoked. The daemon itself may do anything.
-    pub(in crate::daemon) fn check_asker(&self, by: Option<&Asker>) -> Result<(), Problem> {
-        let Some(Asker { caller, access, .. }) = by else { return Ok(()) };
-        self.check_right(caller, *access).map_err(|no| no.problem)
-    }
-
-    /// Notes that a request or message of this client came.
-    pub(in crate::daemon) fn hear(&mut self, caller: &Caller) {
-        if self.check_right(caller, Route::Stop.access()).is_ok() {
-            self.armed.hear(caller);
-        }
-        if self.sessions.hear(caller.session()) {
-            self.rights_changed();
-        }
-    }
-
-    /// Call this when a right may have ended: ends the work that it had allowed.
-    pub(in crate::daemon) fn rights_changed(&mut self) {
-        self.end_forbidden();
-        self.rights.changed.send_replace(());
-    }
-
-    /// Ends the plays, the edges to come, the homing and the rendering of clients that may not order them any more. What does not fit
-    /// into the queue of commands is tried again with the streamer's next report.
-    pub(in crate::daemon) fn end_forbidden(&mut self) {
-        let needs = going_on(Route::Play.access());
-        let forbidden = |caller: &Caller| self.check_right(caller, needs).err().map(|no| no.cause.clone());
-        let plays: Vec<_> =
-            self.rights.plays.iter().filter_map(|(&id, caller)| Some((id, forbidden(caller)?))).collect();
-        let ends_rendering = self.renderings.caller().and_then(forbidden).is_some();
-        let stops_homing = self.rights.homing.as_ref().and_then(|(_, caller)| forbidden(caller));
-        let orders = Route::Edge.access();
-        let lost = |(_, caller): &&(u64, Caller)| self.check_right(caller, orders).is_err();
-        let edges: Vec<u64> = self.rights.edges.iter().filter(lost).map(|(number, _)| *number).collect();
-        for (id, cause) in plays {
-            self.cancel_play(id, cause);
-        }
-        if ends_rendering {
-            self.cancel_running_rendering();
-        }
-        if let Some(cause) = stops_homing
-            && self.commands.send_unanswered(Command::Stop).is_ok()
-        {
-            self.rights.homing = None;
-            info!("homing was stopped: {cause}");
-        }
-        for number in edges {
-            if self.commands.send_unanswered(Command::WithdrawEdges(number)).is_ok() {
-                self.rights.edges.retain(|(of, _)| *of != number);
-            }
-        }
-    }
-
-    /// Ends a play for this cause. If too many commands wait, the streamer's next report orders it again.
-    pub(in crate::daemon) fn cancel_play(&mut self, id: u64, cause: EndCause) {
-        let _ = self.commands.send_unanswered(Command::Cancel { id, cause });
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::daemon::core::engine::Engine;
     use crate::daemon::core::runtime::blocking;
     use crate::daemon::runtime;
-    use crate::daemon::sessions::caller::DAEMON;
+    use crate::daemon::sessions::caller::{Asker, DAEMON};
     use crate::daemon::sessions::right;
     use crate::session_record::Peer;
-    use meissner_api::{Session, SessionRequest};
+    use meissner_api::{Route, Session, SessionRequest};
     use meissner_array::spec::Array;
     use meissner_stream::Settings;
-    use meissner_stream::queues::{At, StreamEvent, ThreadQueues, queues};
+    use meissner_stream::queues::{At, Command, StreamEvent, ThreadQueues, queues};
     use std::future::ready;
     use std::pin::pin;
     use std::sync::mpsc;

@@ -2,7 +2,6 @@
 //!
 //! Unknown keys are errors. A number may be written as `"value"`: then it is each of the case's values, a kind of its own.
 
-use crate::{ONSET, PHASE_AFTER};
 use firmware_protocol::message::{DeviceMessage, State};
 use firmware_protocol::tick::Tick;
 use meissner_array::strokes::Stroke;
@@ -13,6 +12,11 @@ use serde::de::Error as _;
 use serde::{Deserialize, Deserializer};
 use std::collections::VecDeque;
 use std::time::Duration;
+
+/// Ticks from the order to the onset.
+pub const ONSET: u64 = 17_000;
+/// Ticks from the onset on in which no phase is looked for.
+pub const PHASE_AFTER: u64 = 42_500;
 
 /// A case: a table of a file of `tests/faults`.
 #[derive(Debug, Deserialize)]

@@ -20,8 +20,8 @@ pub mod judge;
 pub mod plays;
 
 pub use case::{
-    Case, Ends, Evidence, Expect, Fault, Kind, Lie, LineFault, Moment, Number, OfKind, Order, Phase,
-    Telemetry, To, What,
+    Case, Ends, Evidence, Expect, Fault, Kind, Lie, LineFault, Moment, Number, ONSET, OfKind, Order,
+    PHASE_AFTER, Phase, Telemetry, To, What,
 };
 pub use judge::{Observed, Seen, high_until};
 pub use plays::{jobs, run};
@@ -36,10 +36,6 @@ use toml::{Table, Value};
 pub const PATTERNS: [&str; 3] = ["pin-60", "edge-45", "wave"];
 /// How long a play lasts.
 pub const PLAY: Duration = Duration::from_secs(2);
-/// Ticks from the order to the onset.
-pub const ONSET: u64 = 17_000;
-/// Ticks from the onset on in which no phase is looked for.
-pub const PHASE_AFTER: u64 = 42_500;
 
 /// All cases, by their names: a table each in the files of `tests/faults`.
 pub fn cases() -> Vec<Case> {
