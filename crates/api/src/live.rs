@@ -9,7 +9,7 @@ use crate::order::{LIVE_TERMS, Terms};
 use crate::problem::Problem;
 use crate::rendering::object_schema;
 use crate::trigger::{self, TriggerRequest};
-use meissner_input::document::{self, given};
+use meissner_input::document::{self, given, keys_of};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};
@@ -220,17 +220,13 @@ fn check_pose(pose: Option<LivePose>) -> Result<(), Problem> {
         .map_err(problem)
 }
 
-/// The keys of a [`LiveRequest`] beside its terms.
-const LIVE: [&str; 8] =
-    ["drives", "object", "scale", "timeout_ms", "max_frequency_hz", "updates_hz", "levels", "trigger"];
-
 impl LiveRequest {
     /// Reads a body.
     ///
     /// # Errors
     /// A `bad-request` that names the key.
     pub fn parse(body: &[u8]) -> Result<Self, Problem> {
-        let (request, terms): (Self, Terms) = split(read(body)?, [&LIVE, &LIVE_TERMS])?;
+        let (request, terms): (Self, Terms) = split(read(body)?, [keys_of::<Self>(), &LIVE_TERMS])?;
         let request = Self { terms, ..request };
         check_drives(&request.drives)?;
         request.check_object()?;

@@ -5,7 +5,7 @@
 
 use crate::answer::{AnswerTaken, PlayAnswer};
 use crate::array::ArrayDetails;
-use crate::order::{ITEM, LIVE_TERMS, TERMS};
+use crate::order::{Item, LIVE_TERMS};
 use crate::problem::{Code, Problem};
 use crate::route::{Answer, Body, Method, Operation, Query, Route};
 use crate::{
@@ -15,6 +15,7 @@ use crate::{
     ResetRequest, Session, SessionList, SessionPlays, SessionRequest, SessionStarted, Status, Terms,
     TokenCreated, TokenInfo, TokenList, TokenRequest,
 };
+use meissner_input::document::keys_of;
 use serde_json::{Map, Value, json};
 use std::collections::BTreeMap;
 use utoipa::OpenApi;
@@ -95,9 +96,9 @@ pub fn document() -> Value {
     // Their keys stand beside those of another object.
     let [item, terms] = ["Item", "Terms"].map(|name| schemas["schemas"][name]["properties"].clone());
     for (into, from, keys) in [
-        ("Order", &item, &ITEM[..]),
-        ("Order", &terms, &TERMS[..]),
-        ("PlayOrder", &terms, &TERMS[..]),
+        ("Order", &item, keys_of::<Item>()),
+        ("Order", &terms, keys_of::<Terms>()),
+        ("PlayOrder", &terms, keys_of::<Terms>()),
         ("LiveRequest", &terms, &LIVE_TERMS[..]),
     ] {
         for key in keys {

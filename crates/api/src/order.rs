@@ -12,7 +12,7 @@ use crate::body::{
 use crate::pattern_choice::{self, PatternChoice, check_packed};
 use crate::problem::Problem;
 use crate::trigger::{self, TriggerRequest};
-use meissner_input::document::{self, given};
+use meissner_input::document::{self, given, keys_of};
 use serde::{Deserialize, Serialize, Serializer};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
@@ -213,10 +213,10 @@ impl Order {
 
     fn of_keys(keys: Keys) -> Result<Self, Problem> {
         let order = if keys.0.contains_key("items") {
-            let (Listed { name, items }, terms) = split(keys, [&LISTED, &TERMS])?;
+            let (Listed { name, items }, terms) = split(keys, [keys_of::<Listed>(), keys_of::<Terms>()])?;
             Self { name, items, terms }
         } else {
-            let (item, terms): (Item, _) = split(keys, [&ITEM, &TERMS])?;
+            let (item, terms): (Item, _) = split(keys, [keys_of::<Item>(), keys_of::<Terms>()])?;
             if item.pattern.is_none() {
                 return Err(bad(
                     "`pattern` is null or false: must be the name of a pattern, or a pattern; a blank item stands in `items`",
@@ -303,30 +303,6 @@ impl Serialize for Order {
     }
 }
 
-/// The keys of [`Listed`].
-const LISTED: [&str; 2] = ["name", "items"];
-/// The keys of an [`Item`].
-pub(crate) const ITEM: [&str; 7] =
-    ["pattern", "pattern_sha256", "seconds", "scale", "gap_ms", "start_ms", "trigger"];
-/// The keys of [`Terms`].
-pub(crate) const TERMS: [&str; 16] = [
-    "at_tick",
-    "at_ms",
-    "at_monotonic_ns",
-    "on_edge_ms",
-    "stop_on_edge",
-    "boot",
-    "endless",
-    "fit",
-    "late",
-    "replace",
-    "open_loop",
-    "session",
-    "trial",
-    "labels",
-    "strict",
-    "hold_ms",
-];
 /// The terms of a live play.
 pub(crate) const LIVE_TERMS: [&str; 6] = ["late", "replace", "open_loop", "session", "trial", "labels"];
 

@@ -18,8 +18,8 @@ pub use size::{Size, check_size};
 use crate::message::{foreign, nearest, one_line, quote};
 use lines::line_at;
 use serde::de::value::MapAccessDeserializer;
-use serde::de::{Error, MapAccess, Visitor};
-use serde::{Deserialize, Deserializer, Serialize};
+use serde::de::{DeserializeOwned, Error, MapAccess, Visitor};
+use serde::{Deserialize, Deserializer, Serialize, forward_to_deserialize_any};
 use serde_path_to_error::{Path, Segment};
 use std::fmt;
 use std::marker::PhantomData;
@@ -161,6 +161,34 @@ fn in_words(message: &str) -> String {
 pub fn given<'de, D: Deserializer<'de>, T: Deserialize<'de>>(source: D) -> Result<Option<T>, D::Error> {
     let null = || D::Error::custom("is null: must be a number; without a value leave the key out");
     Option::deserialize(source)?.map_or_else(|| Err(null()), |value| Ok(Some(value)))
+}
+
+/// The names of a struct's keys, as the reader that serde derives knows them.
+pub fn keys_of<T: DeserializeOwned>() -> &'static [&'static str] {
+    struct Names<'n>(&'n mut &'static [&'static str]);
+    impl<'de> Deserializer<'de> for Names<'_> {
+        type Error = serde::de::value::Error;
+        fn deserialize_any<V: Visitor<'de>>(self, _: V) -> Result<V::Value, Self::Error> {
+            Err(Error::custom("names alone"))
+        }
+        fn deserialize_struct<V: Visitor<'de>>(
+            self,
+            _: &'static str,
+            names: &'static [&'static str],
+            visitor: V,
+        ) -> Result<V::Value, Self::Error> {
+            *self.0 = names;
+            self.deserialize_any(visitor)
+        }
+        forward_to_deserialize_any! {
+            bool i8 i16 i32 i64 u8 u16 u32 u64 f32 f64 char str string bytes byte_buf option unit unit_struct newtype_struct seq tuple
+            tuple_struct map enum identifier ignored_any
+        }
+    }
+    let mut names: &[&str] = &[];
+    // The error is what it ends with.
+    _ = T::deserialize(Names(&mut names));
+    names
 }
 
 /// A struct that is written as a table of its keys. (The reader that serde derives also takes a list of its values.)

@@ -29,7 +29,7 @@ pub enum Problem {
     #[error("is {found}: must be 1 to 64 of a-z, 0-9 and -")]
     Name { found: String },
     #[error("is a key of shape = {of}, and this is a {shape}: leave it out, or change `shape`")]
-    Foreign { of: &'static str, shape: &'static str },
+    Foreign { of: String, shape: &'static str },
     #[error("is a list of {count}: must be {wanted}")]
     Count { count: usize, wanted: &'static str },
     #[error("has {count} points in all: must be {wanted}")]
@@ -44,10 +44,8 @@ pub enum Problem {
     OneCharacter { found: String },
     #[error("is there beside `text`: leave one out")]
     TwoTexts,
-    #[error(
-        "is {shape}, in which a search finds no line: draw it as bar, segment, polyline, disc, dots, grating or braille"
-    )]
-    NotDrawn { shape: &'static str },
+    #[error("is {shape}, in which a search finds no line: draw it as {wanted}")]
+    NotDrawn { shape: &'static str, wanted: String },
     #[error("has no dot: the object never touches; write a letter")]
     NoDots,
     #[error("needs one of press, scan and path: it has {count}")]

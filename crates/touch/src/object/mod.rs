@@ -3,16 +3,20 @@
 //! An [`Object`] is cut into [`Grains`] for its contact. Only what lies under the finger at some time of its touch is cut: the pad, an
 //! ellipse of 18 × 24 mm, and a margin.
 //!
-//! The modules: `surface` is the height over a place, `part` the piece of it that counts in a box, `file` reads object files, `image` height maps, `error` has limits and what can be wrong.
+//! The modules: `surface` is the height over a place, `part` the piece of it that counts in a box, `shapes` the shapes that a file may name,
+//! each with its keys, `file` reads object files, `source` their parts, `image` height maps, `error` has limits and what can be wrong.
 
 mod error;
 mod file;
 mod image;
 mod part;
+mod shapes;
+mod source;
 mod surface;
 
 pub use error::{MAX_FILE_BYTES, MAX_PIXELS, MAX_POINTS, MAX_SIDE_MM, ObjectError, Problem};
-pub use file::{Drawn, Open, no_files};
+pub use file::Drawn;
+pub use source::{Open, no_files};
 pub use surface::{HeightMap, Surface};
 
 use crate::grains::Grains;
