@@ -515,8 +515,9 @@ impl World {
         let (answer, patience) = (json!({"response": "left", "correct": true}), self.patience());
         match self.call::<Value>(client, patience, ("POST", &format!("/v1/plays/{id}/answer"), &answer)) {
             Some(Ok(_)) => assert!(self.life.answered.insert(id), "play {id} takes two answers"),
-            Some(Err(_)) => {}
-            None => _ = self.life.unsure_answers.insert(id),
+            // A disk that is slow may still take it.
+            Some(Err(problem)) if problem.code != "store" => {}
+            Some(Err(_)) | None => _ = self.life.unsure_answers.insert(id),
         }
     }
 

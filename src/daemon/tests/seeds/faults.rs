@@ -1,6 +1,6 @@
 //! What goes wrong, and ends again after a while.
 
-use super::World;
+use super::{World, rules};
 use crate::daemon::tests::bench::DISK_STALLS;
 use crate::session_record::simulated_disk::{FAILS, ROOM};
 use firmware_protocol::message::{Cause, DeviceMessage, State};
@@ -17,6 +17,8 @@ pub(super) const DAY_NS: i64 = 86_400 * 1_000_000_000;
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Fault {
     Line,
+    /// Nothing arrives.
+    Dead,
     Unplugged,
     Hangs,
     Lies,
@@ -33,10 +35,14 @@ pub(super) struct Trouble {
     array_until_s: f64,
     /// Until when the disk is bad, s.
     disk_until_s: f64,
+    /// Since when the array hears nothing, s, if pins come down then.
+    dead_since_s: Option<f64>,
     /// Since when it takes nothing, s.
     nothing_since_s: Option<f64>,
 }
 
+/// The array's lease, and a return of all pins, s.
+const LEASE_OVER_S: f64 = 0.5;
 /// How long the effects of a fault last, s: the link needs some seconds to trust a device again.
 const AFTER_S: f64 = 8.0;
 
@@ -59,9 +65,15 @@ impl Trouble {
         self.nothing_since_s
     }
 
+    /// Whether the array has heard nothing for so long that its lease is over and all pins are down.
+    pub(super) fn lease_is_over(&self, now_s: f64) -> bool {
+        self.dead_since_s.is_some_and(|since_s| now_s > since_s + LEASE_OVER_S)
+    }
+
     /// The array is a new one, the disk is the same.
     pub(super) fn after_kill(mut self) -> Self {
         self.ends.retain(|(_, fault)| [Fault::Disk, Fault::Stall].contains(fault));
+        self.dead_since_s = None;
         self
     }
 }
@@ -70,7 +82,8 @@ impl Trouble {
 pub(super) fn begin(world: &mut World) {
     world.report.faults += 1;
     let (random, now_s) = (&mut world.random, world.daemon.now(super::seconds));
-    let which = random.below(10);
+    let which = random.below(11);
+    let was_good = world.trouble.array_is_good(now_s) && world.state != "faulted";
     let mut shared = world.daemon.faults();
     let (fault, longest_s) = match which {
         0 | 1 => {
@@ -123,6 +136,11 @@ pub(super) fn begin(world: &mut World) {
             DISK_STALLS.set(true);
             (Fault::Stall, 8.0)
         }
+        9 => {
+            let line = Line { loss: 1.0, ..Line::default() };
+            (shared.to_device.line, shared.to_host.line) = (line, line);
+            (Fault::Dead, 4.0)
+        }
         _ => {
             drop(shared);
             return set_clock(world);
@@ -134,7 +152,11 @@ pub(super) fn begin(world: &mut World) {
         Fault::Disk | Fault::Stall => {
             world.trouble.disk_until_s = world.trouble.disk_until_s.max(until_s + 3.0);
         }
-        _ => world.trouble.array_until_s = world.trouble.array_until_s.max(until_s + AFTER_S),
+        _ => {
+            world.trouble.array_until_s = world.trouble.array_until_s.max(until_s + AFTER_S);
+            // No second fault of the array hides what the first one does.
+            world.trouble.dead_since_s = (fault == Fault::Dead && was_good).then_some(now_s);
+        }
     }
     world.trouble.ends.push((until_s, fault));
     world.trace(&format!("{fault:?} until {until_s}"));
@@ -142,6 +164,7 @@ pub(super) fn begin(world: &mut World) {
 
 /// Somebody sets the wall clock, or it is set right again.
 fn set_clock(world: &mut World) {
+    let was_right = world.machine.wall_set == world.life.wall_set;
     let (random, hour_ns) = (&mut world.random, DAY_NS / 24);
     world.machine.wall_set += match random.below(5) {
         0 => DAY_NS * (1 + random.below(40) as i64),
@@ -155,9 +178,12 @@ fn set_clock(world: &mut World) {
             now.duration_until(&midnight).as_nanos() as i64 - 60_000_000_000
         }
     };
-    let set = world.machine.wall_set;
+    let (set, used_s) = (world.machine.wall_set, world.status().participant.day_used_s);
     set_wall(set);
     world.trace(&format!("the clock is set by {set}"));
+    if was_right {
+        rules::clock_gives_no_new_day(world, used_s);
+    }
 }
 
 /// Ends those whose time is over.
@@ -167,7 +193,10 @@ pub(super) fn end_due(world: &mut World) {
     {
         let mut shared = world.daemon.faults();
         match fault {
-            Fault::Line => (shared.to_device.line, shared.to_host.line) = Default::default(),
+            Fault::Line | Fault::Dead => {
+                (shared.to_device.line, shared.to_host.line) = Default::default();
+                world.trouble.dead_since_s = None;
+            }
             Fault::Unplugged => shared.is_unplugged = false,
             Fault::Hangs => shared.hangs = false,
             Fault::Lies => shared.liar = None,
