@@ -23,8 +23,8 @@ fn silent(events: &mut Events) -> f64 {
 fn a_command_that_waits_keeps_the_motors_armed_until_it_is_killed() {
     let daemon = Daemon::start();
     let mut events = daemon.client().events().unwrap();
-    command(&daemon, &["arm", "--assume-rest", "--silence", "5"]);
-    let played = command(&daemon, &["play", "pin-60", "--seconds", "12", "--wait"]);
+    command(&daemon, &["arm", "--assume-rest", "--silence", "2"]);
+    let played = command(&daemon, &["play", "pin-60", "--seconds", "5", "--wait"]);
     assert_eq!(played["state"], "done", "{played}");
     assert_eq!(ended(&mut events).state, PlayState::Done);
     let mut child = Command::new(crate::harness::PROGRAM)
@@ -36,7 +36,7 @@ fn a_command_that_waits_keeps_the_motors_armed_until_it_is_killed() {
     began(&mut events);
     child.kill().unwrap();
     child.wait().unwrap();
-    assert_eq!(silent(&mut events), 5.0);
+    assert_eq!(silent(&mut events), 2.0);
     assert_eq!(ended(&mut events).cause.as_ref(), Some(&EndCause::OwnerSilent));
 }
 
@@ -66,7 +66,7 @@ fn a_terminal_whose_session_is_over_says_so_and_is_not_locked() {
     let status: Status = daemon.client().get("/v1/status").unwrap();
     assert_eq!(status.session.unwrap().id, other.id);
     // Then its plays belong to the running session, and it may end a named one.
-    assert_eq!(command(&daemon, &play)["session"], other.id);
+    assert_eq!(command(&daemon, &play)["order"]["session"], other.id);
     command(&daemon, &["session", "end", &other.id]);
     let started = command(&daemon, &["session", "start", "--participant", "P09"]);
     let id = started["id"].as_str().unwrap();
