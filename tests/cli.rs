@@ -237,7 +237,8 @@ fn an_emergency_stop_without_a_status_succeeds_and_warns() {
             "the emergency stop is latched\nno device is connected, so no line was",
         ),
     ] {
-        let mut command = offline();
+        // It asks each daemon on a thread of its own, so its warnings go to the process's stderr.
+        let mut command = meissner();
         command.args(["estop", "--socket"]).arg(&socket).args(flags);
         let (asked, answers) = (listener.try_clone().unwrap(), format!("{answer}\n"));
         std::thread::spawn(move || {
