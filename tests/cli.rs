@@ -1,4 +1,4 @@
-use crate::harness::{Daemon, PROGRAM, complaint, document, meissner, printed, write_pattern};
+use crate::harness::{Daemon, PROGRAM, Run, complaint, document, meissner, offline, printed, write_pattern};
 use meissner_test_support::assert_accounts;
 use rustix::fs::{OFlags, fcntl_getfl, fcntl_setfl};
 use rustix::process::Signal;
@@ -172,11 +172,11 @@ fn patterns_are_listed_shown_and_imported() {
 #[test]
 fn the_motor_needs_no_daemon() {
     let steady =
-        document(meissner().args(["motor", "--frequency-hz", "60", "--amplitude-um", "80", "--json"]));
+        document(offline().args(["motor", "--frequency-hz", "60", "--amplitude-um", "80", "--json"]));
     assert!((steady["peak_to_peak_um"].as_f64().unwrap() - 68.706).abs() < 0.001, "{steady}");
     assert_eq!((&steady["pulses"], &steady["saturated"]), (&json!(589), &json!(false)));
     for (hz, um, says) in [("NaN", "80", "frequency"), ("0", "80", "frequency"), ("60", "inf", "amplitude")] {
-        let line = complaint(meissner().args(["motor", "--frequency-hz", hz, "--amplitude-um", um]));
+        let line = complaint(offline().args(["motor", "--frequency-hz", hz, "--amplitude-um", um]));
         assert!(line.contains(says), "{line}");
     }
 }
@@ -184,14 +184,12 @@ fn the_motor_needs_no_daemon() {
 #[test]
 fn without_a_daemon_every_client_command_fails_in_one_line() {
     for command in ["stop", "estop", "reset", "arm", "disarm", "list", "status", "events", "receipt"] {
-        let line = complaint(meissner().arg(command));
+        let line = complaint(offline().args([command, "--socket", "/nonexistent/m.sock"]));
         assert!(
             line.contains("no daemon answers at /nonexistent/m.sock: start one with `meissner daemon`"),
             "{line}"
         );
     }
-    let line = complaint(meissner().args(["stop", "--socket", "/nowhere/s"]));
-    assert!(line.contains("/nowhere/s"), "--socket goes before the environment: {line}");
 }
 
 #[test]
@@ -202,6 +200,9 @@ fn without_a_daemon_both_places_are_named() {
         command.env_remove("MEISSNER_SOCKET").env("XDG_RUNTIME_DIR", dir.path()).args(arguments);
         command
     };
+    let mut named = meissner();
+    let line = complaint(named.args(["stop", "--socket", "/nowhere/s"]));
+    assert!(line.contains("/nowhere/s"), "--socket goes before the environment: {line}");
     let service = Path::new("/run/meissner/meissner.sock").exists();
     // No daemon listens in this directory.
     let line = complaint(&mut run(&["show", "no-such"]));
@@ -236,15 +237,16 @@ fn an_emergency_stop_without_a_status_succeeds_and_warns() {
             "the emergency stop is latched\nno device is connected, so no line was",
         ),
     ] {
+        // It asks each daemon on a thread of its own, so its warnings go to the process's stderr.
         let mut command = meissner();
-        command.env("MEISSNER_SOCKET", &socket).arg("estop").args(flags);
+        command.args(["estop", "--socket"]).arg(&socket).args(flags);
         let (asked, answers) = (listener.try_clone().unwrap(), format!("{answer}\n"));
         std::thread::spawn(move || {
             let mut order = asked.accept().unwrap().0;
             order.read_exact(&mut [0]).unwrap();
             order.write_all(answers.as_bytes()).unwrap();
         });
-        let output = command.output().unwrap();
+        let output = command.run();
         let told = String::from_utf8(output.stderr).unwrap();
         assert!(output.status.success(), "{answer}: {told}");
         assert!(
@@ -277,7 +279,7 @@ simulate x --csv --json
 #[test]
 fn an_invalid_command_line_exits_with_2_and_says_why_on_one_line() {
     let said = |line: &str| {
-        let output = meissner().args(line.split(' ')).output().unwrap();
+        let output = offline().args(line.split(' ')).run();
         let said = String::from_utf8(output.stderr).unwrap();
         assert_eq!((output.status.code(), said.lines().count()), (Some(2), 1), "{line}: {said}");
         assert!(said.starts_with("meissner: "), "{line}: {said}");

@@ -1,4 +1,4 @@
-use crate::harness::{complaint, document, meissner, printed};
+use crate::harness::{complaint, document, meissner, offline, printed};
 use std::fs;
 use tempfile::tempdir;
 
@@ -8,7 +8,7 @@ const BLIP: &str =
 #[test]
 fn a_pattern_becomes_a_row_per_sample_as_table_and_as_document() {
     let run = |more: &[&str]| {
-        let mut command = meissner();
+        let mut command = offline();
         command.args(["displacement", "pin-60", "--seconds", "0.1", "--rate-hz", "500"]).args(more);
         command
     };
@@ -35,13 +35,13 @@ fn a_pattern_comes_from_a_file_or_stdin_and_needs_an_end() {
     let dir = tempdir().unwrap();
     let file = dir.path().join("blip.toml");
     fs::write(&file, BLIP).unwrap();
-    let from_file = printed(meissner().arg("displacement").arg(&file).args(["--seconds", "0.1"]));
+    let from_file = printed(offline().arg("displacement").arg(&file).args(["--seconds", "0.1"]));
     let from_stdin = printed(meissner().args(["displacement", "-", "--seconds", "0.1"]).write_stdin(BLIP));
     assert!(from_file == from_stdin && from_file.starts_with("time_s,motor_4_um\n"), "{from_file}");
-    let endless = complaint(meissner().arg("displacement").arg(&file));
+    let endless = complaint(offline().arg("displacement").arg(&file));
     assert!(endless.contains("`blip` has no end: say for how long with --seconds"), "{endless}");
-    let nothing = complaint(meissner().args(["displacement", "nothing"]));
+    let nothing = complaint(offline().args(["displacement", "nothing"]));
     assert!(nothing.contains("nothing"), "{nothing}");
-    let scale = complaint(meissner().args(["displacement", "pin-60", "--scale", "2"]));
+    let scale = complaint(offline().args(["displacement", "pin-60", "--scale", "2"]));
     assert!(scale.contains("scale 2: must be at least 0 and at most 1"), "{scale}");
 }

@@ -1,4 +1,4 @@
-use crate::harness::{document, meissner};
+use crate::harness::{document, offline};
 use meissner_array::motor::SteadyState;
 use meissner_array::spec::Array;
 use serde_json::Value;
@@ -6,7 +6,7 @@ use std::sync::LazyLock;
 
 /// The measurements of the paper's array.
 static SIMULATED: LazyLock<Value> =
-    LazyLock::new(|| document(meissner().args(["motor", "--simulated", "--json"])));
+    LazyLock::new(|| document(offline().args(["motor", "--simulated", "--json"])));
 
 fn number(value: &Value) -> f64 {
     value.as_f64().unwrap_or_else(|| panic!("{value}"))
@@ -69,7 +69,7 @@ fn the_amplitude_is_the_model_s_and_simulated_motors_scatter_around_it() {
 #[test]
 fn motors_of_another_array_are_measured_too() {
     let array = Array::named("tula35-2x3").unwrap();
-    let found = document(meissner().args(["motor", "--simulated", "--array", "tula35-2x3", "--json"]));
+    let found = document(offline().args(["motor", "--simulated", "--array", "tula35-2x3", "--json"]));
     assert_eq!((rows(&found["amplitude"]["measured"]).len(), &found["pulses"]["motor"]), (6 * 23, &1.into()));
     let um = number(&found["pulses"]["all"]["slope_um_per_pulse"]);
     assert!((um / array.motor().um_per_pulse - 1.0).abs() < 0.02, "{um}");
@@ -78,7 +78,7 @@ fn motors_of_another_array_are_measured_too() {
 #[test]
 fn a_search_tells_its_start_and_its_way() {
     let asked = ["optimise", "dot", "--setting", "always_on", "--budget", "60", "--json"];
-    let found = document(meissner().args(asked));
+    let found = document(offline().args(asked));
     let trace = rows(&found["trace"]);
     assert_eq!((&trace[0]["evaluations"], &trace[0]["frame"]), (&1.into(), &0.into()));
     for of in trace {
@@ -96,9 +96,8 @@ fn a_search_tells_its_start_and_its_way() {
 fn a_finger_is_told_under_the_object_and_under_the_pattern() {
     let dir = tempfile::tempdir().unwrap();
     let file = dir.path().join("dot.toml");
-    let made = document(meissner().args(["render", "dot", "--method", "rule", "--json", "-o"]).arg(&file));
-    let found =
-        document(meissner().args(["judge", "--object", "dot", "--fingers", "1", "--json"]).arg(&file));
+    let made = document(offline().args(["render", "dot", "--method", "rule", "--json", "-o"]).arg(&file));
+    let found = document(offline().args(["judge", "--object", "dot", "--fingers", "1", "--json"]).arg(&file));
     let felt = &found["felt"];
     assert_eq!((&felt["finger"], &felt["pattern"]), (&found["fingers"][0], &"dot".into()));
     assert!(number(&felt["seconds"]) >= number(&made["duration_s"]));

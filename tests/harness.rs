@@ -1,16 +1,18 @@
 //! A real daemon in its own directory, and helpers for the other tests.
 
 use assert_cmd::Command;
+use assert_cmd::assert::OutputAssertExt;
 use meissner_api::{Event, Problem, Receipt, SessionList, Status};
 use meissner_client::{Client, ClientError, Events};
 use rustix::process::{Pid, Resource, Rlimit, Signal, getrlimit, kill_process, prlimit};
 use serde_json::{Value, json};
 use std::env;
+use std::ffi::{OsStr, OsString};
 use std::fs::{self, File};
 use std::io::{Read, Write};
 use std::os::unix::net::UnixStream;
 use std::path::{Path, PathBuf};
-use std::process::{self, Child, ExitStatus, Stdio};
+use std::process::{self, Child, ExitStatus, Output, Stdio};
 use std::sync::Arc;
 use std::thread;
 use std::time::{Duration, Instant};
@@ -253,6 +255,41 @@ pub(crate) fn meissner() -> Command {
     command
 }
 
+/// A command line that runs in this process: for commands that need neither a daemon nor an environment.
+pub(crate) struct Offline(Vec<OsString>);
+
+pub(crate) fn offline() -> Offline {
+    Offline(vec!["meissner".into()])
+}
+
+impl Offline {
+    pub(crate) fn arg(&mut self, argument: impl AsRef<OsStr>) -> &mut Self {
+        self.args([argument])
+    }
+
+    pub(crate) fn args<A: AsRef<OsStr>>(&mut self, arguments: impl IntoIterator<Item = A>) -> &mut Self {
+        self.0.extend(arguments.into_iter().map(|argument| argument.as_ref().to_owned()));
+        self
+    }
+}
+
+/// A command line that a test can run.
+pub(crate) trait Run {
+    fn run(&mut self) -> Output;
+}
+
+impl Run for Command {
+    fn run(&mut self) -> Output {
+        self.output().unwrap()
+    }
+}
+
+impl Run for Offline {
+    fn run(&mut self) -> Output {
+        meissner::cli::answered(&self.0)
+    }
+}
+
 /// Waits until something has happened.
 #[track_caller]
 pub(crate) fn wait_until(mut happened: impl FnMut() -> bool) {
@@ -293,8 +330,8 @@ pub(crate) fn began(events: &mut Events) -> u64 {
 }
 
 /// The message of a command that fails: exit 1 and one line on stderr.
-pub(crate) fn complaint(command: &mut Command) -> String {
-    let output = command.assert().failure().code(1).get_output().clone();
+pub(crate) fn complaint(command: &mut impl Run) -> String {
+    let output = command.run().assert().failure().code(1).get_output().clone();
     let line = String::from_utf8(output.stderr).unwrap();
     assert!(line.starts_with("meissner: ") && line.trim_end().lines().count() == 1, "{line}");
     assert!(output.stdout.is_empty(), "{:?}", output.stdout);
@@ -302,12 +339,12 @@ pub(crate) fn complaint(command: &mut Command) -> String {
 }
 
 /// The output of a command that succeeds.
-pub(crate) fn printed(command: &mut Command) -> String {
-    String::from_utf8(command.assert().success().get_output().stdout.clone()).unwrap()
+pub(crate) fn printed(command: &mut impl Run) -> String {
+    String::from_utf8(command.run().assert().success().get_output().stdout.clone()).unwrap()
 }
 
 /// The JSON document that a command prints.
-pub(crate) fn document(command: &mut Command) -> Value {
+pub(crate) fn document(command: &mut impl Run) -> Value {
     serde_json::from_str(&printed(command)).unwrap()
 }
 

@@ -1,6 +1,6 @@
 //! `render` and `judge` on small sets: what is traced, what observers read, and what is left if something is not as told.
 
-use crate::harness::{complaint, document, meissner, printed};
+use crate::harness::{complaint, document, offline, printed};
 use serde_json::Value;
 use std::fs;
 use std::path::Path;
@@ -28,8 +28,8 @@ fn traced_letters_are_named_and_heights_are_not_traced() {
     write(dir.path(), "p", "shape = \"texture\"\nfile = \"p.csv\"\nmm_per_pixel = 0.5", PRESS);
     fs::write(dir.path().join("p.csv"), "height_um\n0\n0\n0\n0\n").unwrap();
     let set = |objects: [&str; 2]| {
-        let mut judge = meissner();
-        judge.current_dir(dir.path()).args(["judge", "--fingers", "1", "--set"]).args(objects);
+        let mut judge = offline();
+        judge.args(["judge", "--fingers", "1", "--set"]).args(objects.map(|object| dir.path().join(object)));
         judge
     };
     let found = document(set(["l.toml", "t.toml"]).arg("--json"));
@@ -51,8 +51,10 @@ fn traced_letters_are_named_and_heights_are_not_traced() {
     assert!(mixed["lines"].as_array().unwrap().iter().all(|line| line["name"] != "render trace"));
 
     let render = |object: &str, more: &[&str]| {
-        let mut render = meissner();
-        render.current_dir(dir.path()).args(["render", object, "--method", "trace"]).args(more);
+        let mut render = offline();
+        let at = dir.path().join(object);
+        let object = if at.exists() { at } else { object.into() };
+        render.arg("render").arg(object).args(["--method", "trace"]).args(more);
         render
     };
     let seconds = |speed: &str| {
@@ -104,7 +106,11 @@ fn what_renders_nothing_is_said_in_one_line() {
         (&["simulate", "p.toml"], "p.toml:1: `format` is missing: add format = 1, or format = 2 if it has"),
         (&["render", "moving-edg"], "no object is called `moving-edg`: did you mean `moving-edge`?"),
     ] {
-        let found = complaint(meissner().current_dir(dir.path()).args(asked));
+        let at = |argument: &&str| {
+            let at = dir.path().join(argument);
+            if at.is_file() { at } else { argument.into() }
+        };
+        let found = complaint(offline().args(asked.iter().map(at)));
         assert!(found.contains(line), "{found}");
     }
     assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 2);

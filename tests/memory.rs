@@ -36,14 +36,14 @@ fn dotted(name: &str) -> String {
 
 /// The most drives that a pattern may have, with every key.
 fn longest(name: &str) -> String {
-    let mut text = format!("format = 1\nname = \"{name}\"\nduration_s = 1000.0\n");
+    let mut text = format!("format = 1\nname = \"{name}\"\nduration_s = 105.0\n");
     for number in 0..4096 {
-        let (motor, start_s) = (number % 24, f64::from(number / 24) * 5.5);
+        let (motor, start_s) = (number % 24, f64::from(number / 24) * 0.6);
         let _ = write!(
             text,
             "[[drive]]\nmotor = {motor}\nfrequency_hz = 60.125\namplitude_um = 10.125\nphase = 0.125\n\
              start_s = {start_s}\nstop_s = {}\n",
-            start_s + 5.25
+            start_s + 0.55
         );
     }
     text

@@ -1,4 +1,4 @@
-use crate::harness::{Daemon, complaint, document, meissner, printed};
+use crate::harness::{Daemon, complaint, document, offline, printed};
 
 use std::fs;
 use std::path::Path;
@@ -28,30 +28,30 @@ fn a_pattern_is_packed_with_its_files_and_then_needs_them_no_longer() {
     let text = pattern(&[wave(1, "a.csv"), wave(3, "in/b.csv")].concat());
     write(dir.path(), "touch.toml", &text);
     let (from, to) = (dir.path().join("touch.toml"), dir.path().join("packed.toml"));
-    let said = printed(meissner().args(["pattern", "pack"]).arg(&from).arg("-o").arg(&to));
+    let said = printed(offline().args(["pattern", "pack"]).arg(&from).arg("-o").arg(&to));
     assert!(said.contains("motor 1: 5 samples at 100 Hz: a.csv: CSV column pin_um, 100 Hz"), "{said}");
     // On stdout it is the same text.
-    let stdout = printed(meissner().args(["pattern", "pack"]).arg(&from));
+    let stdout = printed(offline().args(["pattern", "pack"]).arg(&from));
     let packed = fs::read_to_string(&to).unwrap();
     assert_eq!(stdout.trim_end(), packed.trim_end());
-    let samples = |file: &Path| printed(meissner().arg("displacement").arg(file));
+    let samples = |file: &Path| printed(offline().arg("displacement").arg(file));
     let before = samples(&from);
     for name in ["a.csv", "in/b.csv"] {
         fs::remove_file(dir.path().join(name)).unwrap();
     }
     assert_eq!(samples(&to), before);
     assert_eq!(before.lines().next(), Some("time_s,motor_1_um,motor_3_um"));
-    let lost = complaint(meissner().args(["pattern", "check"]).arg(&from));
+    let lost = complaint(offline().args(["pattern", "check"]).arg(&from));
     assert!(
         lost.contains("wave 1: `file`: motor 1: `a.csv`: cannot be read; name an NPY, CSV or WAV file"),
         "{lost}"
     );
-    let itself = complaint(meissner().args(["pattern", "pack"]).arg(&to).arg("-o").arg(&to));
+    let itself = complaint(offline().args(["pattern", "pack"]).arg(&to).arg("-o").arg(&to));
     assert!(itself.contains("this is the pattern's own file: write to another"), "{itself}");
     assert_eq!(fs::read_to_string(&to).unwrap(), packed);
     // A mistake in a sample file is one line with motor, sample and time.
     write(dir.path(), "a.csv", "time_s,pin_um\n0,0\n0.005,1\n0.01,nan\n");
-    let line = complaint(meissner().args(["pattern", "pack"]).arg(&from));
+    let line = complaint(offline().args(["pattern", "pack"]).arg(&from));
     assert!(
         line.contains("touch.toml:5: wave 1: `file`: motor 1: `a.csv`: sample 2 at 0.01 s is NaN"),
         "{line}"
@@ -63,9 +63,11 @@ fn a_pattern_is_checked_before_it_is_played() {
     let ramp = |rise_s: f64| {
         pattern(&format!("[[ramp]]\nmotor = 9\nto_um = 200.0\nrise_s = {rise_s}\nhold_s = 0.5\n"))
     };
+    let dir = tempdir().unwrap();
     let check = |text: &str, more: &[&str]| {
-        let mut command = meissner();
-        command.args(["pattern", "check", "-"]).args(more).write_stdin(text.to_owned());
+        write(dir.path(), "touch.toml", text);
+        let mut command = offline();
+        command.args(["pattern", "check"]).arg(dir.path().join("touch.toml")).args(more);
         command
     };
     let found = document(&mut check(&ramp(0.05), &["--json"]));
@@ -88,12 +90,12 @@ fn a_pattern_is_checked_before_it_is_played() {
 #[test]
 fn the_shipped_motions_do_what_motors_can_do() {
     for name in ["press-hold", "rough-noise"] {
-        let found = document(meissner().args(["pattern", "check", name, "--strict", "--json"]));
+        let found = document(offline().args(["pattern", "check", name, "--strict", "--json"]));
         for motor in found["followed"]["motors"].as_array().unwrap() {
             assert!(motor["from_filtered"]["r"].as_f64().unwrap() > 0.98, "{name}: {motor}");
         }
     }
-    let table = printed(meissner().args(["displacement", "press-hold", "--rate-hz", "1000"]));
+    let table = printed(offline().args(["displacement", "press-hold", "--rate-hz", "1000"]));
     let rows: Vec<f64> =
         table.lines().skip(1).map(|row| row.split(',').nth(1).unwrap().parse().unwrap()).collect();
     assert!((rows[300] - 200.0).abs() < 0.1 && rows[25] < 100.0, "{} {}", rows[25], rows[300]);
@@ -101,7 +103,7 @@ fn the_shipped_motions_do_what_motors_can_do() {
     assert!((600..612).contains(&rows.len()) && rows.last().unwrap().abs() < 1.0, "{rows:?}");
     // Patterns without drives are simulated, too.
     let [rough, press] = ["rough-noise", "press-hold"].map(|name| {
-        let found = document(meissner().args(["simulate", name, "--seconds", "1", "--json"]));
+        let found = document(offline().args(["simulate", name, "--seconds", "1", "--json"]));
         found["spikes_s"]
             .as_array()
             .unwrap()

@@ -1,4 +1,4 @@
-use crate::harness::{complaint, document, meissner, printed};
+use crate::harness::{Run, complaint, document, meissner, offline, printed};
 use assert_cmd::cargo::CommandCargoExt;
 use meissner_array::pattern::Pattern;
 use rustix::process::{Pid, Signal, kill_process};
@@ -22,7 +22,7 @@ fn the_document_is_complete_and_its_pattern_is_the_file() {
     let dir = tempfile::tempdir().unwrap();
     let file = dir.path().join("my-dot.toml");
     let run =
-        |more: &[&str]| document(meissner().args(["optimise", "dot", "--budget", "60", "--json"]).args(more));
+        |more: &[&str]| document(offline().args(["optimise", "dot", "--budget", "60", "--json"]).args(more));
     let found = run(&["-o", file.to_str().unwrap()]);
     let text = fs::read_to_string(&file).unwrap();
     assert_eq!(found["pattern"], text);
@@ -48,7 +48,7 @@ fn the_document_is_complete_and_its_pattern_is_the_file() {
         found["cost_hz"].as_f64().unwrap()
     );
     // Without -o the pattern goes to stdout, under the target's name, and the summary to stderr.
-    let output = meissner().args(["optimise", "dot", "--budget", "60"]).output().unwrap();
+    let output = offline().args(["optimise", "dot", "--budget", "60"]).run();
     let (out, err) = (String::from_utf8(output.stdout).unwrap(), String::from_utf8(output.stderr).unwrap());
     assert_eq!(out, text.replace("\"my-dot\"", "\"dot\""));
     for word in [
@@ -69,10 +69,10 @@ fn the_document_is_complete_and_its_pattern_is_the_file() {
 #[test]
 fn a_search_is_compared_with_the_naive_rules() {
     let asked = ["optimise", "two-dots", "--budget", "30"];
-    let found = document(meissner().args(asked).arg("--json"));
+    let found = document(offline().args(asked).arg("--json"));
     let rules: Vec<_> = found["baselines"].as_array().unwrap().iter().map(|of| of["rule"].clone()).collect();
     assert_eq!(rules, ["reach", "pitch"]);
-    let output = meissner().args(asked).output().unwrap();
+    let output = offline().args(asked).run();
     let summary = String::from_utf8(output.stderr).unwrap();
     assert!(summary.contains("the rule naive-pitch needs no search and reaches as much"), "{summary}");
 }
@@ -81,7 +81,7 @@ fn a_search_is_compared_with_the_naive_rules() {
 #[test]
 fn the_papers_pattern_is_made_again() {
     let paper = fs::read_to_string("library/patterns/paper/dot-paper.toml").unwrap();
-    let made = printed(meissner().args(["optimise", "dot", "--robust"]));
+    let made = printed(offline().args(["optimise", "dot", "--robust"]));
     assert!(made.trim_end() == paper.trim_end().replace("\"dot-paper\"", "\"dot\""));
 }
 
@@ -112,9 +112,9 @@ fn the_same_command_makes_the_same_bytes_on_any_number_of_threads() {
 fn a_resumed_pattern_is_no_worse_and_holds_its_start() {
     let dir = tempfile::tempdir().unwrap();
     let (first, second) = (dir.path().join("first.toml"), dir.path().join("second.toml"));
-    printed(meissner().args(["optimise", "edge-90", "--budget", "150", "-o"]).arg(&first));
+    printed(offline().args(["optimise", "edge-90", "--budget", "150", "-o"]).arg(&first));
     let resume = || {
-        let mut command = meissner();
+        let mut command = offline();
         command
             .args(["optimise", "edge-90", "--budget", "250", "--resume"])
             .arg(&first)
@@ -156,7 +156,7 @@ fn ctrl_c_keeps_the_best_so_far() {
     assert!(reached.split(',').count() == 9 && reached.ends_with(",0"), "{reached}");
     let arguments =
         ["optimise", "moving-edge", "--robust", "--setting", "always_on", "--budget", &reached, "-o"];
-    printed(meissner().args(arguments).arg(&again));
+    printed(offline().args(arguments).arg(&again));
     assert!(fs::read(&file).unwrap() == fs::read(&again).unwrap(), "{reached}");
 }
 
@@ -166,7 +166,7 @@ fn a_mistake_is_reported_in_one_line_before_the_work() {
     let place = |name: &str| dir.path().join(name).to_str().unwrap().to_owned();
     fs::write(place("wrong.toml"), "name = \"a\"\nshape = \"disk\"\n").unwrap();
     fs::write(place("off.toml"), "name = \"a\"\nshape = \"dots\"\npoints = [[8, 11]]\n").unwrap();
-    let line = |arguments: &[&str]| complaint(meissner().arg("optimise").args(arguments));
+    let line = |arguments: &[&str]| complaint(offline().arg("optimise").args(arguments));
     assert!(line(&["egde-45"]).contains("did you mean `edge-45`"));
     assert!(line(&["./edge-45"]).contains("cannot be read; name an object file"));
     assert!(line(&[&place("wrong.toml")]).contains("wrong.toml:2: `shape`"));
@@ -193,13 +193,13 @@ fn an_amplitude_of_zero_is_reported_as_silent() {
     let file = dir.path().join("still.toml");
     fs::write(&file, "name = \"still\"\nshape = \"disc\"\nradius_mm = 2\namplitude_um = 0\n").unwrap();
     let out = dir.path().join("out.toml");
-    let said = printed(meissner().arg("optimise").arg(&file).arg("-o").arg(&out));
+    let said = printed(offline().arg("optimise").arg(&file).arg("-o").arg(&out));
     assert!(
         said.contains("at 0 um no pin moves")
             && said.contains("0.0 impulses/s on 1 population: 0.0 ON, 0.0 OFF"),
         "{said}"
     );
-    let found: Value = document(meissner().arg("optimise").arg(&file).arg("--json"));
+    let found: Value = document(offline().arg("optimise").arg(&file).arg("--json"));
     assert_eq!(
         (&found["cost_hz"], &found["auc"], &found["ended"]),
         (&json!(0.0), &json!(0.5), &json!("converged"))

@@ -23,8 +23,8 @@ fn silent(events: &mut Events) -> f64 {
 fn a_command_that_waits_keeps_the_motors_armed_until_it_is_killed() {
     let daemon = Daemon::start();
     let mut events = daemon.client().events().unwrap();
-    command(&daemon, &["arm", "--assume-rest", "--silence", "5"]);
-    let played = command(&daemon, &["play", "pin-60", "--seconds", "12", "--wait"]);
+    command(&daemon, &["arm", "--assume-rest", "--silence", "2"]);
+    let played = command(&daemon, &["play", "pin-60", "--seconds", "5", "--wait"]);
     assert_eq!(played["state"], "done", "{played}");
     assert_eq!(ended(&mut events).state, PlayState::Done);
     let mut child = Command::new(crate::harness::PROGRAM)
@@ -36,7 +36,7 @@ fn a_command_that_waits_keeps_the_motors_armed_until_it_is_killed() {
     began(&mut events);
     child.kill().unwrap();
     child.wait().unwrap();
-    assert_eq!(silent(&mut events), 5.0);
+    assert_eq!(silent(&mut events), 2.0);
     assert_eq!(ended(&mut events).cause.as_ref(), Some(&EndCause::OwnerSilent));
 }
 

@@ -1,4 +1,4 @@
-use crate::harness::{complaint, document, meissner, printed};
+use crate::harness::{Run, complaint, document, meissner, offline, printed};
 use meissner_skin::{MAX_TOML_BYTES, Method, Options, Scene, simulate};
 use serde_json::{Value, json};
 use std::fs::{self, File};
@@ -31,7 +31,7 @@ fn scene(text: &str) -> (TempDir, PathBuf) {
 
 fn simulated(arguments: &[&str]) -> Value {
     let (_dir, file) = scene(SMALL);
-    document(meissner().arg("simulate").arg(file).args(arguments).arg("--json"))
+    document(offline().arg("simulate").arg(file).args(arguments).arg("--json"))
 }
 
 fn numbers(value: &Value) -> Vec<f64> {
@@ -89,7 +89,7 @@ afferents = [{ class = "PC", row = 0, x_mm = 1.0, y_mm = 0.0 }, { class = "SA1",
 #[test]
 fn the_second_model_answers_with_spikes_classes_and_contact() {
     let (_dir, file) = scene(PRESSED);
-    let found = document(meissner().arg("simulate").arg(&file).arg("--json"));
+    let found = document(offline().arg("simulate").arg(&file).arg("--json"));
     assert_eq!((&found["model"], &found["step_us"]), (&json!("afferents"), &json!(200)));
     let spikes: Vec<Vec<f64>> = serde_json::from_value(found["spikes_s"].clone()).unwrap();
     assert!(spikes.len() == 2 && spikes.iter().all(|spikes| spikes.len() > 5), "{spikes:?}");
@@ -98,20 +98,20 @@ fn the_second_model_answers_with_spikes_classes_and_contact() {
     assert_eq!(found["afferents"][1], json!({"class": "SA1", "row": 3, "x_mm": 0.2, "y_mm": 0.0}));
     assert_eq!(found["classes"][0]["class"], "SA1");
     assert_eq!(found["lost_contact_s"], json!([0.0]));
-    let rates_only = document(meissner().arg("simulate").arg(&file).args(["--json", "--rates-only"]));
+    let rates_only = document(offline().arg("simulate").arg(&file).args(["--json", "--rates-only"]));
     assert!(rates_only.get("spikes_s").is_none() && rates_only["rates_hz"] == found["rates_hz"]);
 
-    let text = printed(meissner().arg("simulate").arg(&file));
+    let text = printed(offline().arg("simulate").arg(&file));
     for part in ["model      afferents", "steps of 200 us", "all pins, all the time", "mean impulses/s"] {
         assert!(text.contains(part), "{part}: {text}");
     }
-    let table = printed(meissner().arg("simulate").arg(&file).arg("--csv"));
+    let table = printed(offline().arg("simulate").arg(&file).arg("--csv"));
     let rows: Vec<_> = table.lines().collect();
     assert_eq!(rows[0], "afferent,class,row,x_mm,y_mm,spikes,rate_hz");
     assert_eq!(rows[1], format!("0,PC,0,1.0,0.0,{},{:?}", spikes[0].len(), rates[0]));
     assert_eq!(rows.len(), 3);
 
-    let refused = meissner().arg("simulate").arg(&file).args(["--step-us", "100"]).output().unwrap();
+    let refused = offline().arg("simulate").arg(&file).args(["--step-us", "100"]).run();
     assert_eq!(refused.status.code(), Some(2));
     assert!(String::from_utf8(refused.stderr).unwrap().contains("has steps of 200 us and no other method"));
 }
@@ -120,14 +120,14 @@ fn the_second_model_answers_with_spikes_classes_and_contact() {
 fn a_scene_of_motors_is_simulated_by_the_model_of_the_command() {
     let shipped = Path::new(env!("CARGO_MANIFEST_DIR")).join("library/scenes/sixty-hertz.toml");
     let of_model = |model| {
-        document(meissner().arg("simulate").arg(&shipped).args(["--rates-only", "--json", "--model", model]))
+        document(offline().arg("simulate").arg(&shipped).args(["--rates-only", "--json", "--model", model]))
     };
     let (membrane, afferents) = (of_model("membrane"), of_model("afferents"));
     assert_eq!(numbers(&membrane["rates_hz"]).len(), 306);
     let classes = &afferents["classes"];
     assert_eq!([0, 1, 2].map(|class| classes[class]["afferents"].as_u64().unwrap()), [200, 306, 60]);
     assert_eq!(classes[2]["per_cm2"], json!([25.0, 10.5]));
-    let table = printed(meissner().arg("simulate").arg(&shipped).args(["--rates-only", "--csv"]));
+    let table = printed(offline().arg("simulate").arg(&shipped).args(["--rates-only", "--csv"]));
     assert!(table.lines().nth(1).unwrap().starts_with("0,RA,,"), "{table}");
 }
 
@@ -143,7 +143,7 @@ fn rates_without_spikes_are_the_same_rates() {
 #[test]
 fn without_json_the_command_prints_a_summary() {
     let (_dir, file) = scene(SMALL);
-    let text = printed(meissner().arg("simulate").arg(&file));
+    let text = printed(offline().arg("simulate").arg(&file));
     for part in [
         "model      membrane",
         "afferents  3, for 0.1 s",
@@ -155,7 +155,8 @@ fn without_json_the_command_prints_a_summary() {
         assert!(text.contains(part), "{part}: {text}");
     }
     let empty = "duration_s = 0\nafferents = []\n";
-    let text = printed(meissner().args(["simulate", "-"]).write_stdin(empty));
+    let (_dir, file) = scene(empty);
+    let text = printed(offline().arg("simulate").arg(file));
     assert!(text.contains("afferents  0, for 0 s") && text.contains("rate       -"), "{text}");
 }
 
@@ -181,13 +182,13 @@ fn a_scene_that_cannot_be_simulated_is_refused_in_one_line() {
         (&[file, "--step-us", "0"], "a step of 0 us: must be 1 to 1000000 us"),
         (&[file, "--step-us", "44001", "--integrator", "euler"], "unstable with a step of 44001 us"),
     ] {
-        let line = complaint(meissner().arg("simulate").args(arguments));
+        let line = complaint(offline().arg("simulate").args(arguments));
         assert!(line.contains(says), "{line}");
     }
     fs::write(dir.path().join("latin"), b"\xe9").unwrap();
-    assert!(complaint(meissner().arg("simulate").arg(dir.path().join("latin"))).contains("not UTF-8 text"));
+    assert!(complaint(offline().arg("simulate").arg(dir.path().join("latin"))).contains("not UTF-8 text"));
     File::create(dir.path().join("l.toml")).unwrap().set_len(MAX_TOML_BYTES as u64 + 1).unwrap();
-    assert!(complaint(meissner().arg("tradeoff").arg(dir.path().join("l.toml"))).contains("too many"));
+    assert!(complaint(offline().arg("tradeoff").arg(dir.path().join("l.toml"))).contains("too many"));
 }
 
 /// Euler is beyond tau from 2000 us on.
@@ -199,7 +200,7 @@ fn fast_membrane() -> String {
 fn the_tradeoff_has_a_row_for_every_method_and_step() {
     const STEPS_US: [u32; 12] = [1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000];
     let (_dir, file) = scene(&fast_membrane());
-    let found = document(meissner().arg("tradeoff").arg(&file).arg("--json"));
+    let found = document(offline().arg("tradeoff").arg(&file).arg("--json"));
     let rows = found["rows"].as_array().unwrap();
     assert_eq!(rows.len(), 1 + 2 * STEPS_US.len());
     assert!(found["left_out"].is_null());
@@ -229,7 +230,7 @@ fn the_tradeoff_has_a_row_for_every_method_and_step() {
         assert!(fine_us < 1.0 && fine_us < coarse_us, "{integrator}: {fine_us} {coarse_us}");
     }
     assert!((found["euler_unstable_above_us"].as_f64().unwrap() - 3000.0).abs() < 1e-6);
-    let text = printed(meissner().arg("tradeoff").arg(&file));
+    let text = printed(offline().arg("tradeoff").arg(&file));
     for part in ["propagator at 5000 us", "no: refused", "between tau (0.0015 s) and 2 tau"] {
         assert!(text.contains(part), "{part}: {text}");
     }
@@ -244,7 +245,7 @@ fn the_tradeoff_has_a_row_for_every_method_and_step() {
 fn steps_that_take_too_long_are_left_out_and_named() {
     let (_dir, file) =
         scene(&SMALL.replace("0.1\nseed", "250\nseed").replace("amplitude_um = 80", "amplitude_um = 0"));
-    let found = document(meissner().arg("tradeoff").arg(&file).arg("--json"));
+    let found = document(offline().arg("tradeoff").arg(&file).arg("--json"));
     assert_eq!(found["left_out"]["steps_us"], json!([1]));
     let rows = found["rows"].as_array().unwrap();
     assert_eq!(rows.len(), 1 + 2 * 11);
@@ -254,7 +255,7 @@ fn steps_that_take_too_long_are_left_out_and_named() {
 
 #[test]
 fn the_second_model_is_measured_as_asked_and_at_its_extremes() {
-    let found = document(meissner().args(["tradeoff", "--model", "afferents", "--json"]));
+    let found = document(offline().args(["tradeoff", "--model", "afferents", "--json"]));
     let rows = found["rows"].as_array().unwrap();
     let of = |scene: &str| rows.iter().find(|row| row["scene"].as_str().unwrap().starts_with(scene)).unwrap();
     for row in rows {
@@ -262,8 +263,7 @@ fn the_second_model_is_measured_as_asked_and_at_its_extremes() {
         assert!(row["us_per_afferent_s"].as_f64().unwrap() > 0.0, "{row}");
     }
     let shipped = Path::new(env!("CARGO_MANIFEST_DIR")).join("library/scenes/sixty-hertz.toml");
-    let simulated =
-        document(meissner().arg("simulate").arg(shipped).args(["--json", "--model", "afferents"]));
+    let simulated = document(offline().arg("simulate").arg(shipped).args(["--json", "--model", "afferents"]));
     let trains = simulated["spikes_s"].as_array().unwrap();
     let spikes = trains.iter().map(|train| train.as_array().unwrap().len()).sum::<usize>();
     assert_eq!((&of("as asked")["afferents"], &of("as asked")["spikes"]), (&json!(566), &json!(spikes)));
@@ -280,7 +280,7 @@ fn the_second_model_is_measured_as_asked_and_at_its_extremes() {
     assert_eq!(of("80 um, one afferent")["afferents"], 3);
     assert_eq!(of("80 um, 100 000")["afferents"], 100_000);
 
-    let text = printed(meissner().args(["tradeoff", "--model", "afferents"]));
+    let text = printed(offline().args(["tradeoff", "--model", "afferents"]));
     for part in ["as asked", "no contact %", "The step of 200 us is part of the model"] {
         assert!(text.contains(part), "{part}: {text}");
     }

@@ -3,6 +3,7 @@
 //! Rows are printed as they are computed, so the memory does not grow with the play.
 
 use super::arguments::{ArrayOption, FITS, Output, choice, positive};
+use super::output::Stream;
 use super::pattern_file;
 use crate::receipts::fit;
 use anyhow::{Result, bail};
@@ -10,7 +11,7 @@ use clap::Args;
 use meissner_api::Fit;
 use meissner_array::displacement::Displacement as Samples;
 use meissner_array::strokes::{StrokeOptions, Strokes};
-use std::io::{self, BufWriter, Write};
+use std::io::{BufWriter, Write};
 use std::process::ExitCode;
 
 #[derive(Debug, Args)]
@@ -54,7 +55,7 @@ pub(super) fn run(asked: &Displacement) -> Result<ExitCode> {
         bail!("`{}` has no end: say for how long with --seconds", pattern.name());
     }
     let samples = Samples::new(strokes, asked.rate_hz, 0.0);
-    let mut out = BufWriter::new(io::stdout().lock());
+    let mut out = BufWriter::new(Stream::Stdout);
     if asked.output.json {
         document(samples, asked, &mut out)?;
     } else {

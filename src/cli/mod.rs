@@ -53,10 +53,12 @@ use output::{is_broken_pipe, say, tell};
 use rustix::fs::Mode;
 use rustix::process::umask;
 use std::env;
+use std::ffi::OsString;
 use std::net::SocketAddr;
+use std::os::unix::process::ExitStatusExt;
 use std::panic::{self, AssertUnwindSafe};
 use std::path::PathBuf;
-use std::process::ExitCode;
+use std::process::{self, ExitCode, ExitStatus};
 use std::time::Duration;
 use tracing::Level;
 
@@ -286,7 +288,21 @@ pub fn main() -> ExitCode {
     };
     let level = if matches!(cli.command, Command::Daemon { .. }) { Level::INFO } else { Level::WARN };
     log::start(level);
-    match run(cli.command) {
+    exit_code(run(cli.command))
+}
+
+/// Runs a command on this thread, for tests: exit code and output as of a process. The arguments begin with the program's name.
+#[doc(hidden)]
+#[must_use]
+pub fn answered(arguments: &[OsString]) -> process::Output {
+    let run = || Cli::try_parse_from(arguments).map_or_else(usage, |cli| exit_code(run(cli.command)));
+    let (code, [stdout, stderr]) = output::held(run);
+    let number = (0..=u8::MAX).find(|&number| ExitCode::from(number) == code).unwrap_or(u8::MAX);
+    process::Output { status: ExitStatus::from_raw(i32::from(number) << 8), stdout, stderr }
+}
+
+fn exit_code(ended: Result<ExitCode>) -> ExitCode {
+    match ended {
         Ok(code) => code,
         // The reader of the output has closed it.
         Err(error) if is_broken_pipe(&error) => ExitCode::SUCCESS,
@@ -304,7 +320,9 @@ pub fn main() -> ExitCode {
 /// Says on one line what is wrong with the command line. Help and version, which clap also calls errors, are printed as they are.
 fn usage(error: clap::Error) -> ExitCode {
     if !error.use_stderr() || error.kind() == ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand {
-        error.exit();
+        // If the output is closed, no one can read it.
+        let _ = error.print();
+        return ExitCode::from(u8::try_from(error.exit_code()).unwrap_or(2));
     }
     let text = error.to_string();
     let (said, rest) = text.split_once("\nUsage: ").unwrap_or((&text, ""));

@@ -4,8 +4,55 @@ use crate::session_record::json;
 use anyhow::Result;
 use meissner_input::message::escape;
 use serde::Serialize;
+use std::cell::RefCell;
 use std::io::{self, BufWriter, IsTerminal, Write};
 use std::process::ExitCode;
+
+thread_local! {
+    /// What a command on this thread has printed, for [`super::answered`].
+    static HELD: RefCell<Option<[Vec<u8>; 2]>> = const { RefCell::new(None) };
+}
+
+/// Where a command prints.
+#[derive(Debug, Clone, Copy)]
+pub(super) enum Stream {
+    Stdout,
+    Stderr,
+}
+
+impl Stream {
+    pub(super) fn is_terminal(self) -> bool {
+        let is_held = HELD.with_borrow(Option::is_some);
+        !is_held
+            && if matches!(self, Self::Stdout) {
+                io::stdout().is_terminal()
+            } else {
+                io::stderr().is_terminal()
+            }
+    }
+}
+
+impl Write for Stream {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        HELD.with_borrow_mut(|held| match (held, &self) {
+            (Some(held), _) => held[*self as usize].write(bytes),
+            (None, Self::Stdout) => io::stdout().write(bytes),
+            (None, Self::Stderr) => io::stderr().write(bytes),
+        })
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        // Nothing is buffered in what is held, nor for stderr.
+        io::stdout().flush()
+    }
+}
+
+/// Runs a command on this thread. Returns what it prints on stdout and on stderr.
+pub(super) fn held<T>(work: impl FnOnce() -> T) -> (T, [Vec<u8>; 2]) {
+    HELD.set(Some(Default::default()));
+    let answer = work();
+    (answer, HELD.take().unwrap_or_default())
+}
 
 /// Whether the reader of the output has closed it.
 pub(super) fn is_broken_pipe(error: &anyhow::Error) -> bool {
@@ -19,18 +66,18 @@ pub(super) fn shown(text: &str) -> String {
 
 /// Prints one or more lines, escaped.
 pub(super) fn say(text: &str) -> Result<()> {
-    Ok(writeln!(io::stdout(), "{}", shown(text))?)
+    Ok(writeln!(Stream::Stdout, "{}", shown(text))?)
 }
 
 /// Prints a file's text unchanged; on a terminal it is escaped.
 pub(super) fn say_file(text: &str) -> Result<()> {
-    if io::stdout().is_terminal() { say(text) } else { Ok(writeln!(io::stdout(), "{text}")?) }
+    if Stream::Stdout.is_terminal() { say(text) } else { Ok(writeln!(Stream::Stdout, "{text}")?) }
 }
 
 /// Prints a line on stderr, escaped.
 pub(super) fn tell(text: &str) {
     // If stderr is closed, no one can read the message.
-    let _ = writeln!(io::stderr(), "{}", shown(text));
+    let _ = writeln!(Stream::Stderr, "{}", shown(text));
 }
 
 /// Prints the answer: as a document, or as text. A closed stdout is not an error: the exit code depends only on the answer.
@@ -47,7 +94,7 @@ pub(super) fn give(json: bool, document: &impl Serialize, text: impl FnOnce() ->
 /// Prints the document of `--json` on one line; characters that are not plain become `\u` escapes. Serializes while it prints: a
 /// simulation's spikes can be large.
 pub(super) fn say_json(document: &impl Serialize) -> Result<()> {
-    let mut out = BufWriter::new(io::stdout().lock());
+    let mut out = BufWriter::new(Stream::Stdout);
     json::write(&mut out, document)?;
     out.write_all(b"\n")?;
     Ok(out.flush()?)

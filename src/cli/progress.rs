@@ -3,11 +3,11 @@
 //! On a terminal it shows a bar or a spinner on stderr, and removes it at the end. Elsewhere a play prints lines on stdout: at its
 //! beginning, every second, and for each of the first ten late or refused strokes. With `--json` there are no lines.
 
-use super::output::{is_broken_pipe, say};
+use super::output::{Stream, is_broken_pipe, say};
 use anyhow::Result;
 use indicatif::{ProgressBar, ProgressStyle};
 use meissner_api::Event;
-use std::io::{self, IsTerminal, Write};
+use std::io::Write;
 use std::time::{Duration, Instant};
 
 /// Work that takes less needs no bar.
@@ -74,7 +74,7 @@ impl Search {
             bar.tick();
         } else if self.lines {
             // A closed stderr does not stop the search.
-            let _ = writeln!(io::stderr(), "{line}");
+            let _ = writeln!(Stream::Stderr, "{line}");
         }
     }
 }
@@ -85,7 +85,7 @@ struct Meter(Option<ProgressBar>);
 
 impl Meter {
     fn new(bar: impl FnOnce() -> ProgressBar) -> Self {
-        Self(io::stderr().is_terminal().then(bar))
+        Self(Stream::Stderr.is_terminal().then(bar))
     }
 
     /// Shows that `part` of the work is done, 0 to 1.
@@ -120,7 +120,7 @@ pub(super) struct Progress {
 impl Progress {
     /// For a play of `seconds`; endless if `None`.
     pub(super) fn new(seconds: Option<f64>, json: bool) -> Self {
-        let bar = io::stderr().is_terminal().then(|| bar(seconds));
+        let bar = Stream::Stderr.is_terminal().then(|| bar(seconds));
         Self { lines: !json && bar.is_none(), bar, second: 0, late: 0, refused: 0 }
     }
 
