@@ -1,5 +1,5 @@
-//! Files of a crate do not import each other in a circle, no struct has more than 16 fields, and no type has its methods in more than
-//! three files.
+//! Files of a crate do not import each other in a circle, no struct has more than 16 fields, no type has its methods in more than
+//! three files, and a play goes through no more files than listed here.
 //!
 //! Imports are read from the source with syn: `use`, and paths in code, each followed through re-exports to the file that defines the
 //! item. What only tests use does not count.
@@ -281,4 +281,72 @@ fn no_type_has_methods_in_more_than_three_files() {
     let is_known = |path: &Module| path.last().is_some_and(|name| SCATTERED.contains(&&**name));
     let scattered: Vec<_> = types.filter(|(path, files)| files.len() > 3 && !is_known(path)).collect();
     assert!(scattered.is_empty(), "types with methods in more than three files: {scattered:?}");
+}
+
+/// The way of `POST /v1/play` from the client's bytes to the device's: each file that has the play in hand, with the function that takes it
+/// and passes it on. What is only asked about it (gate, rights, limits, receipts, record, patterns) is not on the way.
+const WALK: &[(&str, &str)] = &[
+    ("src/daemon/net/connection.rs", "poll_read"),
+    ("src/daemon/net/server.rs", "serve_client"),
+    ("src/daemon/net/admission.rs", "layer"),
+    ("src/daemon/net/admission.rs", "guard"),
+    ("src/daemon/plays/handlers.rs", "play"),
+    ("src/daemon/net/body.rs", "read_file"),
+    ("src/daemon/plays/order.rs", "play"),
+    ("src/daemon/plays/order.rs", "of_order"),
+    ("src/daemon/plays/begin.rs", "begin"),
+    ("src/daemon/core/state.rs", "send"),
+    ("src/daemon/core/commands.rs", "send"),
+    ("crates/stream/src/queues/mod.rs", "pop"),
+    ("crates/stream/src/thread.rs", "execute_requests"),
+    ("crates/stream/src/streamer/commands.rs", "play"),
+    ("crates/stream/src/streamer/mod.rs", "step"),
+    ("crates/stream/src/streamer/feed.rs", "send_steps"),
+    ("crates/stream/src/active/mod.rs", "next_step"),
+    ("crates/stream/src/active/sent.rs", "next"),
+    ("crates/stream/src/source.rs", "next"),
+    ("crates/stream/src/link/session/mod.rs", "push"),
+    ("crates/stream/src/link/session/outbox.rs", "write_next"),
+    ("crates/stream/src/link/session/batch.rs", "write"),
+    ("crates/stream/src/link/session/outbound.rs", "transmit"),
+];
+/// Files on the way down to the link, and with those of the link. The goal is 15 for all.
+const FILES: [usize; 2] = [18, 21];
+/// What the play is on the way, one after the other, and the file that has each.
+const TYPES: [(&str, &str); 4] = [
+    ("crates/api/src/order.rs", "Order"),
+    ("src/daemon/plays/begin.rs", "Compiled"),
+    ("crates/stream/src/queues/play.rs", "Play"),
+    ("crates/stream/src/active/mod.rs", "Active"),
+];
+
+/// The functions and structs that a file defines.
+#[derive(Default)]
+struct Defined(BTreeSet<String>);
+
+impl<'ast> Visit<'ast> for Defined {
+    fn visit_signature(&mut self, signature: &'ast syn::Signature) {
+        self.0.insert(signature.ident.to_string());
+    }
+
+    fn visit_item_struct(&mut self, item: &'ast syn::ItemStruct) {
+        self.0.insert(item.ident.to_string());
+    }
+}
+
+#[test]
+fn a_play_goes_through_few_files_and_types() {
+    for (file, name) in WALK.iter().chain(&TYPES) {
+        let text = fs::read_to_string(Path::new(ROOT).join(file)).unwrap_or_default();
+        let mut defined = Defined::default();
+        defined.visit_file(&syn::parse_file(&text).unwrap());
+        assert!(defined.0.contains(*name), "{file} has no `{name}`: correct the way of a play");
+        assert!(text.lines().count() <= 520, "{file} is longer than 520 lines");
+    }
+    let files = |link: bool| -> BTreeSet<_> {
+        let inner = |file: &str| !link && file.contains("/link/session/") && !file.ends_with("mod.rs");
+        WALK.iter().map(|(file, _)| *file).filter(|file| !inner(file)).collect()
+    };
+    assert!(files(false).len() <= FILES[0], "{:?}", files(false));
+    assert!(files(true).len() <= FILES[1], "{:?}", files(true));
 }

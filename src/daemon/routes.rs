@@ -1,6 +1,6 @@
 //! The router: each request's way to its handler. The routes are the rows of [`Route`].
 //!
-//! A request passes [`admission`] (the network's gate), then [`guard`] (sessions and rights), then its handler. Work that touches the disk runs
+//! A request passes [`admission`] (the network's gate, then sessions and rights), then its handler. Work that touches the disk runs
 //! on a blocking thread, so that an emergency stop never waits for a disk. Every error, even for an unknown route, is
 //! `application/problem+json`.
 //!
@@ -9,7 +9,7 @@
 
 use crate::daemon::net::answer::ErrorResponse;
 use crate::daemon::net::app::App;
-use crate::daemon::net::{admission, body, compress, guard};
+use crate::daemon::net::{admission, body, compress};
 use crate::daemon::page;
 use crate::daemon::{arm, calibration, jobs, live, patterns, plays, sessions, status, tokens};
 use axum::Router;
@@ -28,7 +28,7 @@ const CLIENT: HeaderName = HeaderName::from_static("meissner-client");
 /// The routes, with what every request passes before its handler.
 pub(in crate::daemon) fn router(app: App) -> Router {
     let routes = Route::ALL.into_iter().fold(Router::new(), |router, route| {
-        let guard = from_fn_with_state((app.clone(), route), guard::guard);
+        let guard = from_fn_with_state((app.clone(), route), admission::guard);
         let handler = handler(route).route_layer(guard);
         let handler =
             if route.operation().packed { handler.layer(from_fn(compress::layer)) } else { handler };

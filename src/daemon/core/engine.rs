@@ -7,7 +7,7 @@
 
 use crate::daemon::arm::estop::{EStops, Origin};
 use crate::daemon::arm::state::Armed;
-use crate::daemon::calibration::state::Calibration;
+use crate::daemon::calibration::Calibration;
 use crate::daemon::core::commands::{Commands, Reply};
 use crate::daemon::core::connection::Connection;
 use crate::daemon::core::names::Names;

@@ -20,7 +20,7 @@
 //! Invariant: nothing here waits: the lock is held for microseconds.
 
 use crate::daemon::arm::state::Armed;
-use crate::daemon::calibration::state::Calibration;
+use crate::daemon::calibration::Calibration;
 use crate::daemon::core::commands::{Commands, Reply};
 use crate::daemon::core::connection::{Connection, ConnectorMessage};
 use crate::daemon::core::publisher::Publisher;

@@ -4,8 +4,8 @@
 //! stops. A [`connection`] then reads ahead of the server: [`framing`] finds where requests begin and end, and [`orders`] the emergency
 //! stops among them. [`activity`] says whether the daemon works for a client or waits for it.
 //!
-//! The [`server`] gives each request to the router. It passes [`admission`] (the [`gate`] decides by host, origin, token and role), then
-//! [`guard`] (sessions and rights), then its handler. A handler reads the [`body`], makes the request a command to the engine, and the result
+//! The [`server`] gives each request to the router. It passes [`admission`] (the [`gate`] decides by host, origin, token and role; then
+//! sessions and rights), then its handler. A handler reads the [`body`], makes the request a command to the engine, and the result
 //! an [`answer`], which [`compress`] shortens; [`request_log`] records it.
 
 pub(in crate::daemon) mod acceptor;
@@ -19,7 +19,6 @@ pub(in crate::daemon) mod connection;
 pub(in crate::daemon) mod first_request;
 pub(in crate::daemon) mod framing;
 pub(in crate::daemon) mod gate;
-pub(in crate::daemon) mod guard;
 pub(in crate::daemon) mod gzip;
 pub(in crate::daemon) mod head;
 pub(in crate::daemon) mod listen;
