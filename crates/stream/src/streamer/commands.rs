@@ -5,9 +5,10 @@
 use crate::active::{Active, FIRST_MARGIN, Phase, edge_delay};
 use crate::link::Session;
 use crate::queues::{At, Command, CommandError, Emit, Item, MAX_QUEUED_PLAYS, Play, Request, StreamEvent};
-use crate::streamer::homing::seeks;
+use crate::streamer::feed::margin;
+use crate::streamer::live::is_live;
 use crate::streamer::operations::{ANSWER_WITHIN, answer};
-use crate::streamer::{OpResult, Streamer, cuts_play};
+use crate::streamer::{OpResult, Streamer};
 use crate::time::HostInstant;
 use firmware_protocol::message::{Cause, LowerStop, Op, State};
 use firmware_protocol::tick::Tick;
@@ -32,8 +33,6 @@ enum Rest {
     Checked,
 }
 
-/// The part of the first margin for the render horizon and a wake-up, not for the link.
-const WAKE_UP: Duration = Duration::from_micros(1500);
 /// How long the report of an edge takes to the streamer: a block, a frame of USB, a wake-up.
 const EDGE_REPORTED: Duration = Duration::from_millis(2);
 
@@ -65,7 +64,8 @@ impl Streamer {
                 }
             },
             Command::UpdateLive(update) => {
-                self.update_live(given, update, emit);
+                let array = self.array();
+                self.live.update(given, update, array, &self.plays, emit);
                 return;
             }
             Command::EndLive(id) => self.end_live(id),
@@ -77,7 +77,11 @@ impl Streamer {
                 return;
             }
             Command::Cancel { id, cause } => self.cancel(id, cause),
-            Command::Withdraw(id) => self.withdraw(id, emit).map(|()| None),
+            Command::Withdraw(id) => {
+                let after = self.known.status.map(|(status, _)| status.counters);
+                let at = self.known.status.map_or(Tick(0), |(_, at)| at);
+                self.plays.withdraw(id, after, at, &self.control, emit).map(|()| None)
+            }
             Command::Stop => self.stop(),
             Command::EStop => {
                 self.emergency_stop(now, ticket, emit);
@@ -90,7 +94,7 @@ impl Streamer {
                     // The answer comes when the pins are back.
                     self.homing.begin_reset(ticket, emit);
                     if let Some(op) = op {
-                        self.queue_op(given, 0, op, emit);
+                        self.order(given, 0, op, emit);
                     }
                     self.reports.hasten(now);
                     return;
@@ -113,10 +117,10 @@ impl Streamer {
             Command::Disarm => self.disarm(),
             Command::Shutdown => {
                 self.operations.shut_down(now, ticket);
-                self.cut_all(EndCause::Shutdown);
+                self.plays.cut(&EndCause::Shutdown);
                 self.homing.end(Err(CommandError::Returning), emit);
                 if self.session.is_some() {
-                    self.queue_op(now, 0, Op::Disarm(Cause::Shutdown), emit);
+                    self.order(now, 0, Op::Disarm(Cause::Shutdown), emit);
                 }
                 return;
             }
@@ -124,7 +128,7 @@ impl Streamer {
         match taken {
             Ok(Some(op)) => {
                 self.homing.end(Err(CommandError::Returning), emit);
-                self.queue_op(given, ticket, op, emit);
+                self.order(given, ticket, op, emit);
             }
             Ok(None) => answer(ticket, Ok(()), emit),
             Err(refused) => {
@@ -168,36 +172,17 @@ impl Streamer {
             Err(refused) => Err((refused, play)),
             Ok(((tick, requested), margin)) => {
                 if play.replace && self.plays.iter().any(|active| !active.is_cut()) {
-                    self.cut_all(EndCause::Replaced);
+                    self.plays.cut(&EndCause::Replaced);
                     // Sent with the next step.
                     self.operations.queue(now, 0, Op::Stop, emit);
                 }
                 if self.known.no_trigger_output {
                     play.items.iter_mut().for_each(|item| item.trigger = None);
                 }
-                self.plays.push_back(Active::new(play, given, (tick, requested), margin));
+                self.plays.take(Active::new(play, given, (tick, requested), margin));
                 Ok(())
             }
         }
-    }
-
-    /// How long before its onset a play must be sent.
-    ///
-    /// # Errors
-    /// If the line does not carry the play.
-    pub(super) fn margin(&self, session: &Session, play: &Play) -> Result<Duration, CommandError> {
-        let closed_loop = !play.open_loop && self.control.corrects(self.known.telemetry);
-        let required = if closed_loop { play.bandwidth.closed } else { play.bandwidth.open };
-        let (needs, frames) = (required.rate, required.frames);
-        let Some((carries, waits)) = session.rate_beside(frames) else { return Ok(FIRST_MARGIN) };
-        let left = (f64::from(carries) * (1.0 - waits)) as u32;
-        if needs > left {
-            let waits = (100.0 * waits).round() as u32;
-            return Err(CommandError::LineTooSlow { needs, frames, carries, waits });
-        }
-        // There is no lead yet: two slow answers in a row must not delay what follows the first frame.
-        let waiting = 2 * session.ack_wait().unwrap_or_default();
-        Ok(FIRST_MARGIN.max(WAKE_UP + waiting + required.ahead(left)))
     }
 
     /// Decides whether a play can be queued; returns the present tick, the onset it asks for and its first margin.
@@ -230,7 +215,7 @@ impl Streamer {
         let rate = self.rate();
         let too_far = CommandError::TooFar { most_min: (FARTHEST / rate.per_s() / 60) as u32 };
         self.check_drift(tick, play)?;
-        let margin = self.margin(session, play)?;
+        let margin = margin(session, play, &self.control, &self.known)?;
         let requested = match play.at {
             At::Next => return Ok(((tick, None), margin)),
             At::Edge(_) if !self.known.trigger_input => return Err(CommandError::NoTriggerInput),
@@ -284,12 +269,21 @@ impl Streamer {
         Err(CommandError::DriftLimit { um: um.round() as u32, limit_um: limit_um.round() as u32 })
     }
 
+    /// Ends a live play for its client.
+    fn end_live(&mut self, id: u64) -> OpResult {
+        if !self.plays.iter().any(|active| is_live(active, id)) {
+            return Ok(None);
+        }
+        self.plays.cut(&EndCause::Stop);
+        Ok(Some(Op::Stop))
+    }
+
     fn stop(&mut self) -> OpResult {
         self.ready()?;
         if self.operations.is_full() {
             return Err(CommandError::Returning);
         }
-        self.cut_all(EndCause::Stop);
+        self.plays.cut(&EndCause::Stop);
         Ok(Some(Op::Stop))
     }
 
@@ -306,7 +300,7 @@ impl Streamer {
             return Ok(None);
         }
         active.cut(cause);
-        self.cut_all(EndCause::Stop);
+        self.plays.cut(&EndCause::Stop);
         Ok(Some(Op::Stop))
     }
 
@@ -335,7 +329,7 @@ impl Streamer {
     fn disarm(&mut self) -> OpResult {
         self.ready()?;
         self.operations.want_armed(false);
-        self.cut_all(EndCause::Disarm);
+        self.plays.cut(&EndCause::Disarm);
         Ok(Some(Op::Disarm(Cause::Request)))
     }
 
@@ -411,13 +405,13 @@ impl Streamer {
     /// Overtakes all other operations.
     fn emergency_stop(&mut self, now: HostInstant, ticket: u64, emit: &mut dyn Emit) {
         self.latch.close(ticket);
-        self.cut_all(EndCause::EStop);
+        self.plays.cut(&EndCause::EStop);
         self.homing.end(Err(CommandError::Returning), emit);
         self.homing.end_seek(Err(CommandError::Faulted), emit);
         self.homing.end_reset(Err(CommandError::Faulted), emit);
         self.reports.hasten(now);
         if self.operations.overtake(now, ticket, self.session.is_some(), emit) {
-            self.send_next_op();
+            self.operations.send_next(self.session.as_mut(), &mut self.control);
         }
     }
 
@@ -428,26 +422,8 @@ impl Streamer {
         Ok((open && faulted).then_some(Op::Reset))
     }
 
-    /// Queues an operation for the device, which `ticket` waits for.
-    pub(super) fn queue_op(&mut self, given: HostInstant, ticket: u64, op: Op, emit: &mut dyn Emit) {
-        if self.operations.queue(given, ticket, op, emit) {
-            self.send_next_op();
-        }
-    }
-
-    /// A play aborts: returns the pins and disarms.
-    pub(super) fn abort(&mut self, now: HostInstant, emit: &mut dyn Emit) {
-        self.operations.want_armed(false);
-        self.queue_op(now, 0, Op::Disarm(Cause::Abort), emit);
-    }
-
-    /// Sends the next operation if none is in flight.
-    pub(super) fn send_next_op(&mut self) {
-        let sent = self.session.as_mut().and_then(|session| self.operations.send_next(session));
-        match sent {
-            Some(op) if cuts_play(&op) => self.control.will_be_cut(),
-            Some(op) if seeks(&op) => self.control.will_seek(),
-            _ => {}
-        }
+    /// Orders an operation that `ticket` waits for.
+    pub(super) fn order(&mut self, given: HostInstant, ticket: u64, op: Op, emit: &mut dyn Emit) {
+        self.operations.order(given, ticket, op, self.session.as_mut(), &mut self.control, emit);
     }
 }

@@ -6,17 +6,15 @@ use crate::active::{Active, FIRST_MARGIN, Phase};
 use crate::control::Cutting;
 use crate::link::{Event, LostReason, Verdict};
 use crate::queues::{CommandError, Edge, Emit, Stamp, StreamEvent};
-use crate::streamer::homing::seeks;
-use crate::streamer::operations::answer;
-use crate::streamer::{IDLE_PING, Streamer, cuts_play, end_cause};
+use crate::streamer::operations::{answer, cuts_play, seeks};
+use crate::streamer::{IDLE_PING, Streamer, end_cause};
 use crate::time::HostInstant;
 use firmware_protocol::controller::HORIZON;
 use firmware_protocol::message::{Cause, Counters, Op, State, Status};
 use firmware_protocol::tick::Tick;
-use meissner_api::{EdgeEffect, EndCause, LateCause, LatePolicy};
+use meissner_api::{EdgeEffect, EndCause, LateCause};
 use meissner_array::strokes::Step;
 use meissner_array::units::ms_to_duration;
-use std::collections::VecDeque;
 use std::time::Duration;
 
 /// A frame that left this long before its stroke was sent in time: if the stroke is late, the link was slow.
@@ -46,7 +44,7 @@ impl Streamer {
                 self.control.connected(self.known.telemetry);
                 emit.event(StreamEvent::Connected(hello));
                 if self.latch.is_closed() {
-                    self.queue_op(now, 0, Op::EStop, emit);
+                    self.order(now, 0, Op::EStop, emit);
                 }
             }
             Event::Lost(reason) => {
@@ -60,7 +58,7 @@ impl Streamer {
                 if let Some(done) = self.operations.answered() {
                     if result.is_err() && !matches!(done.op, Op::Move { .. } | Op::Seek { .. }) {
                         self.operations.want_armed(false);
-                        self.cut_all(EndCause::CommandRefused);
+                        self.plays.cut(&EndCause::CommandRefused);
                     }
                     // The client must see the new state when it gets the answer.
                     emit.event(StreamEvent::Snapshot(self.snapshot(now)));
@@ -85,14 +83,16 @@ impl Streamer {
                         && !matches!(status.state, State::Armed | State::Returning)
                     {
                         self.operations.want_armed(false);
-                        self.cut_all(end_cause(status.cause));
+                        self.plays.cut(&end_cause(status.cause));
                     }
                 }
             }
             Event::Status { status, tick } => self.status(now, status, tick, emit),
             Event::Step(step, verdict) => self.verdict(now, &step, verdict, emit),
             Event::Replaced { motors, kept } => {
-                self.replaced(motors, kept, emit);
+                self.control.replaced(motors, kept);
+                let rate = self.rate();
+                self.live.replaced(motors, kept, &mut self.plays, rate, emit);
             }
             Event::OnsetRefused { rendered } => self.onset_refused(now, rendered),
             Event::OnsetAccepted => {
@@ -110,7 +110,7 @@ impl Streamer {
                 }
                 // A report from before the device was armed again does not concern the present play.
                 if !matches!(cut.cause, Cause::Stop | Cause::Request) && self.state() != State::Armed {
-                    self.cut_all(end_cause(cut.cause));
+                    self.plays.cut(&end_cause(cut.cause));
                 }
                 if let Some(clock) = self.session.as_ref().and_then(|session| session.clock().estimate()) {
                     self.plays.iter_mut().for_each(|active| active.was_cut(at, &clock));
@@ -131,7 +131,7 @@ impl Streamer {
             Event::StrokeRefused { motor, up, reason } => {
                 let moves = self.control.refused_as_begun(motor, up);
                 let Self { plays, control, .. } = self;
-                if let Some(active) = owner(plays, up) {
+                if let Some(active) = plays.owner(up) {
                     let queued = control.queued(motor, up);
                     active.refused_as_begun((motor, up), moves, queued, |span| control.span(span));
                     let id = active.play().id;
@@ -141,7 +141,7 @@ impl Streamer {
             Event::Lowered { late, held, tick } => {
                 // What a late move has lowered follows from its verdict.
                 self.control.hold_ended(held, tick);
-                if let Some(active) = owner(&mut self.plays, tick) {
+                if let Some(active) = self.plays.owner(tick) {
                     emit.event(StreamEvent::PinsLowered { id: active.play().id, tick, late, held });
                 }
                 if let Some(strokes) = self.plays.iter_mut().find_map(Active::live_strokes) {
@@ -191,7 +191,7 @@ impl Streamer {
         let changed = self.known.heard(status, tick, &mut self.control);
         self.control.counters_heard(tick);
         if self.latch.resets_own(&status) && self.operations.is_empty() {
-            self.queue_op(now, 0, Op::Reset, emit);
+            self.order(now, 0, Op::Reset, emit);
         }
         self.homing.settle_seek(now, &status, &mut self.control, emit);
         if status.state == State::Armed && !self.operations.is_in_flight() {
@@ -211,7 +211,7 @@ impl Streamer {
         }
         if !armed && self.operations.is_empty() {
             self.operations.want_armed(false);
-            self.cut_all(end_cause(status.cause));
+            self.plays.cut(&end_cause(status.cause));
             self.cut_control(now);
             self.homing.end(Err(CommandError::Disarmed), emit);
         }
@@ -247,7 +247,7 @@ impl Streamer {
             // Position control has forgotten it with the replacement that failed.
             Verdict::Superseded => {}
         }
-        let Some(active) = owner(&mut self.plays, up) else { return };
+        let Some(active) = self.plays.owner(up) else { return };
         active.decided(step, verdict == Verdict::Accepted);
         let id = active.play().id;
         match verdict {
@@ -256,28 +256,11 @@ impl Streamer {
                 active.refused(motor, up, step.moves() as u64);
                 emit.event(StreamEvent::StrokeRefused { id, motor, up, reason });
             }
-            Verdict::Late { rendered, .. } => self.late(now, step, rendered, cause, emit),
-        }
-    }
-
-    /// Counts and reports a late step; `free` was the first tick that could be played.
-    pub(super) fn late(
-        &mut self,
-        now: HostInstant,
-        step: &Step,
-        free: Tick,
-        cause: LateCause,
-        emit: &mut dyn Emit,
-    ) {
-        let late_ms = self.rate().ticks_to_ms(free - step.begin());
-        let Some(active) = owner(&mut self.plays, step.begin()) else { return };
-        let counts = active.late(step, late_ms, cause);
-        let (id, policy, cut) = (active.play().id, active.play().late, active.is_cut());
-        let (motor, up) = (step.motor(), step.begin());
-        emit.event(StreamEvent::StrokeLate { id, motor, up, late_ms, cause, counts });
-        if policy == LatePolicy::Abort && !cut {
-            self.cut_all(EndCause::LateStrokes);
-            self.abort(now, emit);
+            Verdict::Late { rendered, .. } => {
+                if self.plays.late(step, rendered, cause, self.settings.array.rate(), emit) {
+                    self.operations.abort(now, self.session.as_mut(), &mut self.control, emit);
+                }
+            }
         }
     }
 
@@ -289,7 +272,7 @@ impl Streamer {
         if let Some(onset) = active.onset_refused(rendered, longest) {
             self.control.withdraw_from(onset);
         }
-        self.fed_until = rendered;
+        self.feed.back_to(rendered);
         self.reports.hasten(now);
     }
 
@@ -299,14 +282,14 @@ impl Streamer {
         let clock = self.session.as_ref().and_then(|session| session.clock().estimate());
         let Some(stamp) = clock.map(|clock| Stamp::new(tick, &clock)) else { return };
         let (edge, present) = (Edge { number, at: stamp }, self.tick_at(now).unwrap_or(tick));
-        let runs = self.plays.iter().rposition(|active| active.runs_at(tick));
-        let (play, effect) = if let Some(active) = runs.and_then(|at| self.plays.get_mut(at)) {
+        let runs = self.plays.iter_mut().rev().find(|active| active.runs_at(tick));
+        let (play, effect) = if let Some(active) = runs {
             let id = active.play().id;
             let stops = active.stops_by_edge(tick, present) && !self.operations.is_full();
             if stops {
                 active.stop_by(edge);
-                self.cut_all(EndCause::Stop);
-                self.queue_op(now, 0, Op::Stop, emit);
+                self.plays.cut(&EndCause::Stop);
+                self.order(now, 0, Op::Stop, emit);
             }
             (Some(id), if stops { EdgeEffect::Stop } else { EdgeEffect::Mark })
         } else {
@@ -322,7 +305,7 @@ impl Streamer {
         let clock = self.session.as_ref().and_then(|session| session.clock().estimate());
         let Some(stamp) = clock.map(|clock| Stamp::new(tick, &clock)) else { return };
         // An item's concerns its own account, a play's the whole.
-        for active in &mut self.plays {
+        for active in self.plays.iter_mut() {
             active.reported(stamp);
         }
         let Some(active) = self.plays.iter_mut().find(|active| active.onset() == Some(tick)) else { return };
@@ -330,12 +313,4 @@ impl Streamer {
         let onset = active.began(stamp, counters, self.control.rest_error_um(tick));
         emit.event(StreamEvent::PlayStarted { id: active.play().id, onset });
     }
-}
-
-/// The play that a step with this first tick belongs to.
-fn owner(plays: &mut VecDeque<Active>, up: Tick) -> Option<&mut Active> {
-    plays
-        .iter_mut()
-        .rev()
-        .find(|active| active.phase() != Phase::Waiting && active.onset().is_some_and(|onset| onset <= up))
 }

@@ -99,14 +99,6 @@ pub fn longest_homing_s(array: Array) -> f64 {
     rate.ticks_to_seconds(rounds.max(seek))
 }
 
-/// Whether an operation seeks the lower stop.
-pub(super) fn seeks(op: &Op) -> bool {
-    match op {
-        Op::Arm { lower_stop, .. } => lower_stop.is_some_and(|stop| stop.seek > 0),
-        op => matches!(op, Op::Seek { .. }),
-    }
-}
-
 impl Homing {
     /// Starts to move pin after pin; `ticket` waits for the end.
     pub(super) const fn begin(&mut self, ticket: u64, tick: Tick) {

@@ -1,15 +1,16 @@
 //! The streamer's decisions: executes commands, sends strokes, handles the device's reports and ends plays.
 //!
 //! Its owner calls [`Streamer::execute`] with requests and [`Streamer::receive`] with bytes, then [`Streamer::step`] and
-//! [`Streamer::transmit`]. `commands` executes, `feed` sends strokes, `live` replaces those of live plays (`updates`), `events` handles
-//! reports, and `ends` ends plays. Parts own what they decide: `operations` the commands under way, `latch` the emergency stop,
-//! `known` what the device said, `homing` the way back to rest, `reports` when a snapshot is due.
+//! [`Streamer::transmit`]. `commands` executes, and `events` handles reports. Parts own what they decide: `plays` the plays and their
+//! accounts, `feed` which strokes are sent, `live` the updates of live plays, `operations` the commands under way, `latch` the
+//! emergency stop, `known` what the device said, `homing` the way back to rest, `reports` when a snapshot is due. `connected` is
+//! what feed and live work on.
 //!
 //! Invariant: each play taken ends with exactly one [`StreamEvent::PlayEnded`], and each request with a ticket gets exactly
 //! one answer. Nothing here allocates, except for a new session.
 
 mod commands;
-mod ends;
+mod connected;
 mod events;
 mod feed;
 mod homing;
@@ -17,15 +18,17 @@ mod known;
 mod latch;
 mod live;
 mod operations;
+mod plays;
 mod reports;
-mod updates;
 
 use crate::active::{Active, Phase};
 use crate::control::PositionControl;
 use crate::link::{Budget, Event, LineRate, Session};
-use crate::queues::{CommandError, Emit, MAX_QUEUED_PLAYS, Pins, Snapshot, StreamEvent};
+use crate::queues::{CommandError, Emit, Pins, Snapshot, StreamEvent};
 use crate::settings::Settings;
 use crate::time::HostInstant;
+use connected::Connected;
+use feed::Feed;
 use firmware_protocol::frame::MAX_FRAME;
 use firmware_protocol::message::{Cause, Counters, Op, State};
 use firmware_protocol::tick::Tick;
@@ -33,14 +36,15 @@ use homing::Homing;
 pub use homing::longest_homing_s;
 use known::Known;
 use latch::Latch;
+use live::Live;
 use meissner_api::EndCause;
 use meissner_array::spec::Array;
 use meissner_array::units::TickRate;
 use operations::Operations;
+use plays::Plays;
 use reports::Reports;
 use std::collections::VecDeque;
 use std::time::Duration;
-use updates::Live;
 
 /// How often the streamer wakes up while anything is going on.
 const BUSY_EVERY: Duration = Duration::from_millis(1);
@@ -62,14 +66,11 @@ pub struct Streamer {
     latch: Latch,
     operations: Operations,
     disconnect_reason: Option<EndCause>,
-    plays: VecDeque<Active>,
+    plays: Plays,
     control: PositionControl,
     /// Since when pins stand above rest that a cut has left there.
     standing_since: Option<HostInstant>,
-    /// Strokes are sent up to this tick.
-    fed_until: Tick,
-    /// The next stroke waits for credits.
-    short_of_credits: bool,
+    feed: Feed,
     homing: Homing,
     live: Live,
     reports: Reports,
@@ -87,11 +88,10 @@ impl Streamer {
             latch: Latch::default(),
             operations: Operations::new(),
             disconnect_reason: None,
-            plays: VecDeque::with_capacity(2 * MAX_QUEUED_PLAYS + 2),
+            plays: Plays::new(),
             control: PositionControl::new(&settings),
             standing_since: None,
-            fed_until: Tick(0),
-            short_of_credits: false,
+            feed: Feed::default(),
             homing: Homing::default(),
             live: Live::default(),
             reports: Reports::new(settings.array),
@@ -124,8 +124,8 @@ impl Streamer {
         let lost = self.tick_at(stopped.unwrap_or(now));
         let Some(session) = self.session.take() else { return };
         self.disconnect_reason = Some(cause.clone());
-        self.cut_all(cause);
-        self.forget_live(emit);
+        self.plays.cut(&cause);
+        self.live.forget(emit);
         let counters = self.known.status.map(|(status, tick)| {
             let lost = lost.unwrap_or(tick);
             let (bursts, pulses) = self.control.played_since_counters(tick, lost, stopped.is_some());
@@ -136,7 +136,7 @@ impl Streamer {
         // The device may have played all that it had, or lost its power at any moment of it.
         let highest = self.control.highest(Tick(u64::MAX));
         self.control.reckon_to(lost);
-        self.close_all(counters, Some((&session, lost)), emit);
+        self.plays.close_all(counters, Some((&session, lost)), &self.control, emit);
         self.operations.disconnected(emit);
         self.homing.disconnected(emit);
         self.known.closed();
@@ -144,7 +144,7 @@ impl Streamer {
         self.control.bound_standing(&highest);
         self.standing_since =
             (self.control.highest_standing() > 0).then(|| self.standing_since.unwrap_or(now));
-        (self.fed_until, self.short_of_credits) = (Tick(0), false);
+        self.feed = Feed::default();
         self.operations.close(now, true, emit);
         self.reports.hasten(now);
     }
@@ -190,35 +190,37 @@ impl Streamer {
             session.probe(Budget::default());
         }
         self.handle_link_events(now, emit);
-        self.send_next_op();
+        self.operations.send_next(self.session.as_mut(), &mut self.control);
         if self.operations.expire(now, self.session.as_mut(), emit) {
-            self.cut_all(EndCause::NotArmed);
+            self.plays.cut(&EndCause::NotArmed);
         }
         if self.homing.is_resetting()
             && self.operations.is_empty()
             && let Some((status, _)) = self.known.status
             && let Some(op) = self.homing.step_reset(&status, self.arm_op(false, false), emit)
         {
-            self.queue_op(now, 0, op, emit);
+            self.order(now, 0, op, emit);
         }
         if let Some(tick) = self.tick_at(now) {
             if self.state() == State::Armed
                 && self.operations.is_empty()
                 && let Some(op) = self.homing.step(tick, &self.control, emit)
             {
-                self.queue_op(now, 0, op, emit);
+                self.order(now, 0, op, emit);
             }
-            self.step_live(now, tick, emit);
-            self.feed(now, tick, emit);
+            self.with_connected(now, tick, |on, live, feed, _| {
+                live.step(on, feed, emit);
+                feed.feed(on, live.undecided(), emit);
+            });
             self.correct(tick);
             self.end_drifted(now, tick, emit);
             let known = self.session.as_ref().map(|session| (session.known_to(), session.clock().estimate()));
             if let Some((known_to, Some(clock))) = known {
                 self.plays.iter_mut().for_each(|active| active.note_ends(known_to, &clock));
             }
-            self.finish(tick, emit);
+            self.with_connected(now, tick, |on, _, _, events| on.finish(events, emit));
         } else if self.session.is_none() {
-            self.close_all(None, None, emit);
+            self.plays.close_all(None, None, &self.control, emit);
         }
         self.operations.close(now, self.is_off(), emit);
         let connected = self.is_connected();
@@ -232,6 +234,32 @@ impl Streamer {
             let tick = self.tick_at(now).unwrap_or_default();
             self.reports.warn(&self.control, tick, self.settings.drift_warning_um, emit);
             emit.event(StreamEvent::Snapshot(self.snapshot(now)));
+        }
+    }
+
+    /// Calls `act` with the parts of the streamer, if a device is connected.
+    fn with_connected(
+        &mut self,
+        now: HostInstant,
+        tick: Tick,
+        act: impl FnOnce(&mut Connected<'_>, &mut Live, &mut Feed, &mut VecDeque<Event>),
+    ) {
+        let state = self.state();
+        let Self { settings, session: Some(session), known, operations, plays, control, .. } = self else {
+            return;
+        };
+        let mut on = Connected { now, tick, state, settings, known, session, operations, plays, control };
+        act(&mut on, &mut self.live, &mut self.feed, &mut self.events);
+    }
+
+    /// Whether the device is off and nothing is under way, or there is none.
+    fn is_off(&self) -> bool {
+        match (&self.session, self.known.status) {
+            (Some(session), Some((status, _))) => {
+                let quiet = matches!(status.state, State::Disarmed | State::Faulted);
+                quiet && session.is_answered() && self.operations.is_empty() && self.plays.is_empty()
+            }
+            _ => true,
         }
     }
 
@@ -255,8 +283,8 @@ impl Streamer {
             runs && self.control.dead_reckoning_um(tick, active.play().strokes.motors()) > limit_um
         };
         if self.operations.is_empty() && self.plays.iter().any(is_over) {
-            self.cut_all(EndCause::DriftLimit);
-            self.queue_op(now, 0, Op::Stop, emit);
+            self.plays.cut(&EndCause::DriftLimit);
+            self.order(now, 0, Op::Stop, emit);
         }
     }
 
@@ -272,7 +300,7 @@ impl Streamer {
             let since = active.onset().map_or(0, |onset| tick - onset);
             (active.play().id, self.rate().ticks_to_seconds(since))
         };
-        let lead = self.rate().ticks_to_ms(self.fed_until - tick);
+        let lead = self.rate().ticks_to_ms(self.feed.until() - tick);
         Snapshot {
             at: now,
             connected: self.is_connected(),
@@ -286,7 +314,11 @@ impl Streamer {
             tick,
             clock: open.and_then(|session| session.clock().estimate()),
             play: running.map(played),
-            lead_ms: if self.short_of_credits && running.is_some() { lead } else { self.settings.lead_ms },
+            lead_ms: if self.feed.is_short_of_credits() && running.is_some() {
+                lead
+            } else {
+                self.settings.lead_ms
+            },
             settings: self.settings,
             pins: Pins {
                 rest: self.control.rest_error_um(tick),
@@ -336,11 +368,6 @@ impl Streamer {
             next.min(now + BUSY_EVERY)
         }
     }
-}
-
-/// Whether an operation ends the plays.
-const fn cuts_play(op: &Op) -> bool {
-    matches!(op, Op::Stop | Op::Disarm(_) | Op::EStop)
 }
 
 /// The controller's cause as events, receipts and the API name it.

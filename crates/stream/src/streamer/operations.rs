@@ -4,6 +4,7 @@
 //!
 //! Invariant: each ticket gets exactly one answer; a late arm never enables motors when nobody expects it.
 
+use crate::control::PositionControl;
 use crate::link::Session;
 use crate::queues::{CommandError, ESTOP_TICKETS, Emit, StreamEvent};
 use crate::time::HostInstant;
@@ -101,16 +102,50 @@ impl Operations {
         false
     }
 
-    /// Sends the next operation if none is in flight, and returns it.
-    pub(super) fn send_next(&mut self, session: &mut Session) -> Option<Op> {
-        let first = self.pending.front().filter(|_| !self.in_flight && session.can_command())?;
+    /// Queues an operation that `ticket` waits for, and sends it if none is in flight.
+    pub(super) fn order(
+        &mut self,
+        given: HostInstant,
+        ticket: u64,
+        op: Op,
+        session: Option<&mut Session>,
+        control: &mut PositionControl,
+        emit: &mut dyn Emit,
+    ) {
+        if self.queue(given, ticket, op, emit) {
+            self.send_next(session, control);
+        }
+    }
+
+    /// A play aborts: returns the pins and disarms.
+    pub(super) fn abort(
+        &mut self,
+        now: HostInstant,
+        session: Option<&mut Session>,
+        control: &mut PositionControl,
+        emit: &mut dyn Emit,
+    ) {
+        self.wants_armed = false;
+        self.order(now, 0, Op::Disarm(Cause::Abort), session, control, emit);
+    }
+
+    /// Sends the next operation if none is in flight.
+    pub(super) fn send_next(&mut self, session: Option<&mut Session>, control: &mut PositionControl) {
+        let Some(session) = session.filter(|session| !self.in_flight && session.can_command()) else {
+            return;
+        };
+        let Some(op) = self.pending.front().map(|first| first.op) else { return };
         // The link probe measures the line while nothing can move.
-        if matches!(first.op, Op::Arm { .. }) && !session.is_probed() {
-            return None;
+        if matches!(op, Op::Arm { .. }) && !session.is_probed() {
+            return;
         }
         self.in_flight = true;
-        session.command(first.op);
-        Some(first.op)
+        session.command(op);
+        if cuts_play(&op) {
+            control.will_be_cut();
+        } else if seeks(&op) {
+            control.will_seek();
+        }
     }
 
     /// The device has answered the first one.
@@ -210,6 +245,19 @@ impl Operations {
             self.closed = true;
             answer(ticket, if off { Ok(()) } else { Err(CommandError::Timeout) }, emit);
         }
+    }
+}
+
+/// Whether an operation ends the plays.
+pub(super) const fn cuts_play(op: &Op) -> bool {
+    matches!(op, Op::Stop | Op::Disarm(_) | Op::EStop)
+}
+
+/// Whether an operation seeks the lower stop.
+pub(super) fn seeks(op: &Op) -> bool {
+    match op {
+        Op::Arm { lower_stop, .. } => lower_stop.is_some_and(|stop| stop.seek > 0),
+        op => matches!(op, Op::Seek { .. }),
     }
 }
 

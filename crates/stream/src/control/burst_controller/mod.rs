@@ -1,7 +1,7 @@
 //! The burst controller of one motor: tracks the bursts sent and decides the pulse count of each.
 //!
 //! `correct` decides the counts, `rest` says where the pin rests between plays and without telemetry, `trail` what the pin did lately,
-//! `last_cut` which bursts a cut has found begun.
+//! `last_cut` which bursts a cut has found begun, `reckoned` how uncertain dead reckoning is.
 //!
 //! [`BurstController::correct`] finalises the count of a burst shortly before it begins. The [`Estimator`] predicts where the
 //! shaft will be then; the new count leads from there to the burst's level. The control is dead-beat: it corrects the whole known error
@@ -26,6 +26,7 @@
 
 mod correct;
 mod last_cut;
+mod reckoned;
 mod rest;
 mod trail;
 
@@ -45,7 +46,7 @@ use meissner_array::reflected_walk::Bursts;
 use meissner_array::spec::Array;
 use meissner_array::strokes::{Burst, Step};
 use meissner_array::units::TickRate;
-use rest::Reckoned;
+use reckoned::Reckoned;
 use std::collections::VecDeque;
 use trail::{Passed, Trail};
 

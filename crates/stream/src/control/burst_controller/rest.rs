@@ -2,6 +2,7 @@
 //!
 //! Invariant: with a lower stop no pin is taken for lower than rest.
 
+use super::reckoned::Reckoned;
 use super::{BurstController, moves};
 use crate::control::estimator::{ASYMMETRY, Gains, after_rest, gain_index, sign};
 use crate::control::queued::Queued;
@@ -9,34 +10,6 @@ use firmware_protocol::stroke::Direction;
 use firmware_protocol::tick::Tick;
 use meissner_array::reflected_walk::{Bursts, ReflectedWalk, Spread};
 use meissner_array::strokes::Burst;
-
-/// Dead reckoning since the last sample.
-#[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Reckoned {
-    /// Variance by scatter, µm².
-    scattered: f64,
-    /// Summed amplitudes, which asymmetry multiplies, µm.
-    travel_um: f64,
-    /// Travel up and down, of bursts and shifts at a gain of 1, µm: new gains apply to it, too.
-    um: [f64; 2],
-}
-
-impl Reckoned {
-    /// A burst of `um` has begun; it counts as `counted_um`, of which this share scatters.
-    pub(super) fn burst(&mut self, direction: Direction, um: f64, counted_um: f64, scatter: f64) {
-        self.scattered += (scatter * um).powi(2);
-        if direction == Direction::Down {
-            self.travel_um += um;
-        }
-        self.um[gain_index(direction)] += counted_um;
-    }
-
-    /// Error of the rest position, one standard deviation, µm.
-    fn sd_um(&self, asymmetry: f64) -> f64 {
-        let drift = asymmetry * self.travel_um;
-        (self.scattered + drift * drift).sqrt()
-    }
-}
 
 impl BurstController {
     /// The device has flushed the queue at `tick` and returns the pin.
@@ -63,7 +36,7 @@ impl BurstController {
             self.estimator.rest_at(mean, variance);
         } else {
             self.estimator.rest_at(rest_um, self.estimator.variance() + 2.0 * unsure * unsure);
-            self.reckoned.scattered += 2.0 * unsure * unsure;
+            self.reckoned.scatter(2.0 * unsure * unsure);
         }
         (self.anchored, self.move_from) = (false, None);
     }
@@ -89,7 +62,7 @@ impl BurstController {
         let ideal_um = f64::from(pulses) * self.um_per_pulse();
         let rest = self.return_rest(pulses, tick);
         self.estimator.shift(ideal_um * (1.0 - rest * self.estimator.gain(Direction::Down)));
-        self.reckoned.um[gain_index(Direction::Down)] += rest * ideal_um;
+        self.reckoned.travel(Direction::Down, rest * ideal_um);
         self.estimator.moved(tick);
     }
 
@@ -135,7 +108,8 @@ impl BurstController {
     pub(crate) fn lose_rest(&mut self, um: f64) {
         self.estimator.rest_at(0.0, um * um);
         self.landing = self.landing.map(|_| [0.0, um * um]);
-        self.reckoned = Reckoned { scattered: um * um, ..Reckoned::default() };
+        self.reckoned = Reckoned::default();
+        self.reckoned.scatter(um * um);
     }
 
     /// The pin stands so many pulses above rest, and counts as at rest from here on.
@@ -147,7 +121,7 @@ impl BurstController {
         let (up, unsure) = (self.rest_um() + um, (self.estimator.scatter() * um).powi(2));
         self.estimator.rest_at(up, self.estimator.variance() + unsure);
         self.landing = self.landing.map(|[mean, variance]| [mean + um, variance]);
-        self.reckoned.scattered += unsure;
+        self.reckoned.scatter(unsure);
     }
 
     /// Uses the gains of a calibration, also for what was reckoned so far: the offset that they explain is known from now on, and
@@ -156,7 +130,7 @@ impl BurstController {
         let before = [Direction::Up, Direction::Down].map(|direction| self.estimator.gain(direction));
         self.gains = *gains;
         self.estimator.relearn(gains);
-        let explained = [Direction::Up, Direction::Down].into_iter().zip(before).zip(self.reckoned.um);
+        let explained = [Direction::Up, Direction::Down].into_iter().zip(before).zip(self.reckoned.um());
         let explained = explained.map(|((direction, before), um)| {
             sign(direction) * (self.estimator.gain(direction) - before) * um
         });
@@ -190,8 +164,8 @@ impl BurstController {
         // A move goes one way only, so the whole uncertainty of its gain counts.
         let ideal_um = rest * f64::from(pulses) * self.um_per_pulse();
         let unsure = self.gains.sd[gain_index(direction)] * ideal_um;
-        self.reckoned.scattered += scatter * scatter + unsure * unsure;
-        self.reckoned.um[gain_index(direction)] += ideal_um;
+        self.reckoned.scatter(scatter * scatter + unsure * unsure);
+        self.reckoned.travel(direction, ideal_um);
         self.anchored = false;
     }
 
