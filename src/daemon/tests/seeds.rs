@@ -396,6 +396,13 @@ impl World {
             Some(Ok(PlayAccepted { id, .. })) => {
                 assert!(!stopped, "play {id} is accepted after an emergency stop");
                 self.accepted(id, order["endless"] != true);
+                if self.random.chance(0.1 * self.badness) {
+                    // The line dies while it plays.
+                    let time = Duration::from_secs_f64(self.random.between(0.1, 1.0));
+                    self.pass(time);
+                    faults::line_dies(self);
+                    self.pass(Duration::from_secs(1));
+                }
             }
             Some(Err(_)) => {}
             None => self.life.unsure += 1,

@@ -82,8 +82,7 @@ impl Trouble {
 pub(super) fn begin(world: &mut World) {
     world.report.faults += 1;
     let (random, now_s) = (&mut world.random, world.daemon.now(super::seconds));
-    let which = random.below(11);
-    let was_good = world.trouble.array_is_good(now_s) && world.state != "faulted";
+    let which = random.below(10);
     let mut shared = world.daemon.faults();
     let (fault, longest_s) = match which {
         0 | 1 => {
@@ -136,11 +135,6 @@ pub(super) fn begin(world: &mut World) {
             DISK_STALLS.set(true);
             (Fault::Stall, 8.0)
         }
-        9 => {
-            let line = Line { loss: 1.0, ..Line::default() };
-            (shared.to_device.line, shared.to_host.line) = (line, line);
-            (Fault::Dead, 4.0)
-        }
         _ => {
             drop(shared);
             return set_clock(world);
@@ -155,11 +149,25 @@ pub(super) fn begin(world: &mut World) {
         _ => {
             world.trouble.array_until_s = world.trouble.array_until_s.max(until_s + AFTER_S);
             // No second fault of the array hides what the first one does.
-            world.trouble.dead_since_s = (fault == Fault::Dead && was_good).then_some(now_s);
+            world.trouble.dead_since_s = None;
         }
     }
     world.trouble.ends.push((until_s, fault));
     world.trace(&format!("{fault:?} until {until_s}"));
+}
+
+/// Nothing arrives any more, for longer than the array's lease.
+pub(super) fn line_dies(world: &mut World) {
+    let (now_s, line) = (world.now_s(), Line { loss: 1.0, ..Line::default() });
+    let pins_come_down = world.trouble.array_is_good(now_s) && world.state != "faulted";
+    world.report.faults += 1;
+    let mut shared = world.daemon.faults();
+    (shared.to_device.line, shared.to_host.line) = (line, line);
+    drop(shared);
+    let until_s = now_s + world.random.between(1.0, 3.0);
+    world.trouble.dead_since_s = pins_come_down.then_some(now_s);
+    world.trouble.array_until_s = world.trouble.array_until_s.max(until_s + AFTER_S);
+    world.trouble.ends.push((until_s, Fault::Dead));
 }
 
 /// Somebody sets the wall clock, or it is set right again.
