@@ -1,6 +1,6 @@
 //! Boards: found, missing, in use, or something else; and the doctor's report about them.
 
-use crate::harness::{Daemon, PATIENT, complaint, document, meissner, printed, wait_until};
+use crate::harness::{Daemon, complaint, document, meissner, printed, wait_until};
 use firmware_protocol::frame::PROTOCOL;
 use meissner_api::Status;
 use meissner_array::simulated::SimulatedMotorsConfig;
@@ -69,9 +69,9 @@ fn the_doctor_measures_a_device() {
             assert_eq!(finding["level"] == "ok", finding["advice"] == "", "{finding}");
         }
     }
+    a_simulated_device_passes_no_self_test();
 }
 
-#[test]
 fn a_simulated_device_passes_no_self_test() {
     let args = ["doctor", "--board", "--json", "--seconds", "0.5", "--device", "mock"];
     let output = meissner().args(args).output().unwrap();
@@ -81,8 +81,10 @@ fn a_simulated_device_passes_no_self_test() {
         assert!(finding["level"] == "warn" && finding["found"] == "not on this device", "{finding}");
     }
     assert_eq!(report["device"]["board"]["reset"], "program");
-    // The doctor must not disturb a daemon that has the device.
-    let daemon = Daemon::start();
+}
+
+/// The doctor must not disturb a daemon that has the device.
+pub(crate) fn a_daemon_s_device_is_not_tested(daemon: &Daemon) {
     let output =
         daemon.meissner().args(["doctor", "--board", "--json", "--seconds", "0.1"]).output().unwrap();
     let report: Value = serde_json::from_slice(&output.stdout).unwrap();
@@ -137,12 +139,10 @@ fn a_daemon_without_a_device_says_which_one_it_wants() {
     );
 }
 
-#[test]
-fn the_doctor_warns_that_a_device_without_telemetry_drifts() {
+pub(crate) fn the_doctor_warns_that_a_device_without_telemetry_drifts(daemon: &Daemon) {
     let blind = SimulatedMotorsConfig { telemetry_hz: 0, ..SimulatedMotorsConfig::default() };
     let board = PtyMock::spawn(WallMock::new(Array::paper(), &blind, HostInstant::now()).unwrap()).unwrap();
     let device = format!("serial:{}", board.path().display());
-    let daemon = Daemon::with("mock", &format!("{PATIENT}[mock]\ntelemetry_hz = 0\n"));
     let asked = document(daemon.meissner().args(["doctor", "--json", "--seconds", "0.5"]));
     for report in [measured(&device), asked] {
         let found = finding(&report, "telemetry");
