@@ -109,9 +109,9 @@ fn a_missing_board_is_reported_with_its_identity() {
     let log = daemon.wait_for_log(sought);
     sleep(Duration::from_millis(800));
     assert_eq!(daemon.log().matches(sought).count(), 1, "once per reason: {log}");
+    a_daemon_without_a_device_says_which_one_it_wants();
 }
 
-#[test]
 fn a_daemon_without_a_device_says_which_one_it_wants() {
     let daemon = Daemon::without_device("serial:/nonexistent/tty");
     let missing = "serial port /nonexistent/tty: not there; plug the board in, or see `ls /dev/serial/by-id`";
@@ -154,7 +154,6 @@ pub(crate) fn the_doctor_warns_that_a_device_without_telemetry_drifts(daemon: &D
     assert!(text.ends_with("\ngo, on a simulated device\n"), "{text}");
 }
 
-#[test]
 fn a_board_for_another_array_is_refused_with_the_key_that_differs() {
     let array = Array::named("ubi-pen-3x3").unwrap();
     let mock = WallMock::new(array, &SimulatedMotorsConfig::default(), HostInstant::now()).unwrap();
@@ -191,7 +190,7 @@ fn a_port_has_one_user() {
 }
 
 #[test]
-fn a_port_without_a_board_is_reported_once() {
+fn a_port_without_a_board_for_the_array_is_reported_once() {
     let (mut noise, port) = serialport::TTYPort::pair().unwrap();
     let name = serialport::SerialPort::name(&port).unwrap();
     drop(port);
@@ -217,4 +216,5 @@ fn a_port_without_a_board_is_reported_once() {
     drop(daemon);
     end.store(true, Ordering::Relaxed);
     writer.join().unwrap();
+    a_board_for_another_array_is_refused_with_the_key_that_differs();
 }

@@ -291,7 +291,7 @@ fn an_invalid_command_line_exits_with_2_and_says_why_on_one_line() {
 }
 
 #[test]
-fn the_demo_plays_an_edge_and_accounts_for_it_with_telemetry_and_without() {
+fn the_demo_accounts_for_an_edge_rests_without_telemetry_and_serves_the_page() {
     let mut command = meissner();
     // On a busy machine strokes may come late: the report must count them.
     let output = command.args(["demo", "--seconds", "1", "--json"]).output().unwrap();
@@ -323,6 +323,7 @@ fn the_demo_plays_an_edge_and_accounts_for_it_with_telemetry_and_without() {
     );
     assert!(report["realtime"]["fifo"].is_boolean() && report["realtime"]["mlock"].is_boolean());
     the_sensorless_demo_rests_without_telemetry();
+    the_demo_serves_the_page_until_a_signal();
 }
 
 fn the_sensorless_demo_rests_without_telemetry() {
@@ -342,7 +343,6 @@ fn the_sensorless_demo_rests_without_telemetry() {
     assert!(figure("/surplus_um").unwrap() > 5.0, "{report}");
 }
 
-#[test]
 fn the_demo_serves_the_page_until_a_signal() {
     let mut command = std::process::Command::new(PROGRAM);
     command.args(["demo", "--seconds", "0.2", "--page"]).env("XDG_STATE_HOME", "/nonexistent");

@@ -148,8 +148,7 @@ fn another_terminal_resets_an_emergency_stop_by_force_alone(daemon: &Daemon) {
     daemon.meissner().arg("reset").assert().success();
 }
 
-#[test]
-fn with_few_descriptors_there_are_fewer_clients_and_emergency_stops_work() {
+pub(crate) fn with_few_descriptors_there_are_fewer_clients_and_emergency_stops_work() {
     let mut shell = process::Command::new("sh");
     shell.args(["-c", "ulimit -n 64; exec \"$0\" \"$@\"", crate::harness::PROGRAM]);
     let mut daemon = Daemon::by(shell);
