@@ -1,6 +1,6 @@
 //! Boards: found, missing, in use, or something else; and the doctor's report about them.
 
-use crate::harness::{Daemon, PATIENT, complaint, document, meissner, printed, wait_until};
+use crate::harness::{Daemon, complaint, document, meissner, printed, wait_until};
 use firmware_protocol::frame::PROTOCOL;
 use meissner_api::Status;
 use meissner_array::simulated::SimulatedMotorsConfig;
@@ -69,9 +69,9 @@ fn the_doctor_measures_a_device() {
             assert_eq!(finding["level"] == "ok", finding["advice"] == "", "{finding}");
         }
     }
+    a_simulated_device_passes_no_self_test();
 }
 
-#[test]
 fn a_simulated_device_passes_no_self_test() {
     let args = ["doctor", "--board", "--json", "--seconds", "0.5", "--device", "mock"];
     let output = meissner().args(args).output().unwrap();
@@ -81,8 +81,10 @@ fn a_simulated_device_passes_no_self_test() {
         assert!(finding["level"] == "warn" && finding["found"] == "not on this device", "{finding}");
     }
     assert_eq!(report["device"]["board"]["reset"], "program");
-    // The doctor must not disturb a daemon that has the device.
-    let daemon = Daemon::start();
+}
+
+/// The doctor must not disturb a daemon that has the device.
+pub(crate) fn a_daemon_s_device_is_not_tested(daemon: &Daemon) {
     let output =
         daemon.meissner().args(["doctor", "--board", "--json", "--seconds", "0.1"]).output().unwrap();
     let report: Value = serde_json::from_slice(&output.stdout).unwrap();
@@ -107,9 +109,9 @@ fn a_missing_board_is_reported_with_its_identity() {
     let log = daemon.wait_for_log(sought);
     sleep(Duration::from_millis(800));
     assert_eq!(daemon.log().matches(sought).count(), 1, "once per reason: {log}");
+    a_daemon_without_a_device_says_which_one_it_wants();
 }
 
-#[test]
 fn a_daemon_without_a_device_says_which_one_it_wants() {
     let daemon = Daemon::without_device("serial:/nonexistent/tty");
     let missing = "serial port /nonexistent/tty: not there; plug the board in, or see `ls /dev/serial/by-id`";
@@ -137,12 +139,10 @@ fn a_daemon_without_a_device_says_which_one_it_wants() {
     );
 }
 
-#[test]
-fn the_doctor_warns_that_a_device_without_telemetry_drifts() {
+pub(crate) fn the_doctor_warns_that_a_device_without_telemetry_drifts(daemon: &Daemon) {
     let blind = SimulatedMotorsConfig { telemetry_hz: 0, ..SimulatedMotorsConfig::default() };
     let board = PtyMock::spawn(WallMock::new(Array::paper(), &blind, HostInstant::now()).unwrap()).unwrap();
     let device = format!("serial:{}", board.path().display());
-    let daemon = Daemon::with("mock", &format!("{PATIENT}[mock]\ntelemetry_hz = 0\n"));
     let asked = document(daemon.meissner().args(["doctor", "--json", "--seconds", "0.5"]));
     for report in [measured(&device), asked] {
         let found = finding(&report, "telemetry");
@@ -154,7 +154,6 @@ fn the_doctor_warns_that_a_device_without_telemetry_drifts() {
     assert!(text.ends_with("\ngo, on a simulated device\n"), "{text}");
 }
 
-#[test]
 fn a_board_for_another_array_is_refused_with_the_key_that_differs() {
     let array = Array::named("ubi-pen-3x3").unwrap();
     let mock = WallMock::new(array, &SimulatedMotorsConfig::default(), HostInstant::now()).unwrap();
@@ -191,7 +190,7 @@ fn a_port_has_one_user() {
 }
 
 #[test]
-fn a_port_without_a_board_is_reported_once() {
+fn a_port_without_a_board_for_the_array_is_reported_once() {
     let (mut noise, port) = serialport::TTYPort::pair().unwrap();
     let name = serialport::SerialPort::name(&port).unwrap();
     drop(port);
@@ -217,4 +216,5 @@ fn a_port_without_a_board_is_reported_once() {
     drop(daemon);
     end.store(true, Ordering::Relaxed);
     writer.join().unwrap();
+    a_board_for_another_array_is_refused_with_the_key_that_differs();
 }

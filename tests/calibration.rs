@@ -11,6 +11,7 @@ const STEADY: &str = "gain_sd = 0.01\nasymmetry_sd = 0.05\n";
 fn a_device_without_telemetry_plays_a_plan_for_a_laser_and_takes_its_gains() {
     let config = format!("{PATIENT}[mock]\n{STEADY}telemetry_hz = 0\n");
     let daemon = Daemon::with("mock", &config);
+    crate::boards::the_doctor_warns_that_a_device_without_telemetry_drifts(&daemon);
     daemon.armed();
     let complains = |arguments: &str| complaint(daemon.meissner().args(arguments.split(' ')));
     assert!(complains("calibrate --plan").contains("--motor is missing: name the one motor"));

@@ -1,6 +1,6 @@
 //! Careless systems: an open umask, too little memory, floods of refusals.
 
-use crate::harness::{Daemon, PATIENT, PROGRAM, TIMEOUT, directory, meissner, wait_until};
+use crate::harness::{Daemon, PATIENT, PROGRAM, TIMEOUT, complaint, directory, meissner, wait_until};
 use meissner_api::{Session, Status};
 use serde_json::{Value, json};
 use std::fs;
@@ -60,7 +60,7 @@ fn an_open_umask_opens_nothing() {
 
 /// The daemon works, or it ends with exit 1 and one line. It must never stay alive without working.
 #[test]
-fn too_little_address_space_is_one_line_and_no_daemon() {
+fn with_few_resources_or_a_bad_configuration_a_daemon_works_or_ends_with_one_line() {
     for mib in [96, 200, 400, 700] {
         let dir = directory();
         let mut command = Command::new("sh");
@@ -81,6 +81,11 @@ fn too_little_address_space_is_one_line_and_no_daemon() {
         assert_eq!((output.status.code(), said.lines().count()), (Some(1), 1), "{mib} MiB: {said}");
         assert!(said.contains("address space") && said.contains("ulimit -v"), "{said}");
     }
+    let dir = directory();
+    let file = dir.path().join("m.toml");
+    fs::write(&file, "laed_ms = 50\n").unwrap();
+    complaint(meissner().args(["daemon", "--device", "mock", "--config"]).arg(&file));
+    crate::client_limits::with_few_descriptors_there_are_fewer_clients_and_emergency_stops_work();
 }
 
 /// A client that is refused again and again does not fill the disk with log lines; all e-stops are logged.

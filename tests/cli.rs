@@ -12,7 +12,7 @@ use std::path::Path;
 use std::process::Stdio;
 
 #[test]
-fn play_wait_prints_a_summary() {
+fn commands_of_plays_sessions_and_patterns() {
     let daemon = Daemon::start();
     assert!(complaint(daemon.meissner().args(["play", "edge-45"])).contains("meissner arm"));
     assert!(printed(daemon.meissner().args(["arm", "--assume-rest"])).starts_with("armed"));
@@ -27,6 +27,12 @@ fn play_wait_prints_a_summary() {
     assert!(printed(daemon.meissner().arg("estop")).starts_with("faulted"));
     assert!(complaint(daemon.meissner().args(["play", "pin-60", "--endless"])).contains("meissner reset"));
     assert!(printed(daemon.meissner().arg("reset")).starts_with("disarmed"));
+    crate::sessions::the_command_line_owns_what_its_terminal_has_started(&daemon);
+    crate::sequences::the_command_plays_a_file_and_prints_the_receipt(&daemon);
+    patterns_are_listed_shown_and_imported(&daemon);
+    crate::motions_offline::a_daemon_stores_a_pattern_with_its_samples_and_shows_what_it_reaches(&daemon);
+    a_cut_play_exits_with_1_even_with_a_closed_stdout(&daemon);
+    a_command_that_is_told_to_end_stops_its_play(&daemon);
 }
 
 #[test]
@@ -88,23 +94,19 @@ fn waiting(daemon: &Daemon) -> (std::process::Child, BufReader<std::process::Chi
     (child, lines)
 }
 
-#[test]
-fn a_cut_play_exits_with_1_even_with_a_closed_stdout() {
-    let daemon = Daemon::start();
+fn a_cut_play_exits_with_1_even_with_a_closed_stdout(daemon: &Daemon) {
     daemon.armed();
-    let (mut child, lines) = waiting(&daemon);
+    let (mut child, lines) = waiting(daemon);
     drop(lines);
     printed(daemon.meissner().arg("stop"));
     assert_eq!(child.wait().unwrap().code(), Some(1));
 }
 
 /// Ctrl-C, `kill`, and a terminal that is closed.
-#[test]
-fn a_command_that_is_told_to_end_stops_its_play() {
-    let daemon = Daemon::start();
+fn a_command_that_is_told_to_end_stops_its_play(daemon: &Daemon) {
     let mut client = daemon.armed();
     for (signal, code) in [(Signal::INT, 130), (Signal::TERM, 143), (Signal::HUP, 129)] {
-        let (child, lines) = waiting(&daemon);
+        let (child, lines) = waiting(daemon);
         if signal == Signal::HUP {
             drop(lines);
         }
@@ -120,9 +122,7 @@ fn a_command_that_is_told_to_end_stops_its_play() {
 
 const DRIVE: &str = "duration_s = 0.3\n[[drive]]\nmotor = 9\nfrequency_hz = 60.0\namplitude_um = 80.0\n";
 
-#[test]
-fn patterns_are_listed_shown_and_imported() {
-    let daemon = Daemon::start();
+fn patterns_are_listed_shown_and_imported(daemon: &Daemon) {
     assert!(printed(daemon.meissner().arg("list")).contains("edge-45"));
     write_pattern(&daemon.path("f.toml"), "mine", DRIVE);
     let imported = document(daemon.meissner().args(["import", "f.toml", "--json"]));
@@ -291,7 +291,7 @@ fn an_invalid_command_line_exits_with_2_and_says_why_on_one_line() {
 }
 
 #[test]
-fn the_demo_plays_an_edge_and_accounts_for_it() {
+fn the_demo_accounts_for_an_edge_rests_without_telemetry_and_serves_the_page() {
     let mut command = meissner();
     // On a busy machine strokes may come late: the report must count them.
     let output = command.args(["demo", "--seconds", "1", "--json"]).output().unwrap();
@@ -322,9 +322,10 @@ fn the_demo_plays_an_edge_and_accounts_for_it() {
         report["onset_latency_ms"].as_f64().unwrap() > 0.0 && report["duration_s"].as_f64().unwrap() > 1.0
     );
     assert!(report["realtime"]["fifo"].is_boolean() && report["realtime"]["mlock"].is_boolean());
+    the_sensorless_demo_rests_without_telemetry();
+    the_demo_serves_the_page_until_a_signal();
 }
 
-#[test]
 fn the_sensorless_demo_rests_without_telemetry() {
     let output = meissner().args(["demo", "--sensorless", "--seconds", "2", "--json"]).output().unwrap();
     let report: Value = serde_json::from_slice(&output.stdout).unwrap();
@@ -342,7 +343,6 @@ fn the_sensorless_demo_rests_without_telemetry() {
     assert!(figure("/surplus_um").unwrap() > 5.0, "{report}");
 }
 
-#[test]
 fn the_demo_serves_the_page_until_a_signal() {
     let mut command = std::process::Command::new(PROGRAM);
     command.args(["demo", "--seconds", "0.2", "--page"]).env("XDG_STATE_HOME", "/nonexistent");

@@ -34,9 +34,7 @@ fn reset(client: &mut Client) {
     let _: Status = client.post("/v1/reset", &json!({"force": true})).unwrap();
 }
 
-#[test]
-fn the_65th_client_gets_an_error_and_the_others_go_on() {
-    let daemon = Daemon::start();
+fn the_65th_client_gets_an_error_and_the_others_go_on(daemon: &Daemon) {
     let mut clients: Vec<Client> = (0..MAX_CLIENTS).map(|_| daemon.client()).collect();
     for client in &mut clients {
         client.get::<Value>("/v1/status").unwrap();
@@ -53,9 +51,7 @@ fn the_65th_client_gets_an_error_and_the_others_go_on() {
     assert!((1..4).contains(&lines), "refusals are counted, not logged one by one");
 }
 
-#[test]
-fn every_emergency_stop_gets_through_while_clients_hold_places_and_connect() {
-    let daemon = Daemon::start();
+fn every_emergency_stop_gets_through_while_clients_hold_places_and_connect(daemon: &Daemon) {
     let mut held: Vec<Client> = (0..MAX_CLIENTS).map(|_| daemon.client()).collect();
     for client in &mut held {
         client.get::<Value>("/v1/status").unwrap();
@@ -80,9 +76,7 @@ fn every_emergency_stop_gets_through_while_clients_hold_places_and_connect() {
     drop((held, silent));
 }
 
-#[test]
-fn a_request_of_a_client_that_hangs_up_counts() {
-    let daemon = Daemon::start();
+fn a_request_of_a_client_that_hangs_up_counts(daemon: &Daemon) {
     let mut client = daemon.client();
     for _ in 0..20 {
         assert!(half_closed(&daemon, STATUS).contains("\"disarmed\""));
@@ -105,9 +99,7 @@ fn a_request_of_a_client_that_hangs_up_counts() {
     }
 }
 
-#[test]
-fn the_socket_for_emergency_stops_takes_a_byte_and_names_the_client() {
-    let mut daemon = Daemon::start();
+fn the_socket_for_emergency_stops_takes_a_byte_and_names_the_client(daemon: &Daemon) {
     let socket = estop_socket(&daemon.socket());
     assert_eq!(socket.metadata().unwrap().permissions().mode() & 0o777, 0o660);
     let mut stream = UnixStream::connect(&socket).unwrap();
@@ -119,14 +111,11 @@ fn the_socket_for_emergency_stops_takes_a_byte_and_names_the_client() {
     let log = daemon.wait_for_log("estop by ");
     assert!(log.contains(&format!("pid {}): done", process::id())), "{log}");
     assert!(is_faulted(&mut daemon.client()));
-    daemon.end();
-    assert!(!socket.exists());
 }
 
-#[test]
-fn another_terminal_resets_an_emergency_stop_by_force_alone() {
-    let daemon = Daemon::start();
+fn another_terminal_resets_an_emergency_stop_by_force_alone(daemon: &Daemon) {
     let mut client = daemon.client();
+    let before = client.get::<Status>("/v1/status").unwrap().estop.orders;
     // Run the command in a separate process session, like another terminal.
     let other = |command: &str| {
         let mut setsid = process::Command::new("setsid");
@@ -145,7 +134,7 @@ fn another_terminal_resets_an_emergency_stop_by_force_alone() {
     assert_eq!(refusal(client.post("/v1/reset", &json!({}))), ("recent-estop".into(), 409));
     // A person decides about the stops so far; another terminal stops meanwhile.
     let seen = client.get::<Status>("/v1/status").unwrap().estop.orders;
-    assert_eq!(seen, 4);
+    assert_eq!(seen, before + 4);
     other("estop");
     let late = json!({"force": true, "estops_seen": seen});
     assert_eq!(refusal(client.post("/v1/reset", &late)), ("recent-estop".into(), 409));
@@ -159,8 +148,7 @@ fn another_terminal_resets_an_emergency_stop_by_force_alone() {
     daemon.meissner().arg("reset").assert().success();
 }
 
-#[test]
-fn with_few_descriptors_there_are_fewer_clients_and_emergency_stops_work() {
+pub(crate) fn with_few_descriptors_there_are_fewer_clients_and_emergency_stops_work() {
     let mut shell = process::Command::new("sh");
     shell.args(["-c", "ulimit -n 64; exec \"$0\" \"$@\"", crate::harness::PROGRAM]);
     let mut daemon = Daemon::by(shell);
@@ -180,9 +168,7 @@ fn with_few_descriptors_there_are_fewer_clients_and_emergency_stops_work() {
     wait_until(|| daemon.client().get::<Value>("/v1/status").is_ok());
 }
 
-#[test]
-fn requests_that_are_not_http_get_a_problem() {
-    let daemon = Daemon::start();
+fn requests_that_are_not_http_get_a_problem(daemon: &Daemon) {
     let line = |target: &str| format!("GET {target} HTTP/1.1\r\nhost: x\r\n\r\n");
     let large = format!("GET / HTTP/1.1\r\nx: {}\r\n\r\n", "y".repeat(1 << 20));
     for (request, status) in [
@@ -223,9 +209,7 @@ fn served(daemon: &Daemon, asked: usize) -> usize {
     answers(STATUS) + answers(STOP)
 }
 
-#[test]
-fn clients_that_send_slowly_keep_nobody_out() {
-    let daemon = Daemon::start();
+fn clients_that_send_slowly_keep_nobody_out(daemon: &Daemon) {
     let slow = [
         // A first head, a command's body, a large body.
         "GET /v1/status HTTP/1.1\r\nhost:",
@@ -249,9 +233,7 @@ fn clients_that_send_slowly_keep_nobody_out() {
     }
 }
 
-#[test]
-fn a_first_head_has_five_seconds_and_an_answer() {
-    let daemon = Daemon::start();
+fn a_first_head_has_five_seconds_and_an_answer(daemon: &Daemon) {
     let begun = Instant::now();
     let mut stream = UnixStream::connect(daemon.socket()).unwrap();
     stream.set_read_timeout(Some(Duration::from_secs(1))).unwrap();
@@ -267,9 +249,7 @@ fn a_first_head_has_five_seconds_and_an_answer() {
     assert!(begun.elapsed() >= Duration::from_secs(5));
 }
 
-#[test]
-fn slow_sequences_keep_no_other_file_waiting() {
-    let daemon = Daemon::start();
+fn slow_sequences_keep_no_other_file_waiting(daemon: &Daemon) {
     let mut slow: Vec<_> = (0..8)
         .map(|_| {
             let mut stream = UnixStream::connect(daemon.socket()).unwrap();
@@ -294,4 +274,22 @@ fn slow_sequences_keep_no_other_file_waiting() {
         stream.read_to_string(&mut answer).unwrap();
         assert!(answer.contains("slow-request"), "{answer}");
     }
+}
+
+/// All of it on one daemon: whatever clients do, it goes on.
+#[test]
+fn a_daemon_outlasts_many_slow_and_rude_clients() {
+    let mut daemon = Daemon::start();
+    the_socket_for_emergency_stops_takes_a_byte_and_names_the_client(&daemon);
+    reset(&mut daemon.client());
+    another_terminal_resets_an_emergency_stop_by_force_alone(&daemon);
+    the_65th_client_gets_an_error_and_the_others_go_on(&daemon);
+    a_request_of_a_client_that_hangs_up_counts(&daemon);
+    requests_that_are_not_http_get_a_problem(&daemon);
+    clients_that_send_slowly_keep_nobody_out(&daemon);
+    a_first_head_has_five_seconds_and_an_answer(&daemon);
+    slow_sequences_keep_no_other_file_waiting(&daemon);
+    every_emergency_stop_gets_through_while_clients_hold_places_and_connect(&daemon);
+    assert!(daemon.end().success());
+    assert!(!estop_socket(&daemon.socket()).exists());
 }

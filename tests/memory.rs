@@ -49,10 +49,8 @@ fn longest(name: &str) -> String {
     text
 }
 
-#[test]
-fn files_that_would_fill_the_memory_are_refused_and_leave_nothing() {
-    let daemon = Daemon::start();
-    let before = peak_kb(&daemon);
+fn files_that_would_fill_the_memory_are_refused_and_leave_nothing(daemon: &Daemon) {
+    let before = peak_kb(daemon);
     thread::scope(|scope| {
         for number in 0..6 {
             let (name, mut client) = (format!("d{number}"), daemon.client());
@@ -63,16 +61,14 @@ fn files_that_would_fill_the_memory_are_refused_and_leave_nothing() {
             });
         }
     });
-    let added = peak_kb(&daemon) - before;
+    let added = peak_kb(daemon) - before;
     assert!(added < SMALL_KB, "{added} kB");
     assert_eq!(fs::read_dir(daemon.path("patterns")).unwrap().count(), 0);
 }
 
-#[test]
-fn a_full_queue_of_the_longest_pattern_takes_little_memory() {
-    let daemon = Daemon::with("mock", &format!("{PATIENT}{NOBODY}"));
+fn a_full_queue_of_the_longest_pattern_takes_little_memory(daemon: &Daemon) {
     let mut client = daemon.armed();
-    let before = peak_kb(&daemon);
+    let before = peak_kb(daemon);
     let _: Value = client.put("/v1/patterns/longest", longest("longest")).unwrap();
     for _ in 0..17 {
         let _: Value = client.post("/v1/play", &json!({"pattern": "longest"})).unwrap();
@@ -80,14 +76,12 @@ fn a_full_queue_of_the_longest_pattern_takes_little_memory() {
     let shown: Value = client.get("/v1/patterns/longest").unwrap();
     assert_eq!(shown["pattern"]["drive"].as_array().unwrap().len(), 4096);
     let _: Value = client.post("/v1/estop", &json!({})).unwrap();
-    let added = peak_kb(&daemon) - before;
+    let added = peak_kb(daemon) - before;
     assert!(added < SMALL_KB, "{added} kB");
 }
 
 /// The daemon handles four imports at a time; the other bodies stay in their sockets.
-#[test]
-fn the_bodies_of_64_clients_do_not_pile_up() {
-    let daemon = Daemon::start();
+fn the_bodies_of_64_clients_do_not_pile_up(daemon: &Daemon) {
     let status: Value = daemon.client().get("/v1/status").unwrap();
     let before = peak_of(&status["daemon"]["pid"]);
     let request = "PUT /v1/patterns/x HTTP/1.1\r\nhost: x\r\ncontent-length: 1048576\r\n\r\n";
@@ -128,4 +122,12 @@ fn the_page_and_the_unit_name_the_bound() {
     let most = unit.lines().find_map(|line| line.strip_prefix("MemoryMax=")).unwrap();
     let most: usize = most.strip_suffix('M').unwrap().parse().unwrap();
     assert!((mib..=2 * mib).contains(&most), "{most}");
+}
+
+#[test]
+fn bodies_files_and_queues_do_not_fill_the_memory() {
+    let daemon = Daemon::with("mock", &format!("{PATIENT}{NOBODY}"));
+    files_that_would_fill_the_memory_are_refused_and_leave_nothing(&daemon);
+    the_bodies_of_64_clients_do_not_pile_up(&daemon);
+    a_full_queue_of_the_longest_pattern_takes_little_memory(&daemon);
 }

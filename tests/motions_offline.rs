@@ -114,9 +114,7 @@ fn the_shipped_motions_do_what_motors_can_do() {
     assert!(rough > 300 && press > 0, "{rough} {press}");
 }
 
-#[test]
-fn a_daemon_stores_a_pattern_with_its_samples_and_shows_what_it_reaches() {
-    let daemon = Daemon::start();
+pub(crate) fn a_daemon_stores_a_pattern_with_its_samples_and_shows_what_it_reaches(daemon: &Daemon) {
     write(&daemon.path(""), "a.csv", A);
     let drive = "[[drive]]\nmotor = 3\nfrequency_hz = 60.0\namplitude_um = 80.0\nstop_s = 1.0\n";
     write(&daemon.path(""), "touch.toml", pattern(&format!("{drive}{}", wave(1, "a.csv"))));

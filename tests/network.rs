@@ -88,12 +88,12 @@ fn without_the_key_nothing_listens() {
     let status: Status = second.client().get("/v1/status").unwrap();
     let problem = status.daemon.network.unwrap().problem.unwrap();
     assert!(problem.contains("in use") && problem.contains("choose an address of this machine"), "{problem}");
+    this_machine_does_everything_over_tcp_and_the_record_says_who(&listens);
+    clients_of_the_network_leave_places_to_those_of_the_socket_and_to_emergency_stops(&listens);
 }
 
-#[test]
-fn this_machine_does_everything_over_tcp_and_the_record_says_who() {
-    let daemon = listening("");
-    let address = address(&daemon);
+fn this_machine_does_everything_over_tcp_and_the_record_says_who(daemon: &Daemon) {
+    let address = address(daemon);
     assert_answers(&ask(&address, "GET /v1/status", ""), 200, "");
     assert_answers(&ask(&address, "GET /nowhere", ""), 404, "not-found");
     daemon.armed();
@@ -122,9 +122,10 @@ fn this_machine_does_everything_over_tcp_and_the_record_says_who() {
 }
 
 #[test]
-fn commands_reach_a_daemon_over_the_network() {
+fn commands_with_a_token_reach_a_daemon_over_the_network() {
     let mut daemon = listening("listen_token = \"always\"\n");
     let url = format!("http://{}", address(&daemon));
+    clients_without_a_token_are_displaced_first(&daemon);
     let token = create(&daemon, "operate").token;
     let over = |args: &[&str]| {
         let mut command = daemon.meissner();
@@ -153,10 +154,9 @@ fn commands_reach_a_daemon_over_the_network() {
     assert!(line.contains(&format!("no daemon answers at {url}: start one there")), "{line}");
 }
 
-#[test]
-fn clients_of_the_network_leave_places_to_those_of_the_socket_and_to_emergency_stops() {
-    let daemon = listening("");
-    let address = address(&daemon);
+fn clients_of_the_network_leave_places_to_those_of_the_socket_and_to_emergency_stops(daemon: &Daemon) {
+    let address = address(daemon);
+    let before = daemon.client().get::<Status>("/v1/status").unwrap().estop.orders;
     let status = format!("GET /v1/status HTTP/1.1\r\nhost: {address}\r\n\r\n");
     let mut held: Vec<TcpStream> = Vec::new();
     let first = |stream: &mut TcpStream| {
@@ -208,13 +208,11 @@ fn clients_of_the_network_leave_places_to_those_of_the_socket_and_to_emergency_s
     });
     result.unwrap();
     drop((silent, slow));
-    assert_eq!(daemon.client().get::<Status>("/v1/status").unwrap().estop.orders, 50);
+    assert_eq!(daemon.client().get::<Status>("/v1/status").unwrap().estop.orders - before, 50);
 }
 
-#[test]
-fn clients_without_a_token_are_displaced_first() {
-    let daemon = listening("listen_token = \"always\"\n");
-    let (address, token) = (address(&daemon), create(&daemon, "operate"));
+fn clients_without_a_token_are_displaced_first(daemon: &Daemon) {
+    let (address, token) = (address(daemon), create(daemon, "operate"));
     let bearer = bearer(&token);
     for part in [
         // A head that never ends; a request that is refused, and the next head.

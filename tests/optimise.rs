@@ -1,4 +1,4 @@
-use crate::harness::{Run, complaint, document, meissner, offline, printed};
+use crate::harness::{Run, complaint, document, offline, printed};
 use assert_cmd::cargo::CommandCargoExt;
 use meissner_array::pattern::Pattern;
 use rustix::process::{Pid, Signal, kill_process};
@@ -89,23 +89,20 @@ fn the_papers_pattern_is_made_again() {
 fn the_same_command_makes_the_same_bytes_on_any_number_of_threads() {
     let dir = tempfile::tempdir().unwrap();
     let file = dir.path().join("made.toml");
-    let make = |threads: &str, arguments: &[&str]| {
-        let mut command = meissner();
-        command
-            .env("RAYON_NUM_THREADS", threads)
-            .args(["optimise", "two-dots", "-o"])
-            .arg(&file)
-            .args(arguments);
-        printed(&mut command);
+    let make = |threads: usize, arguments: &[&str]| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| {
+            printed(offline().args(["optimise", "two-dots", "-o"]).arg(&file).args(arguments));
+        });
         fs::read_to_string(&file).unwrap()
     };
-    let once = make("1", &["--budget", "300", "--setting", "always_on", "--seed", "7"]);
-    assert!(once == make("2", &["--budget", "300", "--setting", "always_on", "--seed", "7"]));
-    assert!(once != make("2", &["--budget", "300", "--setting", "always_on", "--seed", "8"]));
+    let once = make(1, &["--budget", "300", "--setting", "always_on", "--seed", "7"]);
+    assert!(once == make(2, &["--budget", "300", "--setting", "always_on", "--seed", "7"]));
+    assert!(once != make(2, &["--budget", "300", "--setting", "always_on", "--seed", "8"]));
     assert_eq!(parsed(&file).drives().len(), 24);
-    let timed = make("2", &["--budget", "0.3s"]);
+    let timed = make(2, &["--budget", "0.3s"]);
     let reached = evaluations(&parsed(&file));
-    assert!(timed == make("1", &["--budget", &reached]), "{reached} evaluations");
+    assert!(timed == make(1, &["--budget", &reached]), "{reached} evaluations");
 }
 
 #[test]

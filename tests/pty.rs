@@ -104,31 +104,16 @@ fn assert_shut_down(ended: impl Fn() -> (PtyMock, Daemon)) {
 }
 
 #[test]
-fn a_daemon_that_ends_in_mid_play_returns_the_pins() {
-    assert_shut_down(|| {
-        let (board, mut daemon) = in_mid_play(5000);
-        assert!(daemon.end().success());
-        assert!(!daemon.socket().exists());
-        (board, daemon)
-    });
-}
-
-#[test]
-fn a_daemon_killed_in_mid_play_leaves_a_board_that_returns_the_pins() {
-    let (board, mut daemon) = in_mid_play(LEASE_MS);
-    daemon.signal(Signal::KILL);
-    daemon.wait();
-    sleep(Duration::from_millis(LEASE_MS.into()));
-    assert_returned(board, &[Cause::LinkLost, Cause::HostTimeout]);
-}
-
-#[test]
-fn a_daemon_that_hangs_in_mid_play_leaves_a_board_that_returns_the_pins() {
-    let (board, daemon) = in_mid_play(LEASE_MS);
-    daemon.signal(Signal::STOP);
-    sleep(Duration::from_millis(2 * u64::from(LEASE_MS)));
-    daemon.signal(Signal::KILL);
-    assert_returned(board, &[Cause::HostTimeout]);
+fn a_daemon_killed_or_hanging_in_mid_play_leaves_a_board_that_returns_the_pins() {
+    for (signal, causes) in
+        [(Signal::KILL, &[Cause::LinkLost, Cause::HostTimeout][..]), (Signal::STOP, &[Cause::HostTimeout])]
+    {
+        let (board, daemon) = in_mid_play(LEASE_MS);
+        daemon.signal(signal);
+        sleep(Duration::from_millis(2 * u64::from(LEASE_MS)));
+        daemon.signal(Signal::KILL);
+        assert_returned(board, causes);
+    }
 }
 
 /// Begins a play without end. A machine that stands still loses the board: then again.
@@ -176,20 +161,24 @@ fn a_board_that_is_plugged_in_again_is_found_and_disarmed() {
     assert!(wall.mock().take_trace().iter().all(|(_, run)| run.lines == OFF));
 }
 
-/// The daemon's sockets are removed, so no command reaches it any more. The play goes on, and SIGTERM still returns the pins.
+/// SIGTERM in mid-play returns the pins, also after the sockets were removed: no command reaches the daemon then, and it plays on.
 #[test]
 fn a_daemon_whose_sockets_are_removed_plays_on_and_ends_well() {
-    assert_shut_down(|| {
+    let ended = |are_removed: bool| {
         let (board, mut daemon) = in_mid_play(5000);
         let socket = daemon.socket();
-        std::fs::remove_file(estop_socket(&socket)).unwrap();
-        std::fs::remove_file(&socket).unwrap();
-        assert!(complaint(daemon.meissner().arg("stop")).contains("no daemon"));
-        sleep(Duration::from_millis(300));
+        if are_removed {
+            std::fs::remove_file(estop_socket(&socket)).unwrap();
+            std::fs::remove_file(&socket).unwrap();
+            assert!(complaint(daemon.meissner().arg("stop")).contains("no daemon"));
+            sleep(Duration::from_millis(300));
+        }
         assert!(daemon.end().success());
         assert!(!socket.exists());
         (board, daemon)
-    });
+    };
+    assert_shut_down(|| ended(false));
+    assert_shut_down(|| ended(true));
 }
 
 /// The cables of two boards are swapped in mid-play: each daemon finds the other board, disarmed, and plays nothing on it by itself.

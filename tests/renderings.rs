@@ -105,9 +105,7 @@ fn map(name: &str, file: &str) -> Value {
     })
 }
 
-#[test]
-fn a_shipped_object_is_rendered_and_judged_as_by_the_commands_and_plays() {
-    let daemon = Daemon::start();
+fn a_shipped_object_is_rendered_and_judged_as_by_the_commands_and_plays(daemon: &Daemon) {
     let mut client = daemon.armed();
     let found = rendered(&mut client, &json!({"object": "edge-45"}));
     let command = printed(meissner().args(["render", "edge-45"]));
@@ -147,9 +145,7 @@ fn a_shipped_object_is_rendered_and_judged_as_by_the_commands_and_plays() {
     assert_eq!(early(&preview.spikes.times_s), early(&of.found_s));
 }
 
-#[test]
-fn a_height_map_comes_with_its_file() {
-    let daemon = Daemon::start();
+fn a_height_map_comes_with_its_file(daemon: &Daemon) {
     let mut client = daemon.client();
     let heights = npy([30, 30], |_, column| if (14..16).contains(&column) { 0.0 } else { -2000.0 });
     let request =
@@ -174,9 +170,7 @@ fn a_height_map_comes_with_its_file() {
     wait_until(|| record().contains(&format!("{{\"ridge.npy\":\"{hash}\"}}")));
 }
 
-#[test]
-fn what_is_no_object_is_refused_in_one_line() {
-    let daemon = Daemon::start();
+fn what_is_no_object_is_refused_in_one_line(daemon: &Daemon) {
     let mut client = daemon.client();
     let unknown = problem(client.post_within(TIMEOUT, "/v1/renderings", &json!({"object": "egde-45"})));
     assert_eq!((&*unknown.code, unknown.status), ("not-found", 404));
@@ -219,45 +213,42 @@ fn what_is_no_object_is_refused_in_one_line() {
 }
 
 /// Judging a long touch takes a while: its pattern is there before, and stays when the rendering is cancelled.
-#[test]
-fn a_pattern_that_was_found_stays_when_its_rendering_is_cancelled() {
-    let daemon = Daemon::start();
+fn a_pattern_that_was_found_stays_when_its_rendering_is_cancelled(daemon: &Daemon) {
     let mut client = daemon.armed();
     let mut events = client.events().unwrap();
-    let _: Rendering = client.post_within(TIMEOUT, "/v1/renderings", &long()).unwrap();
+    let begun: Rendering = client.post_within(TIMEOUT, "/v1/renderings", &long()).unwrap();
+    let id = begun.id;
     assert_eq!(event(&mut events), (RenderingState::Running, false));
     assert_eq!(event(&mut events), (RenderingState::Running, true));
-    let [process] = children(&daemon)[..] else { panic!("{:?}", children(&daemon)) };
+    let [process] = children(daemon)[..] else { panic!("{:?}", children(daemon)) };
     // It can end now only if it is killed.
     kill_process(Pid::from_raw(process).unwrap(), Signal::STOP).unwrap();
-    let _: Value =
-        client.post_within(TIMEOUT, "/v1/play", &json!({"pattern": "rendering:1", "seconds": 0.2})).unwrap();
-    let cancelled: Rendering = client.delete("/v1/renderings/1").unwrap();
+    let _: Value = client
+        .post_within(TIMEOUT, "/v1/play", &json!({"pattern": format!("rendering:{id}"), "seconds": 0.2}))
+        .unwrap();
+    let cancelled: Rendering = client.delete(&format!("/v1/renderings/{id}")).unwrap();
     assert_eq!(
         (cancelled.state, cancelled.found, cancelled.rendered),
         (RenderingState::Cancelled, true, None)
     );
     assert_eq!(event(&mut events), (RenderingState::Cancelled, true));
-    let shown: Value = client.get_within(TIMEOUT, "/v1/patterns/rendering:1").unwrap();
+    let shown: Value = client.get_within(TIMEOUT, &format!("/v1/patterns/rendering:{id}")).unwrap();
     assert_eq!(shown["pattern"]["name"], "long");
-    wait_until(|| children(&daemon).is_empty());
+    wait_until(|| children(daemon).is_empty());
 }
 
-#[test]
-fn one_rendering_runs_at_a_time_in_a_bounded_process_and_an_e_stop_does_not_end_it() {
-    let daemon = Daemon::start();
+fn one_rendering_runs_at_a_time_in_a_bounded_process_and_an_e_stop_does_not_end_it(daemon: &Daemon) {
     let mut client = daemon.armed();
     let mut events = client.events().unwrap();
-    assert_eq!(refusal(client.get("/v1/renderings/last")), ("not-found".into(), 404));
     let begun: Rendering = client.post_within(TIMEOUT, "/v1/renderings", &long()).unwrap();
-    assert_eq!((begun.id, &*begun.object), (1, "long"));
+    assert_eq!(&*begun.object, "long");
     assert_eq!(event(&mut events), (RenderingState::Running, false));
     assert_eq!(event(&mut events), (RenderingState::Running, true));
-    let [process] = children(&daemon)[..] else { panic!("{:?}", children(&daemon)) };
+    let [process] = children(daemon)[..] else { panic!("{:?}", children(daemon)) };
     kill_process(Pid::from_raw(process).unwrap(), Signal::STOP).unwrap();
     let busy = problem(client.post_within(TIMEOUT, "/v1/renderings", &long()));
     assert_eq!((&*busy.code, busy.status), ("rendering-running", 409));
-    assert!(busy.detail.contains("rendering 1 of `long` runs"), "{busy}");
+    assert!(busy.detail.contains(&format!("rendering {} of `long` runs", begun.id)), "{busy}");
     // The process has low priority, bounded memory that is not locked, and none of the daemon's files.
     assert!(stat(process).unwrap()[16].parse::<i32>().unwrap() >= 10);
     let limits = fs::read_to_string(format!("/proc/{process}/limits")).unwrap();
@@ -298,9 +289,7 @@ fn a_rendering_ends_with_its_daemon() {
     }
 }
 
-#[test]
-fn a_preview_shows_pins_and_spikes_of_any_pattern() {
-    let daemon = Daemon::start();
+fn a_preview_shows_pins_and_spikes_of_any_pattern(daemon: &Daemon) {
     let mut client = daemon.client();
     let preview: PatternPreview =
         client.get_within(TIMEOUT, "/v1/patterns/edge-45/preview?from_s=0.1&seconds=0.25").unwrap();
@@ -318,7 +307,7 @@ fn a_preview_shows_pins_and_spikes_of_any_pattern() {
     }
     let times = || preview.spikes.times_s.iter().flatten();
     assert!(times().count() > 100 && times().all(|at_s| (0.1..=0.35).contains(at_s)));
-    for name in ["none", "rendering:1"] {
+    for name in ["none", "rendering:99"] {
         let refused = refusal(client.get_within(TIMEOUT, &format!("/v1/patterns/{name}/preview")));
         assert_eq!(refused, ("not-found".into(), 404));
     }
@@ -326,23 +315,21 @@ fn a_preview_shows_pins_and_spikes_of_any_pattern() {
         let refused = problem(client.get_within(TIMEOUT, &format!("/v1/patterns/edge-45/preview?{query}")));
         assert!(refused.code == "bad-request" && refused.detail.contains(query), "{refused}");
     }
-    assert!(children(&daemon).is_empty());
+    assert!(children(daemon).is_empty());
 }
 
-#[test]
-fn the_ninth_preview_that_would_wait_is_refused_and_those_of_clients_that_hang_up_end() {
+fn the_ninth_preview_that_would_wait_is_refused_and_those_of_clients_that_hang_up_end(daemon: &Daemon) {
     const ASKED: usize = 20;
     const REQUEST: &[u8] =
         b"GET /v1/patterns/edge-45/preview?from_s=60&seconds=2 HTTP/1.1\r\nhost: x\r\nconnection: close\r\n\r\n";
-    let daemon = Daemon::start();
     let ask = || {
         let mut stream = UnixStream::connect(daemon.socket()).unwrap();
         stream.write_all(REQUEST).unwrap();
         stream
     };
     let first = ask();
-    wait_until(|| !children(&daemon).is_empty());
-    let process = Pid::from_raw(children(&daemon)[0]).unwrap();
+    wait_until(|| !children(daemon).is_empty());
+    let process = Pid::from_raw(children(daemon)[0]).unwrap();
     // It stands still, so eight may wait for it and no more; it can end now only if it is killed.
     kill_process(process, Signal::STOP).unwrap();
     let (sender, answers) = std::sync::mpsc::channel();
@@ -363,11 +350,24 @@ fn the_ninth_preview_that_would_wait_is_refused_and_those_of_clients_that_hang_u
         );
     }
     assert!(answers.try_recv().is_err(), "eight wait");
-    assert_eq!(children(&daemon).len(), 1, "one is computed at a time");
+    assert_eq!(children(daemon).len(), 1, "one is computed at a time");
     first.shutdown(Shutdown::Both).unwrap();
     others.iter().for_each(|stream| drop(stream.shutdown(Shutdown::Both)));
-    wait_until(|| children(&daemon).is_empty());
+    wait_until(|| children(daemon).is_empty());
     // Its place is free again.
     let _: PatternPreview =
         daemon.client().get_within(TIMEOUT, "/v1/patterns/edge-45/preview?seconds=0.01").unwrap();
+}
+
+#[test]
+fn renderings_and_previews_on_one_daemon() {
+    let daemon = Daemon::start();
+    assert_eq!(refusal(daemon.client().get("/v1/renderings/last")), ("not-found".into(), 404));
+    a_shipped_object_is_rendered_and_judged_as_by_the_commands_and_plays(&daemon);
+    a_pattern_that_was_found_stays_when_its_rendering_is_cancelled(&daemon);
+    one_rendering_runs_at_a_time_in_a_bounded_process_and_an_e_stop_does_not_end_it(&daemon);
+    a_preview_shows_pins_and_spikes_of_any_pattern(&daemon);
+    the_ninth_preview_that_would_wait_is_refused_and_those_of_clients_that_hang_up_end(&daemon);
+    what_is_no_object_is_refused_in_one_line(&daemon);
+    a_height_map_comes_with_its_file(&daemon);
 }

@@ -38,11 +38,10 @@ fn a_command_that_waits_keeps_the_motors_armed_until_it_is_killed() {
     child.wait().unwrap();
     assert_eq!(silent(&mut events), 2.0);
     assert_eq!(ended(&mut events).cause.as_ref(), Some(&EndCause::OwnerSilent));
+    a_terminal_whose_session_is_over_says_so_and_is_not_locked(daemon);
 }
 
-#[test]
-fn a_terminal_whose_session_is_over_says_so_and_is_not_locked() {
-    let mut daemon = Daemon::start();
+fn a_terminal_whose_session_is_over_says_so_and_is_not_locked(mut daemon: Daemon) {
     daemon.armed();
     let complaint =
         |daemon: &Daemon, arguments: &[&str]| crate::harness::complaint(daemon.meissner().args(arguments));

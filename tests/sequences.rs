@@ -4,9 +4,7 @@ use crate::harness::{Daemon, complaint, document, printed};
 use assert_cmd::Command;
 use std::fs;
 
-#[test]
-fn the_command_plays_a_file_and_prints_the_receipt() {
-    let daemon = Daemon::start();
+pub(crate) fn the_command_plays_a_file_and_prints_the_receipt(daemon: &Daemon) {
     daemon.armed();
     let file = daemon.path("block.toml");
     let text = "name = \"block\"\n[[items]]\npattern = \"pin-60\"\nseconds = 0.1\ntrigger.code = 7\n[[items]]\npattern = \"pin-60\"\nseconds = 0.1\ngap_ms = 100\n";

@@ -24,9 +24,7 @@ pub(crate) fn exported(daemon: &Daemon, id: &str) -> (Value, String) {
     (serde_json::from_slice(&output.stdout).unwrap(), String::from_utf8(output.stderr.clone()).unwrap())
 }
 
-#[test]
-fn the_command_line_owns_what_its_terminal_has_started() {
-    let daemon = Daemon::start();
+pub(crate) fn the_command_line_owns_what_its_terminal_has_started(daemon: &Daemon) {
     daemon.armed();
     let start =
         "session start --participant P07 --experiment edges --label block=2 --seed 9 --exclusive --json";
@@ -37,6 +35,7 @@ fn the_command_line_owns_what_its_terminal_has_started() {
     assert_eq!(fs::metadata(&files[0]).unwrap().permissions().mode() & 0o777, 0o600);
     let play = "play pin-60 --seconds 0.1 --trial 1 --label c=a --wait";
     printed(daemon.meissner().args(play.split(' ')));
+    let played = document(daemon.meissner().args(["receipt", "--json"]))["id"].to_string();
     // Another terminal finds another file, or none.
     let elsewhere = |arguments: &[&str]| {
         let mut command = daemon.meissner();
@@ -52,7 +51,9 @@ fn the_command_line_owns_what_its_terminal_has_started() {
         assert!(shown.contains(part), "{part}: {shown}");
     }
     let id = started["id"].as_str().unwrap();
-    printed(daemon.meissner().args(["answer", "1", "-3", "--wrong", "--rt-ms", "20.5", "--factor", "c=2"]));
+    printed(
+        daemon.meissner().args(["answer", &played, "-3", "--wrong", "--rt-ms", "20.5", "--factor", "c=2"]),
+    );
     printed(daemon.meissner().args(["session", "end", id]));
     let text = printed(daemon.meissner().args(["session", "export", id]));
     assert!(text.starts_with("session,participant") && text.contains(",-3,false,0.0205,"), "{text}");

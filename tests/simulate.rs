@@ -161,7 +161,7 @@ fn without_json_the_command_prints_a_summary() {
 }
 
 #[test]
-fn a_scene_on_stdin_may_be_toml_or_json() {
+fn a_scene_on_stdin_may_be_toml_or_json_and_a_pattern_comes_from_it() {
     let json = serde_json::to_string(&toml::from_str::<toml::Table>(SMALL).unwrap()).unwrap();
     for text in [SMALL, &json] {
         let found = document(meissner().args(["simulate", "-", "--json"]).write_stdin(text));
@@ -169,6 +169,9 @@ fn a_scene_on_stdin_may_be_toml_or_json() {
     }
     let line = complaint(meissner().args(["simulate", "-"]).write_stdin("duration_s = -1\nafferents = []"));
     assert!(line.contains("stdin: `duration_s` is -1"), "{line}");
+    let mut samples = meissner();
+    samples.args(["displacement", "-", "--seconds", "0.1"]).write_stdin(crate::displacement::BLIP);
+    assert!(printed(&mut samples).starts_with("time_s,motor_4_um\n"));
 }
 
 #[test]

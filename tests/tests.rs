@@ -21,7 +21,7 @@ mod careless;
 mod cli;
 /// More clients than there are places, and clients that do not read.
 mod client_limits;
-/// `displacement`: samples of the pins as table and as document; patterns of files and stdin.
+/// `displacement`: samples of the pins as table and as document; patterns of files.
 mod displacement;
 /// `GET /v1/doctor`: the same findings as the command's.
 mod doctor;
