@@ -1,16 +1,16 @@
 //! Renderings of objects: what the command `render` and the daemon's process for them share.
 //!
 //! An object is shipped ([`shipped_text`]), or read by its user. [`contact`] presses it on the finger, [`levels`] finds
-//! the heights of the pins by one [`Way`], and [`pattern`] makes the pattern that plays them, with its [`provenance`].
+//! the heights of the pins by one of [`METHODS`], and [`pattern`] makes the pattern that plays them, with its [`provenance`].
 //!
-//! Invariant: equal keys, files, array and way give the same bytes. An error is one line without the object's name.
+//! Invariant: equal keys, files, array and method give the same bytes. An error is one line without the object's name.
 
+use meissner_api::RenderMethod;
 use meissner_array::pattern::{Pattern, PatternError};
 use meissner_array::spec::Array;
 use meissner_paper::shipped_text;
 use meissner_render::{LONGEST_S, Levels, Method, STEP_S, TRACE_MM_S, TraceError, render, trace};
 use meissner_touch::{Contact, ContactError, Object, Touch, no_files};
-use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 use toml::Table;
 
@@ -19,15 +19,27 @@ pub(crate) const FIRST_FINGER: u64 = 5000;
 /// After the object has left, afferents are counted for so long, s.
 pub(crate) const AFTER_S: f64 = 0.1;
 
-/// How heights are found.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub(crate) enum Way {
-    /// A press that moves along the lines of the object.
-    Trace,
-    /// The touch of the object.
-    #[serde(untagged)]
-    Touch(Method),
+/// All methods: the name, and what it does. A new one also needs its variants of [`RenderMethod`] and [`Method`], and an arm of [`of_touch`].
+pub(crate) const METHODS: &[(&str, &str)] = &[
+    (
+        "auto",
+        "Skin and afferents of the finger: from the skin's shape for a press, from strokes for a motion",
+    ),
+    ("rate", "The same, from strokes"),
+    ("field", "The skin's shape"),
+    ("rule", "One press, graded by the distance from the object"),
+    ("trace", "A press that moves along the lines of the object, one after another, in its own time"),
+];
+
+/// How a method finds heights from the touch of the object; none for a trace.
+pub(crate) const fn of_touch(method: RenderMethod) -> Option<Method> {
+    match method {
+        RenderMethod::Auto => Some(Method::Auto),
+        RenderMethod::Rate => Some(Method::Rate),
+        RenderMethod::Field => Some(Method::Field),
+        RenderMethod::Rule => Some(Method::Rule),
+        RenderMethod::Trace => None,
+    }
 }
 
 /// Why an object is not rendered.
@@ -75,10 +87,10 @@ pub(crate) fn levels(
     array: Array,
     object: &Object,
     contact: &Contact,
-    way: Way,
+    method: RenderMethod,
     trace_mm_s: f64,
 ) -> Result<Levels, RenderingError> {
-    let Way::Touch(method) = way else { return Ok(trace(array, &lines(object)?, trace_mm_s)?) };
+    let Some(method) = of_touch(method) else { return Ok(trace(array, &lines(object)?, trace_mm_s)?) };
     let lasts_s = object.touch().duration_s();
     if lasts_s > LONGEST_S {
         return Err(RenderingError::TooLong { lasts_s });
@@ -106,7 +118,7 @@ pub(crate) fn keys_or_name(text: &str, name: &str) -> toml::Value {
 /// What a pattern says about how it was made.
 pub(crate) fn provenance(
     object: toml::Value,
-    way: Way,
+    method: RenderMethod,
     pitch_mm: f64,
     trace_mm_s: Option<f64>,
 ) -> Result<Table, toml::ser::Error> {
@@ -114,9 +126,9 @@ pub(crate) fn provenance(
     let mut put = |key: &str, value: toml::Value| table.insert(key.to_owned(), value);
     // The pattern holds its object, so that figures can show both.
     put("object", object);
-    put("method", toml::Value::try_from(way)?);
+    put("method", toml::Value::try_from(method)?);
     put("pitch_mm", pitch_mm.into());
-    if way == Way::Trace {
+    if method == RenderMethod::Trace {
         put("trace_mm_s", trace_mm_s.unwrap_or(TRACE_MM_S).into());
     }
     put("program", format!("meissner {}", env!("CARGO_PKG_VERSION")).into());

@@ -293,7 +293,7 @@ impl Edges {
         let drives = Rival::WithinReach.pattern(array, contact, touch)?;
         let drives = drives.drives().iter().map(|drive| Drive { start_s: None, stop_s: None, ..*drive });
         let vibrating = Pattern::new(array, PATTERN, None, drives.collect(), toml::Table::new())?;
-        let pressed = render(array, contact, touch, Method::default());
+        let pressed = render(array, contact, touch, Method::Auto);
         let pressed = pressed.pattern(array, RENDERED, toml::Table::new())?;
         let [vibrating, pressed] = [vibrating, pressed].map(|pattern| Shown { pattern, is_shipped: false });
         Ok(Self { edge, vibrating, pressed })

@@ -5,9 +5,10 @@
 use super::arguments::{Output, PaperArrayOption, choice};
 use super::output::{is_broken_pipe, say, say_file, say_json, tell};
 use super::{files, object, progress, text};
-use crate::rendering::{self, Way, levels, provenance};
+use crate::rendering::{self, METHODS, levels, provenance};
 use anyhow::{Result, anyhow, bail};
 use clap::Args;
+use meissner_api::RenderMethod;
 use meissner_array::spec::Array;
 use meissner_input::message::escape;
 use meissner_render::{Levels, TRACE_MM_S};
@@ -16,18 +17,6 @@ use serde::Serialize;
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::time::Instant;
-
-/// The methods, for the help.
-pub(super) const METHODS: &[(&str, &str)] = &[
-    (
-        "auto",
-        "Skin and afferents of the finger: from the skin's shape for a press, from strokes for a motion",
-    ),
-    ("rate", "The same, from strokes"),
-    ("field", "The skin's shape"),
-    ("rule", "One press, graded by the distance from the object"),
-    ("trace", "A press that moves along the lines of the object, one after another, in its own time"),
-];
 
 /// The speeds of a trace, mm/s.
 const TRACES_MM_S: std::ops::RangeInclusive<f64> = 1.0..=200.0;
@@ -40,8 +29,8 @@ pub(super) struct Render {
     #[arg(short = 'o', long = "output", value_name = "PATTERN")]
     file: Option<PathBuf>,
     /// Choose how heights are found
-    #[arg(long, default_value = "auto", value_parser = choice::<Way>(METHODS))]
-    method: Way,
+    #[arg(long, default_value = "auto", value_parser = choice::<RenderMethod>(METHODS))]
+    method: RenderMethod,
     /// Trace at MM_S mm/s, 1 to 200, with `--method trace` [default: 40]
     #[arg(long, value_name = "MM_S", allow_negative_numbers = true)]
     trace_mm_s: Option<f64>,
@@ -55,7 +44,7 @@ pub(super) struct Render {
 struct Document<'a> {
     object: &'a str,
     file: Option<String>,
-    method: Way,
+    method: RenderMethod,
     grains: usize,
     pitch_mm: f64,
     duration_s: f64,
@@ -121,15 +110,17 @@ pub(super) fn run(asked: &Render) -> Result<ExitCode> {
 fn heights(asked: &Render, array: Array, object: &Object, contact: &Contact) -> Result<Levels> {
     let speed_mm_s = asked.trace_mm_s.unwrap_or(TRACE_MM_S);
     match asked.method {
-        Way::Trace if !TRACES_MM_S.contains(&speed_mm_s) => {
+        RenderMethod::Trace if !TRACES_MM_S.contains(&speed_mm_s) => {
             bail!("--trace-mm-s {speed_mm_s}: must be 1 to 200 mm/s");
         }
-        Way::Touch(_) if asked.trace_mm_s.is_some() => {
+        RenderMethod::Trace => {}
+        _ if asked.trace_mm_s.is_some() => {
             bail!("--trace-mm-s: only a trace has a speed: leave it out, or add --method trace");
         }
-        way => levels(array, object, contact, way, speed_mm_s)
-            .map_err(|error| anyhow!("{}: {error}", asked.object)),
+        _ => {}
     }
+    levels(array, object, contact, asked.method, speed_mm_s)
+        .map_err(|error| anyhow!("{}: {error}", asked.object))
 }
 
 fn summary(document: &Document<'_>) -> String {

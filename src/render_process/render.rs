@@ -5,7 +5,7 @@
 
 use super::finger::{OF_PATTERN, afferents, finger, piece};
 use crate::rendering::{
-    AFTER_S, RenderingError, Way, contact, judged_s, keys_or_name, levels, pattern, provenance,
+    AFTER_S, RenderingError, contact, judged_s, keys_or_name, levels, pattern, provenance,
 };
 use crate::store::{Stored, hash};
 use base64::Engine;
@@ -14,7 +14,7 @@ use meissner_api::{JudgedPattern, ObjectResponse, RenderMethod, Rendered};
 use meissner_array::pattern::Pattern;
 use meissner_array::spec::Array;
 use meissner_input::message::{cut, quote};
-use meissner_render::{Judge, Judged, Method, Rival, TRACE_MM_S, response_of};
+use meissner_render::{Judge, Judged, Rival, TRACE_MM_S, response_of};
 use meissner_skin::Finger;
 use meissner_touch::{Contact, Object, respond};
 use serde::{Deserialize, Serialize};
@@ -112,12 +112,12 @@ impl Render {
     }
 
     fn pattern(&self, array: Array, object: &Object, contact: &Contact) -> Result<Pattern, RenderingError> {
-        let levels = levels(array, object, contact, way(self.method), TRACE_MM_S)?;
+        let levels = levels(array, object, contact, self.method, TRACE_MM_S)?;
         let pitch_mm = contact.grains().pitch_mm;
         // Keys that were read as JSON can be written as TOML.
         let keys = without_nulls(self.object.clone().into());
         let text = toml::to_string(&keys).unwrap_or_default();
-        let made = provenance(keys_or_name(&text, object.name()), way(self.method), pitch_mm, None);
+        let made = provenance(keys_or_name(&text, object.name()), self.method, pitch_mm, None);
         pattern(&levels, array, object.name(), made.unwrap_or_default())
     }
 
@@ -131,9 +131,9 @@ impl Render {
     ) -> Result<(Vec<JudgedPattern>, ObjectResponse), String> {
         let (finger, touch) = (finger(), object.touch());
         let durations_s = found.duration_s();
-        let seconds = match way(self.method) {
-            Way::Trace => durations_s.unwrap_or(0.0).max(touch.duration_s()) + AFTER_S,
-            Way::Touch(_) => judged_s(touch, durations_s.into_iter()),
+        let seconds = match self.method {
+            RenderMethod::Trace => durations_s.unwrap_or(0.0).max(touch.duration_s()) + AFTER_S,
+            _ => judged_s(touch, durations_s.into_iter()),
         };
         let real_s = respond(contact, touch, finger.afferents(), Some(self.seed), &|_| ());
         let feel = |pattern: &Pattern| {
@@ -148,7 +148,7 @@ impl Render {
             found_s.clone()
         } else {
             // A trace needs no touch that could be rendered.
-            let rule = levels(array, object, contact, Way::Touch(Method::Rule), TRACE_MM_S).ok();
+            let rule = levels(array, object, contact, RenderMethod::Rule, TRACE_MM_S).ok();
             let rule = rule.and_then(|levels| levels.pattern(array, "rule", toml::Table::new()).ok());
             let rule_s = rule.map(|rule| feel(&rule)).transpose()?;
             judged.extend(rule_s.as_ref().map(|rule_s| line("rule", &judge.compare(rule_s))));
@@ -167,17 +167,6 @@ impl Render {
 pub fn file_hashes(files: &BTreeMap<String, String>) -> Map<String, Value> {
     let of = |text: &String| STANDARD.decode(text).map_or(Value::Null, |bytes| hash(&bytes).into());
     files.iter().map(|(name, text)| (name.clone(), of(text))).collect()
-}
-
-/// How the API's method finds heights.
-const fn way(of: RenderMethod) -> Way {
-    match of {
-        RenderMethod::Auto => Way::Touch(Method::Auto),
-        RenderMethod::Rate => Way::Touch(Method::Rate),
-        RenderMethod::Field => Way::Touch(Method::Field),
-        RenderMethod::Rule => Way::Touch(Method::Rule),
-        RenderMethod::Trace => Way::Trace,
-    }
 }
 
 fn no_file(name: &str) -> io::Error {
@@ -232,14 +221,6 @@ mod tests {
         let files = [("map.png", "AAEC"), ("bad.png", "A*")];
         let files = files.map(|(name, text)| (name.to_owned(), text.to_owned())).into();
         Render { object, files, method: RenderMethod::Auto, seed: 0 }
-    }
-
-    #[test]
-    fn methods_have_the_names_of_the_command() {
-        for of in ["auto", "rate", "field", "rule", "trace"] {
-            let method = serde_json::from_value(of.into()).unwrap();
-            assert_eq!(serde_json::to_value(way(method)).unwrap(), of);
-        }
     }
 
     #[test]

@@ -44,11 +44,9 @@ pub use trace::{LONGEST_S, TRACE_MM_S, TraceError, trace};
 use descent::{Goal, Weights};
 use meissner_array::spec::Array;
 use meissner_touch::{Contact, Touch};
-use serde::{Deserialize, Serialize};
 
 /// How heights are found.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Method {
     /// One press graded by the distance of each pin from the object.
     Rule,
@@ -57,7 +55,6 @@ pub enum Method {
     /// The rates of afferents, beginning with strokes of the pins that the object passes.
     Rate,
     /// The rates of afferents, beginning with the skin's shape; for an object that moves, also with strokes, whichever ends nearer.
-    #[default]
     Auto,
 }
 

@@ -1,9 +1,10 @@
 //! What fingers feel of an object: the patterns of all methods and rules.
 
+use crate::rendering::{METHODS, of_touch};
 use anyhow::Result;
 use meissner_array::pattern::Pattern;
 use meissner_array::spec::Array;
-use meissner_render::{Method, Rival, TRACE_MM_S, render, trace};
+use meissner_render::{Rival, TRACE_MM_S, render, trace};
 use meissner_touch::{Contact, Object};
 
 /// A pattern, and for how long fingers feel it.
@@ -22,20 +23,17 @@ pub(super) fn presented(array: Array, object: &Object, contact: &Contact) -> Res
     let mut add = |name: &str, pattern, is_traced| {
         patterns.push(Presented { name: name.to_owned(), pattern, is_traced });
     };
-    for (name, method) in [
-        ("render auto", Method::Auto),
-        ("render rate", Method::Rate),
-        ("render field", Method::Field),
-        ("render rule", Method::Rule),
-    ] {
-        let levels = render(array, contact, touch, method);
-        add(name, levels.pattern(array, "rendered", toml::Table::new())?, false);
-    }
-    if touch.stays_in_place()
-        && let Some(lines) = object.lines_mm()
-        && let Ok(levels) = trace(array, &lines, TRACE_MM_S)
-    {
-        add("render trace", levels.pattern(array, "rendered", toml::Table::new())?, true);
+    for (name, _) in METHODS {
+        let method = of_touch(serde_json::from_value((*name).into())?);
+        let levels = match (method, object.lines_mm()) {
+            (Some(method), _) => Ok(render(array, contact, touch, method)),
+            (None, Some(lines)) if touch.stays_in_place() => trace(array, &lines, TRACE_MM_S),
+            _ => continue,
+        };
+        // What cannot be traced is not judged so.
+        let Ok(levels) = levels else { continue };
+        let pattern = levels.pattern(array, "rendered", toml::Table::new())?;
+        add(&format!("render {name}"), pattern, method.is_none());
     }
     for (name, rival) in
         [("nearest pins at 60 Hz", Rival::Nearest), ("within reach at 60 Hz", Rival::WithinReach)]
