@@ -79,8 +79,8 @@ fn every_emergency_stop_gets_through_while_clients_hold_places_and_connect(daemo
 fn a_request_of_a_client_that_hangs_up_counts(daemon: &Daemon) {
     let mut client = daemon.client();
     for _ in 0..20 {
-        assert!(half_closed(&daemon, STATUS).contains("\"disarmed\""));
-        assert!(half_closed(&daemon, ESTOP).contains("\"faulted\""));
+        assert!(half_closed(daemon, STATUS).contains("\"disarmed\""));
+        assert!(half_closed(daemon, ESTOP).contains("\"faulted\""));
         reset(&mut client);
         UnixStream::connect(daemon.socket()).unwrap().write_all(ESTOP).unwrap();
         wait_until(|| is_faulted(&mut client));
@@ -229,7 +229,7 @@ fn clients_that_send_slowly_keep_nobody_out(daemon: &Daemon) {
         }
         // Wait until the daemon has seen the burst of connections.
         wait_until(|| daemon.raw(STATUS).starts_with("HTTP/1.1 200 "));
-        assert_eq!(served(&daemon, 20), 40, "behind {part:?}");
+        assert_eq!(served(daemon, 20), 40, "behind {part:?}");
     }
 }
 

@@ -99,14 +99,14 @@ fn this_machine_does_everything_over_tcp_and_the_record_says_who(daemon: &Daemon
     daemon.armed();
     // The acceptor orders the first request of a connection, and the server a later one.
     assert_answers(&ask(&address, "POST /v1/estop", &format!("origin: http://{address}\r\n")), 200, "");
-    assert_eq!(state(&daemon), "faulted");
+    assert_eq!(state(daemon), "faulted");
     let body = "{\"force\": true}";
     let reset =
         format!("POST /v1/reset HTTP/1.1\r\nhost: localhost\r\ncontent-length: {}\r\n\r\n{body}", body.len());
     let estop = "POST /v1/estop HTTP/1.1\r\nhost: localhost\r\nconnection: close\r\n\r\n";
     let both = raw(&address, &(reset + estop));
     assert!(both.matches("HTTP/1.1 200 ").count() == 2, "{both}");
-    assert_eq!(state(&daemon), "faulted");
+    assert_eq!(state(daemon), "faulted");
     let record = |at: &Path| fs::read_to_string(at).unwrap();
     let dir = daemon.path("state/meissner/logbook");
     let all = || fs::read_dir(&dir).unwrap().map(|entry| record(&entry.unwrap().path())).collect::<String>();
