@@ -223,7 +223,7 @@ fn a_pattern_that_was_found_stays_when_its_rendering_is_cancelled(daemon: &Daemo
     let [process] = children(daemon)[..] else { panic!("{:?}", children(daemon)) };
     // It can end now only if it is killed.
     kill_process(Pid::from_raw(process).unwrap(), Signal::STOP).unwrap();
-    let _: Value = client
+    let played: Value = client
         .post_within(TIMEOUT, "/v1/play", &json!({"pattern": format!("rendering:{id}"), "seconds": 0.2}))
         .unwrap();
     let cancelled: Rendering = client.delete(&format!("/v1/renderings/{id}")).unwrap();
@@ -235,6 +235,8 @@ fn a_pattern_that_was_found_stays_when_its_rendering_is_cancelled(daemon: &Daemo
     let shown: Value = client.get_within(TIMEOUT, &format!("/v1/patterns/rendering:{id}")).unwrap();
     assert_eq!(shown["pattern"]["name"], "long");
     wait_until(|| children(daemon).is_empty());
+    // The next case arms.
+    let _: Value = client.get_within(TIMEOUT, &format!("/v1/plays/{}?wait=10", played["id"])).unwrap();
 }
 
 fn one_rendering_runs_at_a_time_in_a_bounded_process_and_an_e_stop_does_not_end_it(daemon: &Daemon) {
