@@ -1,6 +1,6 @@
 //! Begins a compiled play of any kind: reserves its time, checks, sends it, and waits for the streamer's answer.
 //!
-//! The callers compile without the engine's lock ([`Compiled`]); [`Engine::begin`] sends under it. The streamer refuses plays that the device
+//! The callers compile without the engine's lock ([`Compiled`]); [`begin`] sends under it. The streamer refuses plays that the device
 //! cannot take.
 //!
 //! Invariants: a play is in the receipts before the streamer reports anything about it; the id of a refused play goes to the next. Before a
