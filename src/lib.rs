@@ -8,7 +8,7 @@
 //!    skin model; `judge` scores the result. Command: `cli/optimise.rs`.
 //! 2. **Pattern** (`library/patterns/*.toml`: which pins vibrate, at which frequency, amplitude and phase, when) →
 //!    [`meissner_array::pattern`] reads and checks it. [`store`] holds the shipped patterns and a site's own.
-//! 3. **Request** → `meissner play NAME` ([`cli`]) goes through [`meissner_client`] to the [`daemon`]: `daemon/routes.rs` has the routes,
+//! 3. **Request** → `meissner play NAME` ([`cli`]) goes through [`meissner_client`] to the [`daemon`]: the routes are rows in `crates/api/src/route.rs`,
 //!    [`meissner_api`] the JSON types, errors and events of both sides. Located errors of all input come from [`meissner_input`].
 //! 4. **Play** → `daemon/plays` compiles the pattern to strokes ([`meissner_array::strokes`]), evaluates the bandwidth it needs,
 //!    opens its receipt and sends it to the streamer.
