@@ -257,6 +257,10 @@ impl Scan {
         }
         #[derive(Deserialize)]
         struct Play {
+            order: Ordered,
+        }
+        #[derive(Deserialize)]
+        struct Ordered {
             session: Option<String>,
         }
         // Skip parsing most lines, for speed; the rows of a session are parsed whole.
@@ -265,12 +269,12 @@ impl Scan {
             open.ends += 1;
             return Some(());
         }
-        if has(line, "\"session\":null") {
+        if !has(line, "\"session\":\"") {
             return Some(());
         }
         let End { receipt } = serde_json::from_slice(line).ok()?;
         // The start of its session may be missing.
-        if let Some(recorded) = receipt.session.and_then(|id| self.enter(&id)) {
+        if let Some(recorded) = receipt.order.session.and_then(|id| self.enter(&id)) {
             recorded.ends += 1;
         }
         Some(())

@@ -548,3 +548,15 @@ fn items_keep_their_numbers_if_lines_are_lost_and_a_play_tells_its_boot() {
     let items = play.receipt.items.iter().flat_map(|items| items.iter());
     assert_eq!(items.map(|item| item.item).collect::<Vec<_>>(), [2, 3]);
 }
+
+#[test]
+fn a_session_whose_start_is_missing_is_found_by_its_plays() {
+    let mut receipt = Receipt { id: 1, ..Receipt::new("pin-60", "0", 1, &Terms::default()) };
+    receipt.order.terms.session = Some("20261122T083000Z-9f3c".to_owned());
+    let (dir, session) = session_of(&[json!({"event": "ended", "receipt": receipt})]);
+    let day = dir.path().join("2026-11-22.jsonl");
+    let text = fs::read_to_string(&day).unwrap();
+    fs::write(&day, text.lines().nth(1).unwrap().to_owned() + "\n").unwrap();
+    let [found] = &reader::sessions(dir.path(), &[], None).unwrap().recorded[..] else { panic!() };
+    assert_eq!((&found.session.id, found.session.plays), (&session.id, 1));
+}

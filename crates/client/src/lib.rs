@@ -22,7 +22,7 @@
 //!     if let Event::Ended { receipt } = event
 //!         && receipt.id == id
 //!     {
-//!         println!("{}: {:?}", receipt.state.name(), receipt.bursts);
+//!         println!("{}: {:?}", receipt.state.name(), receipt.counts.bursts);
 //!         break;
 //!     }
 //! }
