@@ -38,21 +38,23 @@ use crate::board::{Measures, SelfTest};
 use crate::frame::{self, FrameError, MAX_FRAME};
 use crate::limits::PowerLimits;
 use crate::message::{Cause, Counters, DeviceHello, DeviceMessage, Op, State, Status};
+use crate::stroke::Lines;
 use crate::tick::Tick;
 use board::BoardRequests;
 use edges::Edges;
 use inbox::Inbox;
 use motion::Motion;
 use player::Player;
-pub use player::{DRIVER_TAIL, POOL, Run};
+pub use player::{DRIVER_TAIL, POOL};
 pub use reporting::REPORTS;
 use reporting::{Due, Reporting};
 use session::Session;
-pub use session::newer;
 pub use stream::REORDER_WINDOW;
 use stream::{Parts, Stream};
 
 pub use crate::tick::{BLOCK, HORIZON};
+/// Most ticks from now to a move.
+const FARTHEST: i64 = 1 << 30;
 
 /// What the shell tells the controller about the device, for the handshake.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -65,6 +67,19 @@ pub struct Identity {
     pub boot: u32,
     /// [`DeviceHello::SIMULATED`] and so on.
     pub features: u32,
+}
+
+/// Consecutive ticks in which no output changes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Run {
+    /// The lines in each of these ticks.
+    pub lines: Lines,
+    /// The trigger output, which a [`Trigger`](crate::message::Trigger) drives from a mark on.
+    pub trigger: bool,
+    /// Whether the drivers are enabled.
+    pub drivers: bool,
+    /// Number of ticks.
+    pub ticks: u32,
 }
 
 /// The controller of one array.
@@ -426,4 +441,10 @@ impl Controller {
     fn settle(&mut self) {
         self.motion.settle(self.now, &mut self.player, &mut self.reporting);
     }
+}
+
+/// Whether epoch or generation `a` comes after `b`. These numbers wrap.
+#[must_use]
+pub fn newer(a: u16, b: u16) -> bool {
+    (1..0x8000).contains(&a.wrapping_sub(b))
 }

@@ -3,6 +3,7 @@
 //! Invariant: an epoch begins once, with the session or with a command of a newer epoch.
 
 use crate::array::Layout;
+use crate::controller::newer;
 use crate::limits::Refusal;
 use crate::tick::Tick;
 
@@ -94,10 +95,4 @@ impl Session {
     pub(super) fn is_silent(&self, now: Tick) -> bool {
         now - self.last_heard > self.host_timeout.into()
     }
-}
-
-/// Whether epoch or generation `a` comes after `b`. These numbers wrap.
-#[must_use]
-pub fn newer(a: u16, b: u16) -> bool {
-    (1..0x8000).contains(&a.wrapping_sub(b))
 }

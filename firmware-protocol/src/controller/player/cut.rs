@@ -203,7 +203,7 @@ impl Player {
     pub(in crate::controller) fn turn_off(&mut self, at: Tick, reporting: &mut Reporting) -> u16 {
         let flushed = self.flush(reporting);
         let now = self.rendered;
-        (self.shifting, self.lowered, self.hold.most) = (None, Lowered::NOTHING, None);
+        (self.shifting, self.lowered, self.hold) = (None, Lowered::NOTHING, None);
         for motor in 0..self.layout.loop_end() {
             self.end(motor);
         }

@@ -6,28 +6,15 @@
 //! ready and the limits on motors at once allow it.
 
 use crate::array::{MotorSet, Ring};
-use crate::controller::player::marks::NEVER;
+use crate::controller::Run;
 use crate::controller::player::queue::{Waiting, ahead};
 use crate::controller::player::recent::{Begun, Rendered};
-use crate::controller::player::{Lowered, Player};
+use crate::controller::player::{Lowered, NEVER, Player};
 use crate::controller::reporting::Reporting;
 use crate::limits::Refusal;
 use crate::message::Report;
-use crate::stroke::{Direction, Lines};
+use crate::stroke::Direction;
 use crate::tick::{Tick, WireTick};
-
-/// Consecutive ticks in which no output changes.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Run {
-    /// The lines in each of these ticks.
-    pub lines: Lines,
-    /// The trigger output, which a [`Trigger`](crate::message::Trigger) drives from a mark on.
-    pub trigger: bool,
-    /// Whether the drivers are enabled.
-    pub drivers: bool,
-    /// Number of ticks.
-    pub ticks: u32,
-}
 
 /// How often the time is checked for which pins are held, ticks; a power of 2.
 const HOLD_CHECKS: u32 = 1024;
@@ -54,7 +41,7 @@ impl Player {
         }
         let ticks = self.changes.quiet(now).min(max);
         let ticks = if change == NEVER { ticks } else { (change - self.rendered).min(ticks.into()) as u32 };
-        let (drivers, ticks) = self.drivers.enable(self.rendered, ticks, &self.lines, &self.changes);
+        let (drivers, ticks) = self.enable_drivers(ticks);
         self.rendered = self.rendered + u64::from(ticks);
         let counters = reporting.count();
         // At most a block.
@@ -68,8 +55,8 @@ impl Player {
     fn next_block(&mut self, now: u32, reporting: &mut Reporting) {
         self.changes.open(now);
         self.allowance.next_block(self.rendered);
-        if now.wrapping_sub(self.hold.checked) >= HOLD_CHECKS {
-            self.hold.checked = now;
+        if now.wrapping_sub(self.hold_checked) >= HOLD_CHECKS {
+            self.hold_checked = now;
             self.end_holds();
         }
         // If there is no place, the next ones join it.
@@ -81,7 +68,7 @@ impl Player {
 
     /// Brings down the pins that have been held for too long.
     fn end_holds(&mut self) {
-        let Some(hold) = self.hold.most else { return };
+        let Some(hold) = self.hold else { return };
         for motor in 0..self.layout.loop_end() {
             let Some(of) = self.motors.get(motor) else { break };
             if of.goal() > 0 && of.is_still() && self.rendered - of.still_since > u64::from(hold) {

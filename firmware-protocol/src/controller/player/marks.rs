@@ -2,12 +2,10 @@
 //!
 //! Invariant: a mark passes once, in order of time. The trigger output gives the cells of the newest trigger that was reached.
 
+use crate::controller::player::NEVER;
 use crate::message::{Counters, Trigger};
 use crate::tick::Tick;
 use core::hash::{Hash, Hasher};
-
-/// A tick that does not come.
-pub(super) const NEVER: Tick = Tick(u64::MAX);
 
 /// Most marks that are queued and have not passed.
 const MAX_MARKS: usize = 8;

@@ -11,7 +11,7 @@
 
 use crate::array::Layout;
 use crate::controller::POOL;
-use crate::controller::session::newer;
+use crate::controller::newer;
 use crate::limits::Refusal;
 use crate::message::Report;
 use crate::tick::{Tick, WireTick};

@@ -1,20 +1,19 @@
 //! Takes the ordered stream: frames of moves in the order of their numbers, and amendments.
 //!
 //! A frame is unpacked, then its head is taken, then its moves ([`Stream::take`]), a piece at a time. Frames that arrive out of order
-//! wait in `reorder`; `taking` holds the frame that is being taken, `take` takes it.
+//! wait in `reorder`; `taking` holds the frame that is being taken.
 //!
 //! Invariant: each frame of an epoch is taken once, after all frames before it. No move of a motor in `kept` is queued.
 
 mod reorder;
-mod take;
 mod taking;
 
 use crate::array::MotorSet;
 use crate::batch::Malformed;
+use crate::controller::newer;
 use crate::controller::player::Player;
 use crate::controller::reporting::{RESERVE, Reporting};
 use crate::controller::session::Session;
-use crate::controller::session::newer;
 use crate::limits::Refusal;
 use crate::moves::Move;
 use crate::tick::Tick;
