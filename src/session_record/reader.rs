@@ -469,6 +469,8 @@ struct Answer {
     from: usize,
     seen: usize,
     bytes: usize,
+    /// Whether a play had no room: those after it come in the next answer, too.
+    full: bool,
     plays: Vec<RecordedPlay>,
     /// Ends of plays.
     ends: u64,
@@ -485,14 +487,15 @@ impl Answer {
             let (planned, missing) = (order.items, order.items - found);
             self.short.push(format!("play {id}: {missing} of its {planned} items are missing"));
         }
-        if self.seen >= self.from && (self.plays.is_empty() || self.bytes + bytes <= MAX_BYTES) {
-            self.bytes += bytes;
-            self.plays.push(play);
-        } else if self.seen >= self.from {
-            // Those after it come in the next answer, too.
-            self.bytes = MAX_BYTES;
-        }
         self.seen += 1;
+        if self.seen <= self.from {
+            return;
+        }
+        self.bytes += bytes;
+        self.full |= self.bytes > MAX_BYTES && !self.plays.is_empty();
+        if !self.full {
+            self.plays.push(play);
+        }
     }
 }
 
@@ -527,5 +530,27 @@ fn played(entry: &Value, receipt: Receipt) -> RecordedPlay {
         reported_after_s: after_ns.map(|after| after as f64 / 1e9),
         receipt,
         ..RecordedPlay::default()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A play whose end is missing has no lines, and does not take the place of one before it.
+    #[test]
+    fn an_answer_ends_with_the_first_play_that_has_no_room() {
+        let bytes = [MAX_BYTES / 2, MAX_BYTES, 1, 0, MAX_BYTES + 1];
+        let mut read = Vec::new();
+        while read.len() < bytes.len() {
+            let mut answer = Answer { from: read.len(), ..Answer::default() };
+            for (id, bytes) in (0..).zip(bytes) {
+                let receipt = Receipt { id, ..Receipt::default() };
+                answer.add(RecordedPlay { receipt, ..RecordedPlay::default() }, bytes);
+            }
+            assert_eq!(answer.seen, bytes.len());
+            read.extend(answer.plays.iter().map(|play| play.receipt.id));
+        }
+        assert_eq!(read, [0, 1, 2, 3, 4]);
     }
 }

@@ -143,11 +143,11 @@ impl State {
     /// Publishes the items that have begun of an ended play, unless the event has them.
     fn publish_items(&self, event: &Event) {
         let Event::Ended { receipt: ended } = event else { return };
-        let receipt = self.plays.receipts.receipt(ended.id);
-        let Some(items) = receipt.and_then(|receipt| receipt.items.clone()) else { return };
         if ended.items.is_some() {
             return;
         }
+        let receipt = self.plays.receipts.receipt(ended.id);
+        let Some(items) = receipt.and_then(|receipt| receipt.items.clone()) else { return };
         let begun = items.iter().rposition(|item| item.state != ItemState::NotBegun).map_or(0, |at| at + 1);
         for items in items[..begun].chunks(MAX_ITEMS_LISTED) {
             let session = ended.session().map(str::to_owned);

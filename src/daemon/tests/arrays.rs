@@ -1,4 +1,4 @@
-//! Each shipped array plays; what is for another array is refused in one line.
+//! Each shipped array plays its patterns. The daemon refuses a pattern of another array in one line.
 
 use super::bench::{Bench, ended, problem};
 use meissner_api::{ArrayDetails, Status};

@@ -490,7 +490,7 @@ impl World {
                 self.life.session = Some(Session { id, token, exclusive, heard_s, plays: BTreeSet::new() });
             }
             Some(Err(_)) => {}
-            // Perhaps it has begun, and nobody has its token.
+            // The session may have begun, but no client got its token.
             None => self.end_unknown(),
         }
     }
@@ -506,7 +506,7 @@ impl World {
         }
     }
 
-    /// A session runs that no client knows: whoever may ends it.
+    /// Ends a session whose token no client has.
     fn end_unknown(&mut self) {
         self.pass(Duration::from_secs(25));
         let (client, path) = (self.observer.clone(), "/v1/sessions/running/end");

@@ -64,7 +64,7 @@ pub(super) fn after_look(world: &World) {
     for (of, day_s) in truth.days.iter().chain(&truth.passed) {
         assert!(*day_s <= 8.0 + DAY_OVER_S, "{day_s} s of {of:?}");
     }
-    // Whoever cannot be heard brings the pins down, before anybody asks.
+    // An array that no longer hears the daemon lowers its pins by itself.
     assert!(!world.trouble.lease_is_over(world.now_s()) || are_down(world), "pins stay up without a host");
     if let Some(stopped_s) = world.life.estopped_s
         && world.trouble.array_is_good(world.now_s())
@@ -157,7 +157,7 @@ fn each_answer_is_recorded(life: &Life, lines: &[u64]) {
     let unknown: Vec<_> = kept.difference(&life.answered).collect();
     assert!(
         unknown.iter().all(|id| life.unsure_answers.contains(id)),
-        "nobody has given answers {unknown:?}"
+        "no client has sent the answers {unknown:?}"
     );
 }
 
@@ -166,7 +166,7 @@ fn each_play_is_recorded_or_lost(world: &mut World, before: &Before, life: &Life
     let kept: BTreeSet<u64> = lines.iter().copied().collect();
     assert_eq!(kept.len(), lines.len(), "a play has one line");
     let unknown = kept.iter().filter(|id| !life.accepted.contains_key(id)).count() as u64;
-    assert!(unknown <= life.unsure, "plays that nobody has ordered: {kept:?}");
+    assert!(unknown <= life.unsure, "plays that no client has ordered: {kept:?}");
     // The record's thread writes every millisecond, unless the disk stalls.
     let due = |at_s: f64| !before.stalls && at_s < before.at_s - 0.1;
     let missing = life.ended.iter().filter(|&(id, &at_s)| due(at_s) && !kept.contains(id)).count() as u64;
