@@ -7,6 +7,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
+use std::sync::LazyLock;
 use syn::visit::{self, Visit};
 
 const ROOT: &str = env!("CARGO_MANIFEST_DIR");
@@ -18,7 +19,10 @@ const HIDDEN: [&str; 2] = ["control::burst_controller", "device::usb"];
 
 type Module = Vec<String>;
 
-/// The source folders of all crates.
+/// The source folders of all crates, and what is in them.
+static CRATES: LazyLock<Vec<(PathBuf, Sources)>> =
+    LazyLock::new(|| sources().into_iter().map(|src| (src.clone(), Sources::read(&src))).collect());
+
 fn sources() -> Vec<PathBuf> {
     let folders = GROUPS.map(|group| Path::new(ROOT).join(group)).into_iter().flat_map(|group| {
         let inner = fs::read_dir(&group).unwrap().map(|entry| entry.unwrap().path());
@@ -246,11 +250,10 @@ fn circles(mut imports: BTreeMap<PathBuf, BTreeSet<PathBuf>>) -> BTreeMap<PathBu
 
 #[test]
 fn no_files_import_each_other_in_a_circle() {
-    let sources = sources();
-    assert!(sources.len() > 15, "{sources:?}");
+    assert!(CRATES.len() > 15, "{} crates", CRATES.len());
     // The controller's are to be parted without changing what the chip does: see `docs/dev/decisions.md`.
     let is_known = |file: &PathBuf| file.to_string_lossy().contains("firmware-protocol/src/controller/");
-    let found = sources.iter().flat_map(|src| circles(Sources::read(src).imports()));
+    let found = CRATES.iter().flat_map(|(_, of)| circles(of.imports()));
     let found: Vec<_> = found.filter(|(file, _)| !is_known(file)).collect();
     let lines: Vec<String> =
         found.iter().map(|(file, others)| format!("{file:?} imports {others:?}")).collect();
@@ -261,24 +264,22 @@ fn no_files_import_each_other_in_a_circle() {
 const LARGE: &[&str] = &["RawConfig", "Player"];
 
 /// The crates of the product.
-fn product() -> impl Iterator<Item = Sources> {
+fn product() -> impl Iterator<Item = &'static Sources> {
     let beside = ["tests", "hil", "uf2"].map(|folder| format!("/{folder}/"));
-    let is_product = move |src: &PathBuf| !beside.iter().any(|folder| src.to_string_lossy().contains(folder));
-    sources().into_iter().filter(is_product).map(|src| Sources::read(&src))
+    let is_product = move |src: &Path| !beside.iter().any(|folder| src.to_string_lossy().contains(folder));
+    CRATES.iter().filter(move |(src, _)| is_product(src)).map(|(_, of)| of)
 }
 
 #[test]
 fn no_struct_has_more_than_16_fields() {
-    let crates: Vec<_> = product().collect();
-    let structs = crates.iter().flat_map(|of| of.names.values()).flat_map(|names| &names.structs);
+    let structs = product().flat_map(|of| of.names.values()).flat_map(|names| &names.structs);
     let large: Vec<_> = structs.filter(|(name, fields)| *fields > 16 && !LARGE.contains(&&**name)).collect();
     assert!(large.is_empty(), "structs with more than 16 fields: {large:?}");
 }
 
 #[test]
 fn no_type_has_methods_in_more_than_three_files() {
-    let crates: Vec<_> = product().collect();
-    let types = crates.iter().flat_map(Sources::files_of_methods);
+    let types = product().flat_map(Sources::files_of_methods);
     let scattered: Vec<_> = types
         .filter(|(path, files)| files.len() > 3 && path.last().is_none_or(|name| name != "Player"))
         .collect();

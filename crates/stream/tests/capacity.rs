@@ -142,7 +142,7 @@ fn no_stall_in_the_measurement_makes_a_line_slow() {
     let fast = Line::default();
     let uart = Line { bytes_per_s: 11_520, ..fast };
     // The handshake and the first pings take some 30 ms.
-    for (at, stall) in (0..60).step_by(7).flat_map(|at| [3, 20, 120, 240].map(|stall| (at, stall))) {
+    for (at, stall) in (0..60).step_by(14).flat_map(|at| [3, 20, 120, 240].map(|stall| (at, stall))) {
         for (line, again) in [(fast, false), (fast, true), (uart, false), (uart, true)] {
             let what = format!("{stall} ms after {at} ms of {}, again: {again}", line.bytes_per_s);
             let mut rig = Rig::new(line, 7);
