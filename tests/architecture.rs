@@ -306,7 +306,6 @@ const WALK: &[(&str, &str)] = &[
     ("crates/stream/src/streamer/mod.rs", "step"),
     ("crates/stream/src/streamer/feed.rs", "send_steps"),
     ("crates/stream/src/active/mod.rs", "next_step"),
-    ("crates/stream/src/active/sent.rs", "next"),
     ("crates/stream/src/source.rs", "next"),
     ("crates/stream/src/link/session/mod.rs", "push"),
     ("crates/stream/src/link/session/outbox.rs", "write_next"),

@@ -9,6 +9,7 @@
 use crate::board::BoardAccount;
 use crate::queues::{Onset, RestErrors};
 use firmware_protocol::message::Counters;
+use firmware_protocol::tick::Tick;
 use meissner_api::{BurstCounts, LateCause, LateCounts, PulseCounts};
 use meissner_array::strokes::Step;
 
@@ -32,16 +33,20 @@ pub(super) struct Account {
     refused: u64,
     /// Steps planned.
     steps: u64,
+    /// Steps sent without a verdict.
+    pub(super) undecided: u64,
+    /// The end of the last step planned.
+    pub(super) last_end: Tick,
     lateness: LateCounts,
     /// Bytes sent to the device before the play.
     wire_from: u64,
 }
 
 impl Account {
-    /// The play is offered, perhaps again: all its steps will be planned.
-    pub(super) const fn offer(&mut self, wire: u64) {
-        (self.planned, self.steps, self.planned_pulses) = (0, 0, 0);
-        self.wire_from = wire;
+    /// The play is offered, perhaps again, from this onset on: all its steps will be planned.
+    pub(super) const fn offer(&mut self, onset: Tick, wire: u64) {
+        (self.planned, self.steps, self.planned_pulses, self.undecided) = (0, 0, 0, 0);
+        (self.last_end, self.wire_from) = (onset, wire);
     }
 
     /// The onset has passed.
@@ -57,8 +62,11 @@ impl Account {
         &mut self.board
     }
 
-    pub(super) fn plan(&mut self, step: &Step) {
+    /// Counts a step that is `sent`, or too late to be sent.
+    pub(super) fn plan(&mut self, step: &Step, sent: bool) {
         self.steps += 1;
+        self.undecided += u64::from(sent);
+        self.last_end = self.last_end.max(step.end());
         self.planned += step.moves() as u64;
         self.planned_pulses += u64::from(step.pulses());
     }
@@ -128,7 +136,6 @@ impl Account {
 mod tests {
     use super::*;
     use crate::time::HostInstant;
-    use firmware_protocol::tick::Tick;
     use meissner_array::spec::Array;
     use meissner_array::strokes::Stroke;
     use proptest::prelude::*;
@@ -150,7 +157,7 @@ mod tests {
 
     fn planned(strokes: u64) -> Account {
         let mut account = Account::default();
-        (0..strokes).for_each(|_| account.plan(&STROKE));
+        (0..strokes).for_each(|_| account.plan(&STROKE, true));
         account
     }
 

@@ -1,14 +1,13 @@
 //! The state of one play that the streamer has taken, and the account of its bursts.
 //!
 //! The streamer tells [`Active`] what it sends and what the device reports; [`Active::close`] makes the [`Outcome`]. Parts own what
-//! they count: `sent` how far the strokes are sent, `account` what became of them. The first cause of a cut stays, and so does the device's
-//! first report of it, which may come before the cause or after it.
+//! they count: `account` has what became of the strokes. The first cause of a cut stays, and so does the device's first report of it,
+//! which may come before the cause or after it. A step taken from the source is the next one until it is planned or put back.
 //!
 //! Invariant: an item has ended only once the device has accepted or rejected all its strokes and is known to have come to the end
 //! of the last, or of a blank item. A play that waits has an onset only if its client asked for one.
 
 mod account;
-mod sent;
 
 use crate::board::BoardAccount;
 use crate::control::Span;
@@ -22,7 +21,6 @@ use firmware_protocol::tick::Tick;
 use meissner_api::{EndCause, LateCause, LateCounts};
 use meissner_array::strokes::{LiveStrokes, Step, StrokesError};
 use meissner_array::units::TickRate;
-use sent::Sent;
 use std::time::Duration;
 
 /// The progress of a play.
@@ -56,7 +54,8 @@ pub(super) struct Active {
     stopped_by: Option<Edge>,
     /// The first item that is not known to have ended.
     ending: usize,
-    sent: Sent,
+    /// The next step, once it is taken from the source.
+    next: Option<Step>,
     /// Why it was cut.
     cause: Option<EndCause>,
     /// The device has reported a cut.
@@ -104,7 +103,7 @@ impl Active {
             started_by: None,
             stopped_by: None,
             ending: 0,
-            sent: Sent::nothing(Tick(0)),
+            next: None,
             cause: None,
             cut_reported: false,
             cut_at: None,
@@ -186,14 +185,14 @@ impl Active {
         self.onset = Some(onset);
         self.requested = self.requested.or(Some(onset));
         self.play.strokes.begin(onset);
-        (self.sent, self.ending) = (Sent::nothing(onset), 0);
+        (self.next, self.ending) = (None, 0);
         self.play.pins.fill(None);
         let strokes = &self.play.strokes;
         for ((number, item), onset) in self.play.items.iter_mut().enumerate().zip(strokes.onsets()) {
             let last_end = strokes.blank_until(number).unwrap_or(onset);
             *item = Item { onset, last_end, ..Item::new(item.trigger) };
         }
-        self.account.offer(wire);
+        self.account.offer(onset, wire);
     }
 
     /// The device has accepted the onset.
@@ -206,7 +205,7 @@ impl Active {
     pub(super) fn onset_refused(&mut self, rendered: Tick, longest: Duration) -> Option<Tick> {
         let onset = self.onset.take();
         self.phase = Phase::Waiting;
-        self.sent.all_rejected();
+        self.account.undecided = 0;
         self.margin *= 2;
         if self.play.at != At::Next || self.margin > longest {
             let late = onset.map_or(0, |onset| rendered - onset);
@@ -233,33 +232,41 @@ impl Active {
 
     /// The end of the last stroke sent.
     pub(super) const fn last_end(&self) -> Tick {
-        self.sent.last_end()
+        self.account.last_end
     }
 
     /// Whether all strokes are sent, and the device has accepted or rejected each.
     pub(super) fn is_decided(&self) -> bool {
-        self.phase == Phase::Streamed && self.sent.is_decided()
+        self.phase == Phase::Streamed && self.account.undecided == 0
     }
 
     /// The earliest tick at which a stroke of `motor` that is not sent yet may begin.
     pub(super) fn free_until(&self, motor: u8) -> Tick {
-        let up = self.sent.next_up(motor).or_else(|| self.play.strokes.next_up(motor));
+        let next = self.next.filter(|next| next.motor() == motor).map(|next| next.begin());
+        let up = next.or_else(|| self.play.strokes.next_up(motor));
         up.or_else(|| self.end()).unwrap_or(self.last_end())
     }
 
     /// The next stroke to send; `None`: there is none for now.
     pub(super) fn next_step(&mut self) -> Result<Option<Step>, StrokesError> {
-        self.sent.next(&mut self.play.strokes)
+        if self.next.is_none() {
+            self.next = self.play.strokes.next().transpose()?;
+        }
+        Ok(self.next)
     }
 
     /// Puts the next stroke back, if this is a live play: its drive changes.
     pub(super) fn put_back_next(&mut self) {
-        self.sent.put_back(&mut self.play.strokes);
+        if let Some(strokes) = self.play.strokes.live()
+            && let Some(next) = self.next.take()
+        {
+            strokes.put_back(&next);
+        }
     }
 
     /// When the next item begins, if all strokes of the present one are sent.
     pub(super) fn next_onset(&self) -> Option<Tick> {
-        self.sent.next_onset(&self.play.strokes)
+        if self.next.is_some() { None } else { self.play.strokes.next_onset() }
     }
 
     /// What the trigger output gives at the play's onset.
@@ -272,13 +279,12 @@ impl Active {
     /// Goes on to the strokes of the next item; returns its trigger.
     pub(super) fn send_next_item(&mut self) -> Option<Trigger> {
         self.play.strokes.next_item();
-        self.sent.begin_item(self.play.strokes.item());
-        self.play.items.get(self.sent.item()).and_then(|item| item.trigger)
+        self.play.items.get(self.play.strokes.item()).and_then(|item| item.trigger)
     }
 
     /// How many onsets of items are sent and still to come at `tick`. It counts no further than `most`.
     pub(super) fn onsets_ahead(&self, tick: Tick, most: usize) -> usize {
-        let sent = self.play.items.iter().take(self.sent.item() + 1).rev().take(most);
+        let sent = self.play.items.iter().take(self.play.strokes.item() + 1).rev().take(most);
         sent.take_while(|item| item.onset >= tick).count()
     }
 
@@ -325,9 +331,9 @@ impl Active {
     fn note_ends_until(&mut self, tick: Tick, clock: &ClockEstimate) {
         let sent = match self.phase {
             Phase::Streamed => self.play.items.len(),
-            _ => self.sent.item() + 1,
+            _ => self.play.strokes.item() + 1,
         };
-        let pending = self.sent.pending().and_then(|step| self.item_of(step.motor(), step.begin()));
+        let pending = self.next.and_then(|step| self.item_of(step.motor(), step.begin()));
         // Items that overlap need not end in their order.
         for number in self.ending..sent.min(self.play.items.len()) {
             let is_sent = self.phase == Phase::Streamed
@@ -374,8 +380,8 @@ impl Active {
 
     /// Counts a step sent, or too late to be sent.
     pub(super) fn plan(&mut self, step: &Step, sent: bool) {
-        self.sent.count(step, sent);
-        self.account.plan(step);
+        self.next = None;
+        self.account.plan(step, sent);
         if let Some(item) = self.item_at(step.motor(), step.begin()) {
             item.planned += 1;
             item.undecided += u32::from(sent);
@@ -384,7 +390,7 @@ impl Active {
 
     /// The device has accepted or rejected a step sent.
     pub(super) fn decided(&mut self, step: &Step, accepted: bool) {
-        self.sent.decided();
+        self.account.undecided = self.account.undecided.saturating_sub(1);
         if accepted
             && step.bursts().next().is_some()
             && let Some(pin) = self.play.pins.get_mut(usize::from(step.motor()))
