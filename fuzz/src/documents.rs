@@ -6,7 +6,7 @@ use crate::input::{text, told};
 use arbitrary::Unstructured;
 use meissner::config::Config;
 use meissner::exposure::{Account, Now, ParticipantLimits};
-use meissner::session_record::reader;
+use meissner::record::reader;
 use meissner_api::{
     ArmRequest, CalibrateRequest, LiveMessage, LiveRequest, Order, RenderingRequest, ResetRequest,
     SessionRequest, TokenRequest,
@@ -119,7 +119,7 @@ static RECORD: LazyLock<PathBuf> = LazyLock::new(|| {
 });
 
 /// The lines of a day: sessions are found in them, and the plays of each.
-fn session_record(bytes: &[u8]) {
+fn record(bytes: &[u8]) {
     let dir = &*RECORD;
     std::fs::write(dir.join("2026-01-02.jsonl"), bytes).expect("a file can be written");
     let list = reader::sessions(dir, &[], None).expect("the directory can be read");

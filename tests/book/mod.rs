@@ -6,7 +6,7 @@ mod pages;
 mod run;
 
 use meissner::config::{Config, LOGBOOK_DAYS, PatternsDir};
-use meissner::session_record::Location;
+use meissner::record::Location;
 use meissner_api::Order;
 use meissner_array::pattern::Pattern;
 use meissner_paper::Target;

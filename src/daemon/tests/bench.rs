@@ -28,7 +28,7 @@ use crate::daemon::sessions::right::Right;
 use crate::daemon::sessions::rights::going_on;
 use crate::daemon::tokens::store::TokenStore;
 use crate::log::kept::Kept;
-use crate::session_record::{NetworkPeer, Note, Peer, Recorder, SessionRecord, Users};
+use crate::record::{Entry, NetworkPeer, Peer, Record, Recorder, Users};
 use axum::Router;
 use axum::body::{Body, Bytes};
 use axum::http::Request;
@@ -162,8 +162,8 @@ impl Bench {
                 users.look_up(0);
                 std::thread::yield_now();
             }
-            let record = config.logbook.clone().map_or_else(SessionRecord::none, |location| {
-                let (record, recorder) = SessionRecord::turned(location, Arc::clone(&users));
+            let record = config.logbook.clone().map_or_else(Record::none, |location| {
+                let (record, recorder) = Record::turned(location, Arc::clone(&users));
                 tokio::spawn(write(recorder));
                 record
             });
@@ -208,7 +208,7 @@ impl Bench {
             engine.lock().close_session("daemon-ended");
             engine.lock().publisher.close();
             let _ = close.send(true);
-            engine.session_record().add(Note::DaemonEnded { problem: None });
+            engine.record().add(Entry::DaemonEnded { problem: None });
             // The disk.
             sleep(Duration::from_secs(2)).await;
         });
