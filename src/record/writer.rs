@@ -557,7 +557,7 @@ impl Recorder {
     }
 }
 
-fn line(zone: &TimeZone, stamp: Stamp, number: Option<u64>, entry: &Entry) -> io::Result<Vec<u8>> {
+pub(super) fn line(zone: &TimeZone, stamp: Stamp, number: Option<u64>, entry: &Entry) -> io::Result<Vec<u8>> {
     let time = stamp.wall.to_zoned(zone.clone()).strftime(clock::LOCAL).to_string();
     let mut line = Vec::new();
     json::write(&mut line, &Line { time, monotonic_ns: stamp.monotonic.as_ns(), number, entry })?;

@@ -231,7 +231,6 @@ mod tests {
     use crate::daemon::plays::order;
     use crate::daemon::runtime;
     use crate::daemon::sessions::caller::DAEMON;
-    use crate::record::{Location, Record};
     use crate::store::{Store, Stored};
     use meissner_api::{Item, Order, SessionRequest};
     use meissner_stream::queues::{Emit, StreamEvent, queues};
@@ -275,31 +274,6 @@ mod tests {
         let played = order::play(&engine, &by, &order, &STORED, find);
         assert_eq!(runtime().unwrap().block_on(played).unwrap_err().code, "busy");
         assert!(matches!(port.pop().unwrap().command, Command::Stop) && port.pop().is_none());
-    }
-
-    #[test]
-    fn a_play_is_refused_while_the_session_record_has_no_room_for_it() {
-        let dir = tempfile::tempdir().unwrap();
-        let record = Record::start(
-            Some(Location { dir: dir.path().join("logbook"), days: 1, make_parents: false }),
-            Arc::default(),
-        );
-        let record = record.unwrap();
-        let (mut port, commands, _events) = queues().unwrap();
-        let engine = Engine::of_paper(commands);
-        let engine = engine.recording(record.clone(), Arc::default());
-        let mut play = || {
-            let order = pin(None);
-            let by = Asker::operator();
-            let played = order::play(&engine, &by, &order, &STORED, find);
-            let problem = runtime().unwrap().block_on(played).unwrap_err();
-            (problem.code, port.pop().is_some())
-        };
-        // No streamer answers.
-        assert_eq!(play(), ("timeout".to_owned(), true));
-        record.use_up_plays();
-        assert_eq!(play(), ("too-many-plays".to_owned(), false));
-        record.close(Duration::from_secs(300));
     }
 
     /// Readers, and plays of other sorts, compute without an end, in every place that there is.
