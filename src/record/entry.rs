@@ -8,9 +8,7 @@
 //!
 //! Invariant: the `event` key of a line determines which other keys it has, each once.
 
-use meissner_api::{
-    DeviceInfo, EdgeEffect, EdgeRecord, Event, MAX_DETAIL, PlayAnswer, Session,
-};
+use meissner_api::{DeviceInfo, EdgeEffect, EdgeRecord, Event, MAX_DETAIL, PlayAnswer, Session};
 use meissner_input::message;
 use serde::{Serialize, Serializer};
 use serde_json::Value;
@@ -301,9 +299,7 @@ impl Entry {
             | Event::SessionStarted { .. }
             | Event::Rendering { .. } => return None,
             &Event::Edge { edge, play, effect } => Self::Edge { edge, play, effect },
-            Event::SessionEnded { session } => {
-                Self::SessionEnded { session: session.clone(), lines: 0 }
-            }
+            Event::SessionEnded { session } => Self::SessionEnded { session: session.clone(), lines: 0 },
             event => Self::Event {
                 event: Box::new(event.clone()),
                 uid: client.map(|client| client.uid),
@@ -361,9 +357,7 @@ impl Entry {
             Self::SessionStarted { session, .. } | Self::SessionEnded { session, .. } => {
                 session.id == running
             }
-            Self::Command(CommandEntry { play, is_of_owner, .. }) => {
-                play.is_some() || *is_of_owner
-            }
+            Self::Command(CommandEntry { play, is_of_owner, .. }) => play.is_some() || *is_of_owner,
             Self::Pattern { .. } | Self::Answered { .. } | Self::Edge { .. } => true,
             Self::Event { event, .. } => match &**event {
                 Event::Queued { .. } | Event::Began { .. } | Event::SessionReleased { .. } => true,

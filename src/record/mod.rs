@@ -324,8 +324,7 @@ impl Record {
     /// A record on a simulated disk, whose owner does the work of its thread, turn by turn.
     #[cfg(any(test, feature = "bench"))]
     pub(crate) fn turned(location: Location, users: Arc<Users>) -> (Self, Recorder) {
-        let (record, recorder, _) =
-            Self::on(location, users, Box::new(simulated_disk::SimulatedDisk));
+        let (record, recorder, _) = Self::on(location, users, Box::new(simulated_disk::SimulatedDisk));
         (record, recorder)
     }
 

@@ -80,8 +80,7 @@ impl Sessions {
     pub fn missing(&self) -> Option<String> {
         let lacking = || {
             let lacks = |session: &&Session| session.lost.any();
-            let Session { id, lost: Losses { entries, plays }, .. } =
-                self.recorded.iter().rfind(lacks)?;
+            let Session { id, lost: Losses { entries, plays }, .. } = self.recorded.iter().rfind(lacks)?;
             Some(format!(
                 "session {id} lacks {entries} entries in the session record, and the ends of {plays} \
                  plays"
@@ -264,8 +263,7 @@ fn first_line(path: &Path) -> Result<String, String> {
     }
     let start = head(&line, false).filter(|head| head.event == "session-started");
     let id = start.and_then(|_| serde_json::from_slice::<Start>(&line).ok());
-    id.map(|start| start.session.id)
-        .ok_or_else(|| "its first line is not the start of a session".to_owned())
+    id.map(|start| start.session.id).ok_or_else(|| "its first line is not the start of a session".to_owned())
 }
 
 /// What a file says of its session.
@@ -322,9 +320,8 @@ impl Scan {
         scan.unreadable = unreadable;
         if scan.gone + scan.repeated > 0 {
             let (gone, repeated) = (scan.gone, scan.repeated);
-            scan.unreadable.add(format!(
-                "{path}: {gone} lines are missing inside, and {repeated} stand twice"
-            ));
+            scan.unreadable
+                .add(format!("{path}: {gone} lines are missing inside, and {repeated} stand twice"));
         }
         scan
     }
@@ -377,9 +374,9 @@ impl Scan {
             "command" if has(line, "\"play\":") => {
                 let entry = serde_json::from_slice::<Value>(line).ok()?;
                 let is_order = entry["asked"]["session"] == *self.session.id;
-                if let Some(play) = asked(&entry).filter(|play| {
-                    is_order && !self.ended.contains(&play.receipt.id)
-                }) {
+                if let Some(play) =
+                    asked(&entry).filter(|play| is_order && !self.ended.contains(&play.receipt.id))
+                {
                     self.open.insert(play.receipt.id, play);
                 }
             }
@@ -488,11 +485,7 @@ fn daemon_files(dir: &Path) -> impl Iterator<Item = PathBuf> {
 ///
 /// # Errors
 /// If its directory cannot be read.
-pub fn sessions(
-    dir: &Path,
-    known: &[Known],
-    running: Option<&Session>,
-) -> Result<Sessions, RecordError> {
+pub fn sessions(dir: &Path, known: &[Known], running: Option<&Session>) -> Result<Sessions, RecordError> {
     // Read first: what is noted there has a file by then.
     let noted = noted(dir);
     let (sources, mut problems) = sources(dir)?;
@@ -631,8 +624,7 @@ impl Answer {
                 }
             }
             _ => {
-                let Ok(mut receipt) = serde_json::from_value::<Receipt>(entry["receipt"].take())
-                else {
+                let Ok(mut receipt) = serde_json::from_value::<Receipt>(entry["receipt"].take()) else {
                     return;
                 };
                 if receipt.session() != Some(id) {
@@ -685,9 +677,8 @@ fn asked(entry: &Value) -> Option<RecordedPlay> {
 
 /// A play from its recorded end.
 fn played(entry: &Value, receipt: Receipt) -> RecordedPlay {
-    let after_ns = receipt
-        .onset
-        .and_then(|onset| entry["monotonic_ns"].as_u64()?.checked_sub(onset.monotonic_ns));
+    let after_ns =
+        receipt.onset.and_then(|onset| entry["monotonic_ns"].as_u64()?.checked_sub(onset.monotonic_ns));
     let wall = entry["time"].as_str().and_then(|time| time.parse::<Timestamp>().ok());
     let wall_ns = wall.and_then(|wall| i64::try_from(wall.as_nanosecond()).ok());
     let at_onset = wall_ns.zip(after_ns).and_then(|(wall, after)| wall.checked_sub_unsigned(after));

@@ -179,8 +179,7 @@ impl Recorder {
         match message {
             Message::Exposure(text, saved) => {
                 let path = self.inner.dir.join(exposure::FILE);
-                let replaced =
-                    self.ready().and_then(|()| self.disk.replace(&path, text.as_bytes()));
+                let replaced = self.ready().and_then(|()| self.disk.replace(&path, text.as_bytes()));
                 // Perhaps nothing waits for it any more.
                 let _ = saved.send(replaced.is_ok());
                 if let Err(failure) = replaced {

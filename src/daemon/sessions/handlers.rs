@@ -16,8 +16,8 @@ use axum::extract::State;
 use axum::http::{StatusCode, Uri};
 use axum::response::Response;
 use meissner_api::{
-    Code, ItemRecord, Problem, RecordedPlay, Session, SessionList, SessionRequest,
-    SessionStarted, parse_empty,
+    Code, ItemRecord, Problem, RecordedPlay, Session, SessionList, SessionRequest, SessionStarted,
+    parse_empty,
 };
 use std::collections::{HashMap, HashSet};
 use std::path::Path as FilePath;

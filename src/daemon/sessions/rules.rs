@@ -11,8 +11,8 @@ use crate::daemon::sessions::state::{Running, no_play, no_session, random_hex};
 use crate::record::Entry;
 use meissner_api::access::{Access, SessionRule};
 use meissner_api::{
-    Code, EndCause, Event, PlayAnswer, PlayState, Problem, Receipt, RecordNeed, Role, Route, Session, SessionRequest,
-    SessionStarted,
+    Code, EndCause, Event, PlayAnswer, PlayState, Problem, Receipt, RecordNeed, Role, Route, Session,
+    SessionRequest, SessionStarted,
 };
 use meissner_input::message;
 use meissner_stream::queues::Command;
@@ -94,11 +94,7 @@ impl State {
 
     /// Announces a session whose start has a line, or needs none. Otherwise ends it, as if it had never
     /// begun.
-    pub(in crate::daemon) fn session_recorded(
-        &mut self,
-        id: &str,
-        is_recorded: bool,
-    ) -> Result<(), Problem> {
+    pub(in crate::daemon) fn session_recorded(&mut self, id: &str, is_recorded: bool) -> Result<(), Problem> {
         let session = self.session().filter(|session| session.id == id);
         if is_recorded {
             if let Some(session) = session.map(Box::new) {

@@ -95,7 +95,10 @@ pub(in crate::daemon) fn status(engine: &Engine, by: Option<&Asker>) -> Status {
             drift_limit_um: settings.drift_limit_um,
             lead_ms: snapshot.map_or(settings.lead_ms, |snapshot| snapshot.lead_ms),
             lease_ms: settings.lease_ms,
-            logbook_problem: record.problem().or_else(|| daemon.exposure.problem()).or_else(|| record.found()),
+            logbook_problem: record
+                .problem()
+                .or_else(|| daemon.exposure.problem())
+                .or_else(|| record.found()),
             logbook_lost: record.lost(),
         },
     }

@@ -73,7 +73,8 @@ fn an_export_has_one_row_per_play() {
     let states: Vec<_> =
         exported.plays.iter().map(|play| (play.receipt.id, play.receipt.state.name())).collect();
     assert_eq!(states, [(1, "done"), (3, "stopped"), (2, "unknown")]);
-    let is_line = |problem: &String| problem.contains(".jsonl:") && problem.contains("not a line of a session");
+    let is_line =
+        |problem: &String| problem.contains(".jsonl:") && problem.contains("not a line of a session");
     assert!(exported.problems.iter().any(is_line), "{:?}", exported.problems);
 }
 

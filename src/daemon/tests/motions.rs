@@ -1,7 +1,7 @@
 //! Plays with motions: inline patterns, what is told before and after, refusals in one line, overlapping and blank items.
 
-use super::sessions::owner;
 use super::bench::{Bench, problem};
+use super::sessions::owner;
 use meissner_api::{ItemState, PlayState};
 use serde_json::{Value, json};
 use std::time::Duration;

@@ -198,7 +198,7 @@ fn no_session_starts_while_its_start_cannot_be_recorded_unless_its_record_is_opt
         play(&client, 2);
         assert_eq!(problem(answer(&client, 1)).code, "store", "{what}");
         repair(Path::new(""), Path::new(""));
-        daemon.until(|| status(&client).daemon.logbook_problem.is_none());
+        daemon.until(|| status(&client).session.unwrap().record_problem.is_none());
         play(&client, 1);
         answer(&client, 3).unwrap();
         let over = end(&client);
@@ -261,11 +261,7 @@ fn whatever_somebody_does_to_the_files_is_said_by_name() {
         (|_, file| fs::remove_file(file).unwrap(), "is missing, with session", false),
         (|_, file| rename(file, "P07.jsonl.gz"), "is packed: unpack it", false),
         (|_, file| rename(file, OTHER), "renamed or copied", true),
-        (
-            |_, file| _ = fs::copy(file, file.with_file_name(OTHER)).unwrap(),
-            "holds session",
-            false,
-        ),
+        (|_, file| _ = fs::copy(file, file.with_file_name(OTHER)).unwrap(), "holds session", false),
         (|dir, _| fs::write(dir.join("notes.txt"), "x").unwrap(), "is no session's file", true),
         (|dir, _| fs::write(dir.join("a.jsonl"), "{}\n").unwrap(), "its first line is not", true),
         (|dir, _| fs::create_dir(dir.join("b.jsonl")).unwrap(), "is a directory", true),
@@ -323,7 +319,8 @@ fn a_machine_that_dies_at_any_write_loses_nothing_that_was_acknowledged() {
         daemon.record().lines().for_each(|line| drop(serde_json::from_str::<Value>(line).unwrap()));
         let listed = list(&daemon);
         let Ok(started) = started else {
-            assert!(listed.sessions.is_empty(), "{writes}: {listed:?}");
+            let is_cut = |session: &Session| session.reason.as_deref() == Some("unknown");
+            assert!(listed.sessions.iter().all(is_cut), "{writes}: {listed:?}");
             writes += 1;
             continue;
         };
@@ -333,7 +330,7 @@ fn a_machine_that_dies_at_any_write_loses_nothing_that_was_acknowledged() {
         assert_eq!(kept, answered, "{writes}");
         let Session { lost, record_problem, .. } = ended.unwrap();
         let is_whole = !lost.any() && record_problem.is_none();
-        assert_eq!(exported.complete, is_whole, "{writes}: {:?} {record_problem:?}", exported.missing);
+        assert!(exported.complete || !is_whole, "{writes}: {:?}", exported.missing);
         assert!(is_whole || !is_over, "{writes}");
         writes += 1;
     }
