@@ -15,7 +15,7 @@ pub use problem::{ConfigError, Problem};
 
 use crate::exposure::ParticipantLimits;
 use crate::file::{dir_of, read_regular};
-use crate::session_record::Location;
+use crate::record::Location;
 use array::RawArray;
 use firmware_protocol::limits::PowerLimits;
 use meissner_api::request::SILENCE_S;
@@ -40,14 +40,10 @@ pub const LEAD_MS: RangeInclusive<f64> = 5.0..=1000.0;
 pub const MIN_LEASE_OVER_LEAD_MS: f64 = 50.0;
 /// The longest host watchdog timeout that a controller takes, ms.
 pub const MAX_LEASE_MS: f64 = 10_000.0;
-/// How long files of the session record are kept by default, days: a year of experiments, and time to write about them.
-pub const LOGBOOK_DAYS: u32 = 400;
 /// The default of `session_silence_s`. An experiment that pauses between blocks still polls; after a dead one, others may soon act.
 const SESSION_SILENCE_S: f64 = 120.0;
 /// The default of `armed_silence_s`: longer than a break between blocks of an experiment, since older clients cannot say how long they are silent.
 const ARMED_SILENCE_S: f64 = 600.0;
-/// The longest time they can be kept, days.
-const MAX_LOGBOOK_DAYS: f64 = 36_500.0;
 /// The range of the errors of dead reckoning at which the daemon warns, and refuses plays, um.
 const DRIFT_UM: RangeInclusive<f64> = 1.0..=10_000.0;
 /// The range of the end stops' distance from rest, um.
@@ -80,7 +76,7 @@ pub struct Config {
     pub patterns: PatternsDir,
     /// The file of the calibration; `None`: it is not stored.
     pub calibration: Option<PathBuf>,
-    /// Where the session record is kept, and for how long; `None`: there is no session record.
+    /// Where the session record is kept; `None`: there is no session record.
     pub logbook: Option<Location>,
     /// How long the owner of an exclusive session may be silent before others may act, s.
     pub session_silence_s: f64,
@@ -114,7 +110,7 @@ impl Default for Config {
             tokens: beside(&default_patterns(), TOKENS),
             calibration: beside(&default_patterns(), CALIBRATION),
             patterns: default_patterns(),
-            logbook: keep(None, LOGBOOK_DAYS),
+            logbook: keep(None),
             session_silence_s: SESSION_SILENCE_S,
             armed_silence_s: ARMED_SILENCE_S,
             participant: ParticipantLimits::default(),
@@ -179,7 +175,6 @@ struct RawConfig {
     patterns_dir: Option<PathBuf>,
     calibration: Option<PathBuf>,
     logbook_dir: Option<PathBuf>,
-    logbook_days: Option<u32>,
     lead_ms: Option<f64>,
     lease_ms: Option<f64>,
     drift_warning_um: Option<f64>,
@@ -274,8 +269,6 @@ impl RawConfig {
         check_path("patterns_dir", self.patterns_dir.as_deref())?;
         check_path("calibration", self.calibration.as_deref())?;
         check_path("logbook_dir", self.logbook_dir.as_deref())?;
-        let days = self.logbook_days.map(f64::from);
-        let days = checked("logbook_days", days, LOGBOOK_DAYS.into(), 0.0..=MAX_LOGBOOK_DAYS, "days")?;
         let default = Settings::of(array);
         let lead_ms = checked("lead_ms", self.lead_ms, default.lead_ms, LEAD_MS, "ms")?;
         let lease_ms = self.lease_ms.unwrap_or(Settings::for_lead(array, lead_ms).lease_ms);
@@ -344,7 +337,7 @@ impl RawConfig {
             tokens: self.tokens.or_else(|| beside(&patterns, TOKENS)),
             calibration: self.calibration.or_else(|| beside(&patterns, CALIBRATION)),
             patterns,
-            logbook: keep(self.logbook_dir, days as u32),
+            logbook: keep(self.logbook_dir),
             session_silence_s,
             armed_silence_s,
             participant,
@@ -385,7 +378,7 @@ fn default_patterns() -> PatternsDir {
 }
 
 /// Where the session record is kept: the given directory, else the service's state directory, else the user's.
-fn keep(dir: Option<PathBuf>, days: u32) -> Option<Location> {
+fn keep(dir: Option<PathBuf>) -> Option<Location> {
     let user = || {
         let state =
             variable("XDG_STATE_HOME").or_else(|| variable("HOME").map(|dir| dir.join(".local/state")));
@@ -393,7 +386,7 @@ fn keep(dir: Option<PathBuf>, days: u32) -> Option<Location> {
     };
     let known = dir.or_else(|| state_dir().map(|dir| dir.join("logbook"))).map(|dir| (dir, false));
     let (dir, make_parents) = known.or_else(user)?;
-    (days > 0).then_some(Location { dir, days, make_parents })
+    Some(Location { dir, make_parents })
 }
 
 /// The default place of a file that the daemon writes: beside the site's own patterns.

@@ -28,7 +28,7 @@
 //!
 //! Streamer events enter the daemon in `daemon/core/event_loop.rs`. [`receipts`] turns them into receipts, totals and the API's
 //! events: at its end, each burst of a play was played, late, dropped or refused. There are two records: the [`log`](mod@log) for operators
-//! (its lines are in `daemon/core/log_lines.rs`), and the [`session_record`] for experiments, a file of JSON lines per day. Neither can
+//! (its lines are in `daemon/core/log_lines.rs`), and the [`record`] for experiments, a file of JSON lines per session. Neither can
 //! delay an emergency stop. [`meissner_stream::calibrate`] fits each motor's gain from the bursts of a calibration pattern;
 //! `daemon/calibration/play.rs` plays it, `daemon/calibration/apply.rs` stores and applies it.
 //!
@@ -40,7 +40,7 @@
 //! # Modules
 //!
 //! `docs/dev/architecture.md` says which file to open for which change.
-//! The modules of this crate: `clock`, [`log`](mod@log), `file`, [`mod@array`], [`exposure`], [`session_record`],
+//! The modules of this crate: `clock`, [`log`](mod@log), `file`, [`mod@array`], [`exposure`], [`record`],
 //! [`receipts`], [`store`], `rendering`, [`render_process`], [`config`], `doctor`, [`daemon`], [`cli`]. Tests run streamer, link,
 //! controller and simulated motors in virtual time ([`meissner_stream::Simulation`]): the same code without a clock.
 //!
@@ -66,7 +66,7 @@ pub mod exposure;
 mod file;
 pub mod log;
 pub mod receipts;
+pub mod record;
 pub mod render_process;
 mod rendering;
-pub mod session_record;
 pub mod store;

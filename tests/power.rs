@@ -1,7 +1,6 @@
 //! Kills at any moment, full disks and read-only directories; the session record of a session.
 
 use crate::harness::{Daemon, PATIENT, PROGRAM, complaint, directory, ended, meissner, problem, wait_until};
-use jiff::Zoned;
 use meissner::store::Store;
 use meissner_api::{ImportedPattern, SessionList};
 use meissner_client::{Client, ClientError};
@@ -52,11 +51,10 @@ fn play(client: &mut Client, seconds: f64) -> Value {
     serde_json::to_value(ended(&mut events)).unwrap()
 }
 
-/// Every complete line of every file of the session record, in order of days.
+/// Every complete line of every file of the session record.
 fn lines(folder: &Path) -> Vec<Value> {
-    let entries = fs::read_dir(folder).map(|files| files.map(|file| file.unwrap().path()).collect());
-    let mut files: Vec<PathBuf> = entries.unwrap_or_default();
-    // The other file is the list of days.
+    let of = |folder: &Path| fs::read_dir(folder).into_iter().flatten().map(|file| file.unwrap().path());
+    let mut files: Vec<PathBuf> = of(folder).chain(of(&folder.join("sessions"))).collect();
     files.retain(|file| file.extension().is_some_and(|extension| extension == "jsonl"));
     files.sort();
     let mut lines = Vec::new();
@@ -220,16 +218,13 @@ fn a_full_disk_stops_no_play_and_damages_no_file() {
     fs::create_dir(&logbook).unwrap();
     let mine = patterns.join("mine.toml");
     fs::write(&mine, text("mine", 1, 10)).unwrap();
-    // Today's file is as large as a file may be, and so is tomorrow's.
-    let (today, full) = (Zoned::now().date(), "{\"event\":\"daemon-started\"}\n".repeat(100));
-    let days = [today, today.tomorrow().unwrap()].map(|day| logbook.join(format!("{day}.jsonl")));
-    for day in &days {
-        fs::write(day, &full).unwrap();
-    }
+    // The file is as large as a file may be.
+    let (file, full) = (logbook.join("daemon.jsonl"), "{\"event\":\"daemon-started\"}\n".repeat(100));
+    fs::write(&file, &full).unwrap();
     let mut daemon = start(&dir, "ulimit -f 1;");
     survives(&mut daemon, "mine.toml: File too large");
     assert_eq!(fs::read_to_string(&mine).unwrap(), text("mine", 1, 10));
-    assert!(days.iter().all(|day| fs::read_to_string(day).unwrap() == full));
+    assert_eq!(fs::read_to_string(&file).unwrap(), full);
     assert_eq!(fs::read_dir(&patterns).unwrap().count(), 1, "the refused upload left no file");
     drop(daemon);
     // When there is space again, everything is complete and unchanged.

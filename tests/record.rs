@@ -2,18 +2,11 @@
 
 use crate::harness::{Daemon, complaint, document, ended, printed, problem};
 use crate::sessions::{exported, owner};
-use meissner_api::{Session, SessionList, Status};
+use meissner_api::{Session, SessionList, SessionStarted, Status};
 use meissner_client::{Client, Events};
 use rustix::process::Signal;
 use serde_json::{Value, json};
 use std::fs;
-use std::path::PathBuf;
-
-/// The daily files.
-fn days(daemon: &Daemon) -> Vec<PathBuf> {
-    let files = fs::read_dir(daemon.path("state/meissner/logbook")).unwrap().map(|file| file.unwrap().path());
-    files.filter(|file| file.extension().is_some_and(|end| end == "jsonl")).collect()
-}
 
 fn play(client: &mut Client, events: &mut Events, number: u64) {
     for _ in 0..number {
@@ -33,9 +26,13 @@ fn a_session_on_a_full_disk_is_told_at_once_and_after_a_restart() {
     let mut events = client.events().unwrap();
     play(&mut client, &mut events, 2);
     end(&mut client);
-    let (mut client, second) = owner(&daemon, "P08", false);
+    client.set_token(None);
+    let asked = json!({"participant": "P08", "record": "optional"});
+    let second: SessionStarted = client.post("/v1/sessions", &asked).unwrap();
+    client.set_token(Some(second.token.clone()));
     let _: SessionList = client.get("/v1/sessions").unwrap();
-    let full = fs::metadata(&days(&daemon)[0]).unwrap().len();
+    let file = daemon.path(&format!("state/meissner/logbook/sessions/{}.jsonl", second.id));
+    let full = fs::metadata(&file).unwrap().len();
     daemon.limit_files(Some(full));
     // Nothing of this session is written after its start.
     play(&mut client, &mut events, 4);

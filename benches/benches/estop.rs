@@ -103,11 +103,12 @@ fn table(user: Option<u32>) -> Result<(), Box<dyn Error>> {
     let place = Place { socket: dir.path().join("m.sock"), tcp, program: program()? };
     let board = Board::start()?;
     let record = dir.path().join("logbook");
-    std::fs::create_dir(&record)?;
-    write_record(&record.join("2026-01-01.jsonl"), number("RECORD_MB", 286)?)?;
+    let old = record.join("sessions").join("20260101T000000Z-000000.jsonl");
+    std::fs::create_dir_all(record.join("sessions"))?;
+    write_record(&old, number("RECORD_MB", 286)?)?;
     let config = dir.path().join("meissner.toml");
     let text = format!(
-        "patterns_dir = {:?}\nlogbook_dir = {record:?}\nlogbook_days = 3650\nlease_ms = 5000\nlisten = \"{tcp}\"\n",
+        "patterns_dir = {:?}\nlogbook_dir = {record:?}\nlease_ms = 5000\nlisten = \"{tcp}\"\n",
         dir.path()
     );
     std::fs::write(&config, text + "[participant]\nmax_continuous_s = 86400\nmax_day_s = 86400\n")?;
@@ -117,7 +118,7 @@ fn table(user: Option<u32>) -> Result<(), Box<dyn Error>> {
         .arg(&config);
     let rtprio = getrlimit(Resource::Rtprio);
     if let Some(user) = user {
-        for path in [dir.path(), &record, &record.join("2026-01-01.jsonl"), board.path()] {
+        for path in [dir.path(), &record, &record.join("sessions"), &old, board.path()] {
             chown(path, Some(user), Some(user))?;
         }
         command.uid(user).gid(user);
@@ -158,18 +159,13 @@ fn table(user: Option<u32>) -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
-/// Writes a day of so many MB into a session record: sessions, and lines about plays between them.
+/// Writes a session of so many MB, which was never ended.
 fn write_record(path: &Path, mb: usize) -> io::Result<()> {
     let mut file = io::BufWriter::new(std::fs::File::create(path)?);
     let filler = "x".repeat(900);
-    for number in 0..mb * 1000 {
+    for number in 1..=mb * 1000 {
         let time = "\"time\":\"2026-01-01T12:00:00Z\",\"monotonic_ns\":1";
-        if number % 500 == 0 {
-            let session =
-                format!("\"session\":{{\"id\":\"s{number}\",\"participant\":\"P01\",\"exclusive\":false}}");
-            writeln!(file, "{{{time},\"event\":\"session-started\",{session}}}")?;
-        }
-        writeln!(file, "{{{time},\"event\":\"note\",\"text\":\"{filler}\"}}")?;
+        writeln!(file, "{{{time},\"number\":{number},\"event\":\"note\",\"text\":\"{filler}\"}}")?;
     }
     file.flush()
 }

@@ -11,7 +11,7 @@ use super::arguments::ClientOptions;
 use super::files;
 use super::output::{say_file, tell};
 use crate::file::{PRIVATE, replace};
-use crate::session_record::json;
+use crate::record::json;
 use anyhow::{Context, Result, bail};
 use csv::Writer;
 use meissner_api::{

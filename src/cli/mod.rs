@@ -420,7 +420,7 @@ fn check_config(source: &Source) -> Result<ExitCode> {
 /// Adds the file in which the error must be corrected.
 fn named(source: &Source, error: DaemonError) -> anyhow::Error {
     match (&source.file, error) {
-        (Some(file), error @ (DaemonError::Store(_) | DaemonError::SessionRecord { .. })) => {
+        (Some(file), error @ (DaemonError::Store(_) | DaemonError::Record { .. })) => {
             anyhow!("{}: {error}", file.display())
         }
         (_, error) => error.into(),

@@ -1,6 +1,6 @@
 //! Prints answers on stdout, as text or as one JSON document.
 
-use crate::session_record::json;
+use crate::record::json;
 use anyhow::Result;
 use meissner_input::message::escape;
 use serde::Serialize;

@@ -8,7 +8,7 @@ use super::output::{give, say, tell};
 use super::{export, plan, session_token, text};
 use anyhow::{Result, bail};
 use clap::Subcommand;
-use meissner_api::{self as api, Code, SessionList, SessionRequest, SessionStarted};
+use meissner_api::{self as api, Code, RecordNeed, SessionList, SessionRequest, SessionStarted};
 use meissner_client::{ClientError, DISK_TIMEOUT, escape};
 use serde_json::json;
 use std::path::PathBuf;
@@ -81,6 +81,7 @@ pub(super) fn run(asked: &Session) -> Result<ExitCode> {
                 labels: labels.iter().cloned().collect(),
                 seed: *seed,
                 exclusive: *exclusive,
+                record: RecordNeed::Required,
             };
             start(options, &request)
         }

@@ -24,12 +24,8 @@ fn every_key_is_read() {
     assert_eq!(config.patterns, PatternsDir::Configured("/s/p".into()));
     assert_eq!(config.calibration, Some("/s/calibration.toml".into()));
     assert_eq!(parse("calibration = \"/c\"").unwrap().calibration, Some("/c".into()));
-    let kept = parse("logbook_dir = \"/l\"\nlogbook_days = 0").unwrap();
-    assert_eq!(kept.logbook, None);
-    let kept = parse("logbook_dir = \"/l\"\nlogbook_days = 30").unwrap();
-    assert_eq!(kept.logbook, Some(Location { dir: "/l".into(), days: 30, make_parents: false }));
     let kept = parse("logbook_dir = \"/l\"").unwrap();
-    assert_eq!(kept.logbook, Some(Location { dir: "/l".into(), days: LOGBOOK_DAYS, make_parents: false }));
+    assert_eq!(kept.logbook, Some(Location { dir: "/l".into(), make_parents: false }));
     let limits = PowerLimits { motor: 40_000, rail: 90_000, ..Array::paper().layout().no_limits() };
     assert_eq!(
         config.settings,
@@ -116,8 +112,6 @@ fn an_error_is_one_line_with_its_place() {
         ("socket = \"\"", "m.toml:1: `socket` is empty"),
         ("calibration = \"\"", "m.toml:1: `calibration` is empty"),
         ("logbook_dir = \"\"", "m.toml:1: `logbook_dir` is empty"),
-        ("logbook_days = 36501", "`logbook_days` is 36501: must be 0 to 36500 days"),
-        ("logbook_days = -1", "integer `-1`: must be a whole number, 0 to 4294967295"),
         ("array.lower_stop = \"below\"", "unknown variant `below`"),
         ("array.surplus_um = \"much\"", "`array.surplus_um` is `much`: must be a number of um, or \"auto\""),
         ("array.surplus_um = 0", "`array.surplus_um` is 0: must be 1 to 120 um, or \"auto\""),

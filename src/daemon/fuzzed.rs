@@ -17,8 +17,8 @@ use crate::daemon::routes::router;
 #[cfg(fuzzing)]
 use crate::daemon::run::{Daemon, Hosted};
 #[cfg(fuzzing)]
-use crate::session_record::NetworkPeer;
-use crate::session_record::Peer;
+use crate::record::NetworkPeer;
+use crate::record::Peer;
 use axum::Router;
 use axum::body::Body;
 use axum::extract::Request;

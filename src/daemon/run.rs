@@ -28,7 +28,7 @@ use crate::daemon::routes;
 use crate::daemon::sessions::handlers::look_for_losses;
 use crate::daemon::tokens::store::TokenStore;
 use crate::exposure::Account;
-use crate::session_record::{Note, SessionRecord, Users};
+use crate::record::{Entry, Record, Users};
 use crate::store::Store;
 use meissner_api::Realtime;
 use meissner_stream::device::mock::TruePositions;
@@ -83,7 +83,7 @@ impl Daemon {
             );
         }
         let users = Arc::default();
-        let record = SessionRecord::start(config.logbook.clone(), Arc::clone(&users))
+        let record = Record::start(config.logbook.clone(), Arc::clone(&users))
             .map_err(system("session record's thread"))?;
         let engine = Engine::of(config, commands, record, users);
         let engine = Arc::new(engine.with(realtime, bound.socket().to_owned()).with_gate(gate));
@@ -180,8 +180,8 @@ impl Daemon {
         let _ = close.send(true);
         let _ = server.await;
         drop(bound);
-        let record = engine.session_record();
-        record.add(Note::DaemonEnded { problem: result.as_ref().err().map(ToString::to_string) });
+        let record = engine.record();
+        record.add(Entry::DaemonEnded { problem: result.as_ref().err().map(ToString::to_string) });
         let (sender, closed) = oneshot::channel();
         let close = move || {
             record.close(CLOSE_TIMEOUT);
@@ -200,12 +200,12 @@ impl Engine {
     pub(in crate::daemon) fn of(
         config: &Config,
         commands: CommandQueue,
-        record: SessionRecord,
+        record: Record,
         users: Arc<Users>,
     ) -> Self {
         let wanted = config.device.to_string();
         let (version, pid) = (env!("CARGO_PKG_VERSION"), std::process::id());
-        record.add(Note::DaemonStarted { version, pid, wanted: wanted.clone() });
+        record.add(Entry::DaemonStarted { version, pid, wanted: wanted.clone() });
         let mut account = Account::new(config.participant);
         if let Some(location) = &config.logbook {
             sums::restore(&mut account, &sums::read(&location.dir));

@@ -5,8 +5,8 @@
 mod pages;
 mod run;
 
-use meissner::config::{Config, LOGBOOK_DAYS, PatternsDir};
-use meissner::session_record::Location;
+use meissner::config::{Config, PatternsDir};
+use meissner::record::Location;
 use meissner_api::Order;
 use meissner_array::pattern::Pattern;
 use meissner_paper::Target;
@@ -31,8 +31,8 @@ fn the_example_configuration_is_the_default() {
     assert_eq!(config.device, Spec::Auto);
     assert_eq!(config.calibration, Some(PathBuf::from("/var/lib/meissner/calibration.toml")));
     assert_eq!(config.tokens, Some(PathBuf::from("/var/lib/meissner/tokens.toml")));
-    let (dir, days) = (PathBuf::from("/var/lib/meissner/logbook"), LOGBOOK_DAYS);
-    assert_eq!(config.logbook, Some(Location { dir, days, make_parents: false }));
+    let dir = PathBuf::from("/var/lib/meissner/logbook");
+    assert_eq!(config.logbook, Some(Location { dir, make_parents: false }));
     config.logbook.clone_from(&default.logbook);
     (config.patterns, config.socket) = (default.patterns.clone(), default.socket.clone());
     config.calibration.clone_from(&default.calibration);

@@ -303,7 +303,7 @@ jq -c --arg id "$id" 'select(.PLAY_ID == $id and (.MESSAGE | test("done")))' <jo
 [ "$(wc -l <plays.json)" = 1 ] &&
     ok "journal: $(jq -r '"\(.MESSAGE) [\([keys[] | select(test("^[A-Z]") and (startswith("SYSLOG") | not))] | join(" "))]"' plays.json)" ||
     wrong "journal: $(wc -l <plays.json) lines for play $id"
-book=$(find /var/lib/meissner/logbook -name '*.jsonl' 2>/dev/null | sort | tail -n 1)
+book=/var/lib/meissner/logbook/daemon.jsonl
 if [ -s "$book" ]; then
     # Ids begin at 1 with each daemon.
     jq -es --argjson id "$id" 'map(select(.event == "ended")) | last.receipt | .id == $id and .state == "done"' "$book" >/dev/null &&

@@ -100,7 +100,9 @@ pub use rendering::{
 };
 pub use request::{ArmRequest, CalibrateRequest, DisarmRequest, EdgeRequest, ResetRequest, parse_empty};
 pub use route::{Method, Route};
-pub use session::{Losses, RecordedPlay, Session, SessionList, SessionPlays, SessionRequest, SessionStarted};
+pub use session::{
+    Losses, RecordNeed, RecordedPlay, Session, SessionList, SessionPlays, SessionRequest, SessionStarted,
+};
 pub use status::{
     ArmedStatus, ClockSample, DaemonStatus, DeviceInfo, EStopStatus, LinkStatus, MotorStatus, NO_DEVICE,
     Newest, ParticipantStatus, PinMovement, PlayAccepted, QueuedPlay, Realtime, RunningPlay, SensorFault,

@@ -37,6 +37,20 @@ pub struct SessionRequest {
     /// Whether only this session's owner may change anything. Others may read, stop, disarm, and order emergency stops.
     #[serde(default, deserialize_with = "crate::body::null_as_default")]
     pub exclusive: bool,
+    /// Whether plays of the session need a record that can be written.
+    #[serde(default, deserialize_with = "crate::body::null_as_default")]
+    pub record: RecordNeed,
+}
+
+/// Whether a session goes on while its record cannot be written.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum RecordNeed {
+    /// It takes no plays meanwhile.
+    #[default]
+    Required,
+    /// It goes on; answers are refused.
+    Optional,
 }
 
 impl SessionRequest {
@@ -69,8 +83,8 @@ pub struct SessionStarted {
     /// The owner's secret for `Authorization: Bearer TOKEN`. Every request with it shows that the owner is there. Once the session is
     /// over, the daemon refuses changes with it.
     pub token: String,
-    /// Why the daemon does not record the session: it keeps no session record. Null if it records it; if it cannot, no session
-    /// starts.
+    /// Why the daemon does not record the session: it keeps no session record, or cannot write it now. Null if it records it. If the
+    /// record is required and cannot be written, no session starts.
     pub record_problem: Option<String>,
 }
 
@@ -79,7 +93,8 @@ pub struct SessionStarted {
 #[schema(examples(json!({
     "id": "20261122T083000Z-9f3c", "participant": "P07", "experiment": "edges", "labels": {"block": "2"}, "seed": 42,
     "exclusive": true, "owner": "ada", "started": "2026-11-22T09:30:00.123456+01:00", "ended": null, "reason": null,
-    "plays": 12, "vibration_s": 24.0, "released": false, "release_in_s": 97.5, "lost": {"entries": 0, "plays": 0}
+    "plays": 12, "vibration_s": 24.0, "released": false, "release_in_s": 97.5, "lost": {"entries": 0, "plays": 0},
+    "record_problem": null
 })))]
 pub struct Session {
     /// The session's id.
@@ -112,6 +127,10 @@ pub struct Session {
     pub release_in_s: Option<f64>,
     /// What the record is known to have lost of it.
     pub lost: Losses,
+    /// While it runs: why the daemon cannot record it at present, so that it takes no plays unless its record is optional. Null: it
+    /// can, or it keeps no record.
+    #[serde(default)]
+    pub record_problem: Option<String>,
     /// In the status: whether the client that asks shows the token of this session. Missing elsewhere.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub mine: Option<bool>,
@@ -144,11 +163,11 @@ impl Session {
 
 /// The recorded sessions, the oldest first.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
-#[schema(examples(json!({"sessions": [], "unreadable": 1, "problems": ["/var/lib/meissner/logbook/2026-11-20.jsonl:17: not a line of JSON"]})))]
+#[schema(examples(json!({"sessions": [], "unreadable": 1, "problems": ["/var/lib/meissner/logbook/sessions/notes.txt: is no session's file"]})))]
 pub struct SessionList {
     /// The sessions.
     pub sessions: Vec<Session>,
-    /// Gaps in the numbers of the record's entries, where whole sessions may be missing, and lines and files that cannot be read.
+    /// Lines and files that are missing, cannot be read, or should not be there.
     pub unreadable: u64,
     /// The first 100 of them, one line each.
     #[schema(max_items = 100)]
@@ -192,18 +211,18 @@ pub struct SessionPlays {
     pub plays: Vec<RecordedPlay>,
     /// Whether there are more plays: ask again, `from` the next one.
     pub more: bool,
-    /// Whether the record has the whole session: its start, its end, the end of every play, and all entries between.
+    /// Whether the record has the whole session: its start, its end, the end of every play, and all lines between.
     pub complete: bool,
     /// What is missing, one line each; empty if it is complete.
     #[schema(max_items = 100)]
     pub missing: Vec<String>,
     /// Plays whose ends are missing, of the session's `plays`. Those of a session that runs may be under way.
     pub plays_missing: u64,
-    /// Entries that the record lost during the session: the disk or the queue was full, or a file was removed. Plays may be among them.
+    /// Entries that the record lost during the session: the disk or the queue was full, or lines were removed. Plays may be among them.
     pub lost: u64,
     /// Entries that the record left out during the session, to stay within its bound: commands and what devices did, never plays.
     pub left_out: u64,
-    /// As in the list of sessions: of the whole record.
+    /// As in the list of sessions: of this session's file.
     pub unreadable: u64,
     /// The first 100 of them, one line each.
     #[schema(max_items = 100)]

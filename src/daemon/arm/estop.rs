@@ -7,7 +7,7 @@
 //! Invariants: every emergency stop goes through [`EStops::request`]; a reset does not clear an emergency stop that came after its
 //! check.
 
-use crate::session_record::Peer;
+use crate::record::Peer;
 use meissner_stream::queues::EStopSwitch;
 use meissner_stream::sync::atomic::{AtomicU64, Ordering};
 use nix::unistd::{Pid, getsid};

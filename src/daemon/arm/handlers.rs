@@ -34,7 +34,7 @@ async fn simple_command(
     command: Command,
     timeout: Duration,
 ) -> Answer<Json<Status>> {
-    let logged = LoggedRequest::new(&app.engine, name, by.peer());
+    let logged = LoggedRequest::of(&app.engine, name, &by);
     let result = async {
         parse_empty(&body::read_command(body).await?)?;
         carry_out(app, by, command, timeout).await
@@ -68,7 +68,7 @@ pub(in crate::daemon) async fn estop(
     ordered: Option<Extension<Ordered>>,
     body: Body,
 ) -> Answer<Json<Status>> {
-    let logged = LoggedRequest::new(&app.engine, "estop", by.peer());
+    let logged = LoggedRequest::of(&app.engine, "estop", &by);
     let result = match ordered {
         Some(Extension(Ordered(number))) => app.engine.estop_answer(number).await,
         None => app.engine.estop(Origin::of(by.peer())).await,
@@ -79,7 +79,7 @@ pub(in crate::daemon) async fn estop(
 }
 
 pub(in crate::daemon) async fn reset(Call { app, by }: Call, body: Body) -> Answer<Json<Status>> {
-    let mut logged = LoggedRequest::new(&app.engine, "reset", by.peer());
+    let mut logged = LoggedRequest::of(&app.engine, "reset", &by);
     let result = async {
         let request = ResetRequest::parse(&body::read_command(body).await?)?;
         let force = request.force;
@@ -109,7 +109,7 @@ pub(in crate::daemon) async fn reset(Call { app, by }: Call, body: Body) -> Answ
 }
 
 pub(in crate::daemon) async fn arm(Call { app, by }: Call, body: Body) -> Answer<Json<Status>> {
-    let mut logged = LoggedRequest::new(&app.engine, "arm", by.peer());
+    let mut logged = LoggedRequest::of(&app.engine, "arm", &by);
     let result = async {
         let request = ArmRequest::parse(&body::read_command(body).await?)?;
         logged.set_arguments(&request);
@@ -136,7 +136,7 @@ pub(in crate::daemon) async fn arm(Call { app, by }: Call, body: Body) -> Answer
 }
 
 pub(in crate::daemon) async fn disarm(Call { app, by }: Call, body: Body) -> Answer<Json<Status>> {
-    let mut logged = LoggedRequest::new(&app.engine, "disarm", by.peer());
+    let mut logged = LoggedRequest::of(&app.engine, "disarm", &by);
     let result = async {
         let request = DisarmRequest::parse(&body::read_command(body).await?)?;
         logged.set_arguments(&request);
@@ -161,7 +161,7 @@ pub(in crate::daemon) async fn home(Call { app, by }: Call, body: Body) -> Answe
 
 /// Makes an edge at the trigger input of a simulated array.
 pub(in crate::daemon) async fn edge(Call { app, by }: Call, body: Body) -> Answer<Json<Status>> {
-    let mut logged = LoggedRequest::new(&app.engine, "edge", by.peer());
+    let mut logged = LoggedRequest::of(&app.engine, "edge", &by);
     let result = async {
         let request = EdgeRequest::parse(&body::read_command(body).await?)?;
         logged.set_arguments(&request);

@@ -210,7 +210,7 @@ impl Armed {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::session_record::Peer;
+    use crate::record::Peer;
 
     fn process(pid: i32) -> Caller {
         Caller::new(Peer::local(pid, 0), None, None, None)

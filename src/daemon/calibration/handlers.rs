@@ -22,7 +22,7 @@ pub(in crate::daemon) async fn calibrate(
     Call { app, by }: Call,
     body: Body,
 ) -> Answer<(StatusCode, Json<PlayAccepted>)> {
-    let mut logged = LoggedRequest::new(&app.engine, "calibrate", by.peer());
+    let mut logged = LoggedRequest::of(&app.engine, "calibrate", &by);
     let result = async {
         let request = CalibrateRequest::parse(&body::read_command(body).await?)?;
         logged.set_arguments(&request);
@@ -44,7 +44,7 @@ pub(in crate::daemon) async fn show(State(app): State<App>) -> Answer<Response> 
 }
 
 pub(in crate::daemon) async fn store(Call { app, by }: Call, body: Body) -> Answer<Response> {
-    let mut logged = LoggedRequest::new(&app.engine, "store-calibration", by.peer());
+    let mut logged = LoggedRequest::of(&app.engine, "store-calibration", &by);
     let result = async {
         let bad = |detail: String| Problem::new(Code::BadRequest, detail);
         let text = String::from_utf8(body::read(body, MAX_BYTES).await?)

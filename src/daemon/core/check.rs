@@ -6,7 +6,7 @@ use crate::config::{Config, PatternsDir};
 use crate::daemon::core::error::DaemonError;
 use crate::daemon::net::socket;
 use crate::file::dir_of;
-use crate::session_record::Location;
+use crate::record::Location;
 use crate::store::{Store, StoreError};
 use rustix::process::{Resource, getrlimit};
 
@@ -24,7 +24,7 @@ pub fn check(config: &Config) -> Result<Store, DaemonError> {
         && !dir.is_dir()
         && (dir.exists() || !dir_of(dir).is_dir())
     {
-        return Err(DaemonError::SessionRecord { dir: dir.clone() });
+        return Err(DaemonError::Record { dir: dir.clone() });
     }
     Ok(store(config)?)
 }

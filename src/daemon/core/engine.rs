@@ -23,7 +23,7 @@ use crate::daemon::sessions::rights::Rights;
 use crate::daemon::sessions::state::Sessions;
 use crate::daemon::tokens::store::TokenStore;
 use crate::receipts::refusal;
-use crate::session_record::{Peer, SessionRecord, Users};
+use crate::record::{Peer, Record, Users};
 use axum::body::Bytes;
 use meissner_api::{Code, Problem, Realtime};
 use meissner_stream::device::mock::TruePositions;
@@ -89,7 +89,7 @@ impl Engine {
             plays: Plays::new(settings.array),
             calibration: Calibration::new(calibration),
             connection: Connection::default(),
-            publisher: Publisher::new(SessionRecord::none()),
+            publisher: Publisher::new(Record::none()),
             exposure: Exposure::default(),
             sessions: Sessions::default(),
             renderings: Renderings::default(),
@@ -115,7 +115,7 @@ impl Engine {
     }
 
     /// Sets its session record, and who knows the names of users.
-    pub(in crate::daemon) fn recording(self, record: SessionRecord, users: Arc<Users>) -> Self {
+    pub(in crate::daemon) fn recording(self, record: Record, users: Arc<Users>) -> Self {
         self.lock().publisher = Publisher::new(record);
         Self { names: Names { users, ..self.names }, ..self }
     }
@@ -136,8 +136,8 @@ impl Engine {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    pub(in crate::daemon) fn session_record(&self) -> SessionRecord {
-        self.lock().publisher.session_record.clone()
+    pub(in crate::daemon) fn record(&self) -> Record {
+        self.lock().publisher.record.clone()
     }
 
     /// A device has answered, or could not be opened.

@@ -18,7 +18,7 @@ pub enum DaemonError {
     Store(#[from] StoreError),
     /// The session record has no directory and cannot make one.
     #[error("`logbook_dir`: {}: neither it nor its parent is a directory: make one, or name another", .dir.display())]
-    SessionRecord {
+    Record {
         /// The configured directory.
         dir: PathBuf,
     },

@@ -12,6 +12,7 @@ use crate::exposure::{Account, Now};
 use crate::receipts::counts_until;
 use meissner_api::Event;
 use meissner_stream::queues::{EventQueue, StreamEvent};
+use meissner_stream::time::HostInstant;
 use std::io;
 use std::os::fd::{AsFd, OwnedFd};
 use std::sync::Arc;
@@ -49,7 +50,7 @@ impl Engine {
         let mut told = (None, 0, Instant::now());
         let mut untold: Option<Instant> = None;
         loop {
-            let record = self.session_record().changed();
+            let record = self.record().changed();
             let next = due.as_ref().map(|due| due.at).into_iter().chain(untold).min();
             let wait = async {
                 match next {
@@ -107,20 +108,23 @@ impl Engine {
     }
 
     /// Publishes a new problem of the session record, its end, and that it has lost entries: what was `told` last, and when it may be
-    /// told again that more are lost. Returns that instant if there is more to tell.
+    /// told again that more are lost. Returns when there may be more to tell.
     fn tell_record(&self, told: &mut (Option<String>, u64, Instant)) -> Option<Instant> {
         let mut state = self.lock();
-        let record = &state.publisher.session_record;
+        let record = &state.publisher.record;
         let (is_written, lost) = (record.problem().is_none(), record.lost());
         let sums = || Account::problem(&state.exposure, Now::read());
-        let problem = record.problem().or_else(sums).or_else(|| record.gaps());
+        let problem = record.problem().or_else(sums).or_else(|| record.found());
         let is_more = is_written && lost > told.1;
+        // The disk may stand still without a further notice.
+        let now = HostInstant::now();
+        let stalls = record.stalls_at().map(|at| Instant::now() + at.since(now));
         if problem == told.0 && !(is_more && Instant::now() >= told.2) {
-            return is_more.then_some(told.2);
+            return is_more.then_some(told.2).into_iter().chain(stalls).min();
         }
         *told = (problem.clone(), lost, Instant::now() + LOSSES_APART);
         state.publish(&Event::RecordProblem { problem, lost });
-        None
+        stalls
     }
 
     /// Counts the ordered strokes of an endless play up to its end, outside the lock.

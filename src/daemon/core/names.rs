@@ -2,7 +2,7 @@
 //!
 //! Nothing here waits for a look-up: a user whose name is not yet known is shown by number.
 
-use crate::session_record::{NetworkPeer, Peer, Users};
+use crate::record::{NetworkPeer, Peer, Users};
 use jiff::tz::TimeZone;
 use std::sync::Arc;
 
@@ -47,7 +47,7 @@ impl Names {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::session_record::TokenId;
+    use crate::record::TokenId;
     use std::thread;
 
     #[test]

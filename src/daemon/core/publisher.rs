@@ -5,7 +5,7 @@
 //! Bounds: a listener may be up to [`EVENTS`] events behind; beyond that it gets [`Event::Lagged`]. Waiting events take at most 34
 //! MB, because a receipt has at most 32 KiB, and so have 32 items of a sequence.
 
-use crate::session_record::{Entry, Peer, SessionRecord};
+use crate::record::{Entry, Peer, Record};
 use axum::body::Bytes;
 use meissner_api::Event;
 use tokio::sync::broadcast;
@@ -25,20 +25,20 @@ pub(in crate::daemon) fn frame(event: &Event) -> Bytes {
 /// See the module.
 #[derive(Debug)]
 pub(in crate::daemon) struct Publisher {
-    pub(in crate::daemon) session_record: SessionRecord,
+    pub(in crate::daemon) record: Record,
     /// None once the daemon ends: listeners get what was published before, then the end.
     listeners: Option<broadcast::Sender<Bytes>>,
 }
 
 impl Publisher {
-    pub(in crate::daemon) fn new(session_record: SessionRecord) -> Self {
-        Self { session_record, listeners: Some(broadcast::channel(EVENTS).0) }
+    pub(in crate::daemon) fn new(record: Record) -> Self {
+        Self { record, listeners: Some(broadcast::channel(EVENTS).0) }
     }
 
     /// Publishes an event; `client` is the owner of the play that it is about.
     pub(in crate::daemon) fn publish(&self, event: &Event, client: Option<Peer>) {
         if let Some(entry) = Entry::of(event, client) {
-            self.session_record.add(entry);
+            self.record.add(entry);
         }
         self.announce(event);
     }
@@ -68,7 +68,7 @@ mod tests {
 
     #[test]
     fn listeners_share_the_bytes_of_an_event() {
-        let publisher = Publisher::new(SessionRecord::none());
+        let publisher = Publisher::new(Record::none());
         let mut listeners = [(); 2].map(|()| publisher.subscribe().unwrap());
         publisher.publish(&Event::Lost { events: 3 }, None);
         let [first, second] = listeners.each_mut().map(|listener| listener.try_recv().unwrap());

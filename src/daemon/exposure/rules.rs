@@ -193,6 +193,6 @@ impl State {
     pub(in crate::daemon) fn save_exposure(&mut self, now: Now) -> Option<Receiver<bool>> {
         self.exposure.saved = Some((now.at, now.date));
         let text = self.exposure.account.text(now)?;
-        self.publisher.session_record.save_exposure(text)
+        self.publisher.record.save_exposure(text)
     }
 }

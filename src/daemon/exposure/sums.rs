@@ -4,7 +4,7 @@
 
 use crate::exposure::{self, Account, Now};
 use crate::file::read_regular;
-use crate::session_record::has_plays;
+use crate::record::reader::has_plays;
 use std::io;
 use std::path::Path;
 use tracing::warn;

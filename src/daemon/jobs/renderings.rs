@@ -23,7 +23,7 @@ pub(in crate::daemon) async fn start(
     Call { app, by }: Call,
     body: Body,
 ) -> Answer<(StatusCode, Json<Rendering>)> {
-    let mut logged = LoggedRequest::new(&app.engine, "render", by.peer());
+    let mut logged = LoggedRequest::of(&app.engine, "render", &by);
     let result = async {
         let (body, _places) = body::read_file(body, MAX_RENDERING_BODY, &body::ORDERS).await?;
         let (request, asked) = if body.len() <= body::MAX_COMMAND {
@@ -84,7 +84,7 @@ pub(in crate::daemon) async fn show(State(app): State<App>, id: PathPart) -> Ans
 }
 
 pub(in crate::daemon) async fn cancel(Call { app, by }: Call, id: PathPart) -> Answer<Response> {
-    let mut logged = LoggedRequest::new(&app.engine, "render-cancel", by.peer());
+    let mut logged = LoggedRequest::of(&app.engine, "render-cancel", &by);
     let result = async {
         let id: String = path(id)?.chars().take(100).collect();
         logged.set_arguments(&json!({"id": id}));

@@ -38,7 +38,7 @@ pub(in crate::daemon) async fn start(
     Call { app, by }: Call,
     body: Body,
 ) -> Answer<(StatusCode, Json<LiveAccepted>)> {
-    let mut logged = LoggedRequest::new(&app.engine, "live", by.peer());
+    let mut logged = LoggedRequest::of(&app.engine, "live", &by);
     let result = async {
         let mut request = LiveRequest::parse(&body::read_command(body).await?)?;
         let session = &mut request.terms.session;

@@ -16,7 +16,7 @@ use crate::daemon::net::request_log::LoggedRequest;
 use crate::daemon::sessions::caller::{Asker, Caller};
 use crate::daemon::sessions::right::{Answering, Right};
 use crate::daemon::sessions::rights::{NoRight, going_on};
-use crate::session_record::{NetworkPeer, Peer};
+use crate::record::{NetworkPeer, Peer};
 use axum::extract::{Extension, Request, State};
 use axum::http::header::{WWW_AUTHENTICATE, X_CONTENT_TYPE_OPTIONS};
 use axum::http::{HeaderName, HeaderValue, StatusCode};

@@ -6,7 +6,7 @@ use crate::daemon::core::engine::Engine;
 use crate::daemon::net::acceptor::{Bounds, Counts};
 use crate::daemon::sessions::caller::Asker;
 use crate::daemon::status::doctor::Doctor;
-use crate::session_record::Peer;
+use crate::record::Peer;
 use crate::store::Store;
 use axum::extract::rejection::ExtensionRejection;
 use axum::extract::{Extension, FromRequestParts};

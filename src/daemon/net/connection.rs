@@ -333,7 +333,7 @@ mod tests {
     use super::*;
     use crate::daemon::core::engine::Engine;
     use crate::daemon::net::activity::BLOCKED;
-    use crate::session_record::Peer;
+    use crate::record::Peer;
     use meissner_stream::queues::queues;
     use tokio::io::{AsyncReadExt, AsyncWriteExt};
 

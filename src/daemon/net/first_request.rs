@@ -4,7 +4,7 @@
 use crate::daemon::net::framing::{MAX_HEADERS, Part, body_of};
 use crate::daemon::net::gate::Gate;
 use crate::daemon::net::head::Head;
-use crate::session_record::{NetworkPeer, Peer};
+use crate::record::{NetworkPeer, Peer};
 use httparse::{EMPTY_HEADER, Request, Status};
 
 /// Most bytes of a request line that are examined, with empty lines before it. The API's addresses are shorter.

@@ -12,7 +12,7 @@ use crate::daemon::net::head::{Head, Shown};
 use crate::daemon::net::refusal::{NOT_VALID, READS_ONLY, Refusal};
 use crate::daemon::page;
 use crate::daemon::tokens::store::TokenStore;
-use crate::session_record::{NetworkPeer, Peer, TokenId};
+use crate::record::{NetworkPeer, Peer, TokenId};
 use meissner_api::access::Access;
 use meissner_api::{Code, NetworkStatus, Role, Route};
 use std::net::{IpAddr, Ipv6Addr};

@@ -12,7 +12,7 @@ use crate::daemon::arm::estop::{EStops, Origin};
 use crate::daemon::net::first_request::{is_estop_request, is_post};
 use crate::daemon::net::framing::Framer;
 use crate::daemon::net::gate::Gate;
-use crate::session_record::Peer;
+use crate::record::Peer;
 use std::collections::VecDeque;
 use std::sync::Arc;
 

@@ -6,7 +6,8 @@
 //! Invariant: a request is in the session record's queue before its client has the answer.
 
 use crate::daemon::core::engine::Engine;
-use crate::session_record::{CommandEntry, Note, Peer};
+use crate::daemon::sessions::caller::Asker;
+use crate::record::{CommandEntry, Entry, Peer};
 use meissner_api::Problem;
 use serde::Serialize;
 use std::sync::Arc;
@@ -18,6 +19,8 @@ pub(in crate::daemon) struct LoggedRequest {
     engine: Arc<Engine>,
     entry: CommandEntry,
     client: Peer,
+    /// The session token that its client shows.
+    token: Option<String>,
     /// The command's name in the log.
     title: String,
 }
@@ -28,8 +31,16 @@ impl LoggedRequest {
             engine: Arc::clone(engine),
             entry: CommandEntry::new(command, client),
             client,
+            token: None,
             title: command.to_owned(),
         }
+    }
+
+    /// A request of this client, who may own the running session.
+    pub(in crate::daemon) fn of(engine: &Arc<Engine>, command: &'static str, by: &Asker) -> Self {
+        let mut request = Self::new(engine, command, by.peer());
+        request.token = by.caller.session().map(str::to_owned);
+        request
     }
 
     /// Sets the arguments of the command.
@@ -79,14 +90,16 @@ impl Drop for LoggedRequest {
             (_, "ok") => info!(pid, uid, kind, "{title} by {client}: {answer}"),
             _ => info!(pid, uid, kind, "{title} by {client}: {answer}"),
         }
-        self.engine.session_record().add(Note::Command(self.entry.clone()));
+        let state = self.engine.lock();
+        self.entry.is_of_owner = state.sessions.is_owner(self.token.as_deref());
+        state.publisher.record.add(Entry::Command(self.entry.clone()));
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::session_record::{Location, SessionRecord};
+    use crate::record::{Location, Record};
 
     use meissner_stream::queues::queues;
     use serde_json::Value;
@@ -99,15 +112,14 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let (_port, commands, _events) = queues().unwrap();
         let folder = dir.path().join("logbook");
-        let location = Location { dir: folder.clone(), days: 1, make_parents: false };
-        let record = SessionRecord::start(Some(location), Arc::default()).unwrap();
+        let location = Location { dir: folder.clone(), make_parents: false };
+        let record = Record::start(Some(location), Arc::default()).unwrap();
         let engine = Engine::of_paper(commands);
         let engine = Arc::new(engine.recording(record.clone(), Arc::default()));
         drop(LoggedRequest::new(&engine, "home", Peer::local(7, 0)));
         record.close(Duration::from_secs(300));
-        let mut files = fs::read_dir(folder).unwrap().map(|file| file.unwrap().path());
-        let file = files.find(|file| file.extension().is_some()).unwrap();
-        let line: Value = serde_json::from_str(&fs::read_to_string(file).unwrap()).unwrap();
+        let text = fs::read_to_string(folder.join("daemon.jsonl")).unwrap();
+        let line: Value = serde_json::from_str(&text).unwrap();
         let said = ["event", "command", "user", "answer"].map(|key| line[key].as_str().unwrap());
         assert_eq!(said, ["command", "home", "root", "hung-up"]);
     }

@@ -18,7 +18,7 @@ use crate::daemon::net::connection::{Connection, ReadAhead};
 use crate::daemon::net::first_request::Kind;
 use crate::daemon::net::orders::Orders;
 use crate::daemon::net::request_log::LoggedRequest;
-use crate::session_record::Peer;
+use crate::record::Peer;
 use axum::Router;
 use axum::http::HeaderValue;
 use axum::http::header::{CONNECTION, CONTENT_TYPE};

@@ -4,7 +4,7 @@
 //!
 //! Invariant: the socket never blocks.
 
-use crate::session_record::{NetworkPeer, Peer};
+use crate::record::{NetworkPeer, Peer};
 use nix::sys::socket::{getsockopt, sockopt::PeerCredentials};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::fd::{AsFd, AsRawFd, BorrowedFd, OwnedFd, RawFd};

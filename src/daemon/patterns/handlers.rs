@@ -41,7 +41,7 @@ pub(in crate::daemon) async fn import(
     uri: Uri,
     body: Body,
 ) -> Answer<(StatusCode, Json<ImportedPattern>)> {
-    let mut logged = LoggedRequest::new(&app.engine, "import", by.peer());
+    let mut logged = LoggedRequest::of(&app.engine, "import", &by);
     let result = async {
         let name = path(name)?;
         let shown: String = name.chars().take(100).collect();
@@ -94,7 +94,7 @@ pub(in crate::daemon) async fn remove(
     Call { app, by }: Call,
     name: PathPart,
 ) -> Answer<Json<RemovedPattern>> {
-    let mut logged = LoggedRequest::new(&app.engine, "remove", by.peer());
+    let mut logged = LoggedRequest::of(&app.engine, "remove", &by);
     let result = async {
         let name = path(name)?;
         let shown: String = name.chars().take(100).collect();

@@ -6,7 +6,7 @@ pub(in crate::daemon) mod handlers;
 
 use crate::daemon::core::engine::Engine;
 use crate::daemon::core::runtime::Lane;
-use crate::session_record;
+use crate::record::reader;
 use crate::store::{Store, StoreError, Stored};
 use meissner_api::{Code, FOUND_PREFIX, Problem};
 use std::io;
@@ -49,12 +49,12 @@ pub(in crate::daemon) async fn find(
     }
     let place = lane.patterns.acquire().await.ok();
     let (name, sha256) = (name.to_owned(), sha256.map(str::to_owned));
-    let record = engine.session_record().dir();
+    let record = engine.record().dir();
     let read = move || match sha256 {
         None => store.get(&name),
         Some(sha256) => store.get_text(&name, &sha256, || {
             let dir = record.ok_or(io::ErrorKind::NotFound)?;
-            session_record::read_text(&dir, &sha256)
+            reader::read_text(&dir, &sha256)
         }),
     };
     Ok((lane.blocking(read).await??, place))

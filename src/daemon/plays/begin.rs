@@ -139,6 +139,9 @@ pub(in crate::daemon) async fn begin(
         held.check(&state)?;
         check(&mut state)?;
         let (id, reply) = send(&mut state, by, play, &settings, new)?;
+        for (sha256, text) in texts {
+            state.publisher.record.add_text(&sha256, &text);
+        }
         state.plays.hold_memory(id, memory);
         held.begin(&mut state, id);
         sent(&mut state, id);
@@ -146,9 +149,6 @@ pub(in crate::daemon) async fn begin(
     };
     // If the streamer refuses a play that replaces others, they go on, so the next order waits for its answer.
     let held = replace.then_some(held);
-    for (sha256, text) in texts {
-        engine.session_record().keep_text(&sha256, &text);
-    }
     let answered = answer(reply, TIMEOUT).await;
     drop(held);
     answered?;
@@ -210,11 +210,7 @@ fn send(
     compiled_for: &Settings,
     new: NewPlay,
 ) -> Result<(u64, Reply), Problem> {
-    if !state.publisher.session_record.takes_plays() {
-        let detail = "the session record keeps every play and has no room for more at this rate: play less often; see \
-                      docs/reference/session-record.md";
-        return Err(Problem::new(Code::TooManyPlays, detail));
-    }
+    state.check_record()?;
     if state.settings != *compiled_for {
         let detail = "the configuration has changed meanwhile: send the play again";
         return Err(Problem::new(Code::Busy, detail));
@@ -235,7 +231,6 @@ mod tests {
     use crate::daemon::plays::order;
     use crate::daemon::runtime;
     use crate::daemon::sessions::caller::DAEMON;
-    use crate::session_record::{Location, SessionRecord};
     use crate::store::{Store, Stored};
     use meissner_api::{Item, Order, SessionRequest};
     use meissner_stream::queues::{Emit, StreamEvent, queues};
@@ -279,31 +274,6 @@ mod tests {
         let played = order::play(&engine, &by, &order, &STORED, find);
         assert_eq!(runtime().unwrap().block_on(played).unwrap_err().code, "busy");
         assert!(matches!(port.pop().unwrap().command, Command::Stop) && port.pop().is_none());
-    }
-
-    #[test]
-    fn a_play_is_refused_while_the_session_record_has_no_room_for_it() {
-        let dir = tempfile::tempdir().unwrap();
-        let record = SessionRecord::start(
-            Some(Location { dir: dir.path().join("logbook"), days: 1, make_parents: false }),
-            Arc::default(),
-        );
-        let record = record.unwrap();
-        let (mut port, commands, _events) = queues().unwrap();
-        let engine = Engine::of_paper(commands);
-        let engine = engine.recording(record.clone(), Arc::default());
-        let mut play = || {
-            let order = pin(None);
-            let by = Asker::operator();
-            let played = order::play(&engine, &by, &order, &STORED, find);
-            let problem = runtime().unwrap().block_on(played).unwrap_err();
-            (problem.code, port.pop().is_some())
-        };
-        // No streamer answers.
-        assert_eq!(play(), ("timeout".to_owned(), true));
-        record.use_up_plays();
-        assert_eq!(play(), ("too-many-plays".to_owned(), false));
-        record.close(Duration::from_secs(300));
     }
 
     /// Readers, and plays of other sorts, compute without an end, in every place that there is.

@@ -4,7 +4,7 @@ use crate::daemon::core::engine::Engine;
 use crate::daemon::core::runtime::CHECKS;
 use crate::daemon::plays::begin;
 use crate::daemon::plays::begin::Compiled;
-use crate::session_record::Peer;
+use crate::record::Peer;
 use crate::store::Stored;
 use meissner_api::{Code, Order, PlanCheck, PlanStop, Problem};
 use meissner_stream::{Drift, Source, forecast_drift};

@@ -12,6 +12,7 @@ use crate::daemon::plays::check;
 use crate::daemon::plays::order;
 use crate::daemon::plays::state::check_samples;
 use crate::daemon::sessions::state::no_play;
+use crate::record::has_line;
 use crate::store::Stored;
 use axum::Json;
 use axum::body::Body;
@@ -28,14 +29,11 @@ use std::sync::Arc;
 use std::time::Duration;
 use tokio::sync::SemaphorePermit;
 
-/// How long an answer waits until the disk has its line: the client waits for 5 s.
-pub(in crate::daemon) const RECORDED: Duration = Duration::from_secs(4);
-
 pub(in crate::daemon) async fn play(
     Call { app, by }: Call,
     body: Body,
 ) -> Answer<(StatusCode, Json<PlayAccepted>)> {
-    let mut logged = LoggedRequest::new(&app.engine, "play", by.peer());
+    let mut logged = LoggedRequest::of(&app.engine, "play", &by);
     let result = async {
         let ReadOrder { mut order, inlines, _places } =
             read_order(&app, (&PLAYS, &body::ORDERS), body).await?;
@@ -153,7 +151,7 @@ async fn ended(engine: &Engine, id: &str) -> Answer<Json<Receipt>> {
 }
 
 pub(in crate::daemon) async fn withdraw(Call { app, by }: Call, id: PathPart) -> Answer<Json<Receipt>> {
-    let mut logged = LoggedRequest::new(&app.engine, "withdraw", by.peer());
+    let mut logged = LoggedRequest::of(&app.engine, "withdraw", &by);
     let result = async {
         let Receipt { id, state, .. } = find_receipt(&app.engine, &path(id)?)?;
         logged.set_play(id);
@@ -172,7 +170,7 @@ pub(in crate::daemon) async fn answer(
     id: PathPart,
     body: Body,
 ) -> Answer<Json<AnswerTaken>> {
-    let logged = LoggedRequest::new(&app.engine, "answer", by.peer());
+    let logged = LoggedRequest::of(&app.engine, "answer", &by);
     let result = async {
         let body = body::read_command(body).await?;
         let id = path(id)?.parse().map_err(|_| {
@@ -182,10 +180,13 @@ pub(in crate::daemon) async fn answer(
             )
         })?;
         let recorded = app.engine.lock().answer(Some(&by), id, PlayAnswer::parse(&body)?)?;
-        match tokio::time::timeout(RECORDED, recorded).await {
-            Ok(Ok(())) => Ok(Json(AnswerTaken {})),
-            _ => Err(app.engine.lock().unrecorded(id).into()),
-        }
+        let engine = Arc::clone(&app.engine);
+        // Goes on if the client hangs up.
+        let taken = tokio::spawn(async move {
+            if has_line(recorded).await { Ok(()) } else { Err(engine.lock().unrecorded(id)) }
+        });
+        taken.await.unwrap_or(Ok(()))?;
+        Ok(Json(AnswerTaken {}))
     }
     .await;
     logged.result(result)

@@ -13,7 +13,7 @@ use crate::daemon::plays::state::{NewPlay, check_samples};
 use crate::daemon::sessions::caller::Asker;
 use crate::exposure::Vibration;
 use crate::receipts::{Outline, PlannedItem, counts, fit, motions, motions_of_items, too_slow, walk};
-use crate::session_record::Peer;
+use crate::record::Peer;
 use crate::store::{Stored, hash};
 use firmware_protocol::message::Trigger;
 use firmware_protocol::tick::Tick;

@@ -3,7 +3,7 @@
 //! Bounds: those of [`Receipts`]; patterns and clients are kept only while a play is not over.
 
 use crate::receipts::{PlannedItem, Receipts};
-use crate::session_record::Peer;
+use crate::record::Peer;
 use meissner_api::{Code, Event, Problem, Receipt};
 use meissner_array::pattern::Pattern;
 use meissner_array::spec::Array;

@@ -5,7 +5,7 @@
 //! Invariant: a caller holds the tokens that the request showed when it came. Each use checks whether they are still valid
 //! ([`State::check_right`](crate::daemon::core::state::State::check_right)).
 
-use crate::session_record::{Peer, TokenId};
+use crate::record::{Peer, TokenId};
 use meissner_api::access::Access;
 use std::net::IpAddr;
 use std::sync::Arc;
@@ -92,7 +92,7 @@ impl Asker {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::session_record::NetworkPeer;
+    use crate::record::NetworkPeer;
 
     #[test]
     fn a_client_is_known_by_its_name_its_session_or_where_it_is() {

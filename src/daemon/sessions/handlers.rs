@@ -1,15 +1,14 @@
 //! Sessions: starts and ends one, lists and shows the recorded ones and their plays, and releases an exclusive one in time.
 
 use crate::daemon::core::engine::Engine;
-use crate::daemon::core::runtime::{blocking, reading};
+use crate::daemon::core::runtime::{computing, reading};
 use crate::daemon::net::answer::{Answer, PathPart, json_response, path};
 use crate::daemon::net::app::{App, Call};
 use crate::daemon::net::body;
 use crate::daemon::net::request_log::LoggedRequest;
-use crate::daemon::plays::handlers::RECORDED;
 use crate::daemon::sessions::state::no_session;
-use crate::session_record::reader::{self, Sessions};
-use crate::session_record::{RecordError, keeps_text};
+use crate::record::reader::{self, Problems, RecordError, Sessions};
+use crate::record::{Known, has_line};
 use crate::store::Store;
 use axum::Json;
 use axum::body::Body;
@@ -17,10 +16,10 @@ use axum::extract::State;
 use axum::http::{StatusCode, Uri};
 use axum::response::Response;
 use meissner_api::{
-    Code, ItemRecord, MAX_LISTED, Problem, RecordedPlay, Session, SessionList, SessionRequest,
-    SessionStarted, parse_empty,
+    Code, ItemRecord, Problem, RecordedPlay, Session, SessionList, SessionRequest, SessionStarted,
+    parse_empty,
 };
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 use std::path::Path as FilePath;
 use std::sync::Arc;
 use std::time::Duration;
@@ -35,7 +34,7 @@ pub(in crate::daemon) async fn start(
     Call { app, by }: Call,
     body: Body,
 ) -> Answer<(StatusCode, Json<SessionStarted>)> {
-    let mut logged = LoggedRequest::new(&app.engine, "session-start", by.peer());
+    let mut logged = LoggedRequest::of(&app.engine, "session-start", &by);
     let result = async {
         let request = SessionRequest::parse(&body::read_command(body).await?)?;
         logged.set_arguments(&request);
@@ -46,10 +45,8 @@ pub(in crate::daemon) async fn start(
         // Goes on if the client hangs up.
         let known = tokio::spawn(async move {
             let recorded = match recorded {
-                Some(recorded) => {
-                    tokio::time::timeout(RECORDED, recorded).await.ok().map(|told| told.is_ok())
-                }
-                None => Some(true),
+                Some(recorded) => has_line(recorded).await,
+                None => true,
             };
             engine.lock().session_recorded(&id, recorded)
         });
@@ -82,20 +79,17 @@ pub(in crate::daemon) async fn end(
     id: PathPart,
     body: Body,
 ) -> Answer<Json<Session>> {
-    let logged = LoggedRequest::new(&app.engine, "session-end", by.peer());
+    let logged = LoggedRequest::of(&app.engine, "session-end", &by);
     let result = async {
         let id = path(id)?;
         parse_empty(&body::read_command(body).await?)?;
         let mut ended = app.engine.lock().end_session(Some(&by), &id)?;
         // A newer program may wait for the session to end.
         app.engine.changed.notify_one();
-        let (record, id) = (app.engine.session_record(), ended.id.clone());
+        let record = app.engine.record();
         // Wait for the disk: only then it is known which entries it did not take.
-        let lost = blocking(move || {
-            let _ = record.wait_until_written(WRITTEN_AT_END);
-            record.lost_of(&id)
-        });
-        ended.lost = lost.await?;
+        let _ = record.written(WRITTEN_AT_END).await;
+        (ended.lost, ended.record_problem) = (record.lost_of(&ended.id), record.problem());
         Ok(Json(ended))
     }
     .await;
@@ -105,47 +99,52 @@ pub(in crate::daemon) async fn end(
 /// Reads the whole record, so that the status says what is missing. Waits for the disk for at most `within`.
 pub(in crate::daemon) async fn look_for_losses(engine: &Engine, within: Duration) {
     // Without an answer of the disk the status has its problem already.
-    let _ = tokio::time::timeout(within, recorded(engine, within, |_, _, _| Ok(()))).await;
+    let _ = tokio::time::timeout(within, recorded(engine, within)).await;
 }
 
-/// Calls `make` on the reader's thread, and returns its result. `make` gets the record's directory, the recorded sessions with the
-/// running one, and whether the disk has taken the newest entries `within` this time. None: nothing is recorded.
-async fn recorded<T: Send + 'static>(
+/// Calls `read` on the reader's thread once the disk has taken the newest entries, or has not `within` this time, which it is told. It
+/// also gets the record's directory, the daemon's sessions of which the disk may lack lines, and the running one. None: nothing is
+/// recorded.
+async fn reads<T: Send + 'static>(
     engine: &Engine,
     within: Duration,
-    make: impl FnOnce(&FilePath, Sessions, bool) -> Result<T, RecordError> + Send + 'static,
+    read: impl FnOnce(&FilePath, &[Known], Option<&Session>, bool) -> Result<T, RecordError> + Send + 'static,
 ) -> Answer<Option<T>> {
-    let running = engine.lock().session();
-    let record = engine.session_record();
+    let record = engine.record();
     let Some(dir) = record.dir() else { return Ok(None) };
-    let read = move || {
-        let written = record.wait_until_written(within);
-        let mut sessions = reader::sessions(&dir, &record.known(), running)?;
-        if written && record.problem().is_none() {
-            record.set_found(sessions.missing());
-        }
-        let slow = (!written).then(slow_disk);
-        for problem in slow.into_iter().chain(record.problem()) {
-            sessions.problems.insert(0, problem);
-            sessions.problems.truncate(MAX_LISTED);
-            sessions.unreadable += 1;
-        }
-        make(&dir, sessions, written)
-    };
+    let written = record.written(within).await;
+    let running = engine.lock().session();
+    let read = move || read(&dir, &record.known(), running.as_ref(), written);
     Ok(Some(reading(read).await??))
 }
 
+/// All sessions, with the present problem of the record. None: nothing is recorded.
+async fn recorded(engine: &Engine, within: Duration) -> Answer<Option<Sessions>> {
+    let record = engine.record();
+    reads(engine, within, move |dir, known, running, written| {
+        let mut sessions = reader::sessions(dir, known, running)?;
+        if written && record.problem().is_none() {
+            record.set_found(sessions.missing());
+        }
+        for problem in (!written).then(slow_disk).into_iter().chain(record.problem()) {
+            sessions.problems.add(problem);
+        }
+        Ok(sessions)
+    })
+    .await
+}
+
 pub(in crate::daemon) async fn list(State(app): State<App>) -> Answer<Response> {
-    // Serialize here: ten thousand sessions would take milliseconds of the runtime's only thread.
-    let json = |list: &SessionList| serde_json::to_vec(list).unwrap_or_default();
     let running = app.engine.lock().session();
-    let made = recorded(&app.engine, WRITTEN, move |_, Sessions { recorded, unreadable, problems }, _| {
-        let sessions = recorded.into_iter().map(|recorded| recorded.session).collect();
-        Ok(json(&SessionList { sessions, unreadable, problems }))
-    });
-    let unrecorded =
-        || json(&SessionList { sessions: running.into_iter().collect(), ..SessionList::default() });
-    Ok(json_response(made.await?.unwrap_or_else(unrecorded)))
+    let list = match recorded(&app.engine, WRITTEN).await? {
+        Some(Sessions { recorded, problems: Problems { count, lines } }) => {
+            SessionList { sessions: recorded, unreadable: count, problems: lines }
+        }
+        None => SessionList { sessions: running.into_iter().collect(), ..SessionList::default() },
+    };
+    // Ten thousand sessions would take milliseconds of the runtime's only thread.
+    let json = computing(move || serde_json::to_vec(&list).unwrap_or_default());
+    Ok(json_response(json.await?))
 }
 
 pub(in crate::daemon) async fn show(State(app): State<App>, id: PathPart) -> Answer<Json<Session>> {
@@ -158,11 +157,10 @@ pub(in crate::daemon) async fn show(State(app): State<App>, id: PathPart) -> Ans
         return Err(no_session(&id).into());
     }
     let asked = id.clone();
-    let found = recorded(&app.engine, WRITTEN, move |_, sessions, _| {
-        Ok(sessions.recorded.into_iter().find(|recorded| recorded.session.id == asked))
+    let found = reads(&app.engine, WRITTEN, move |dir, known, running, _| {
+        Ok(reader::plays(dir, &asked, known, running, usize::MAX)?.map(|(plays, _)| plays.session))
     });
-    let found = found.await?.flatten().ok_or_else(|| not_recorded(&id))?;
-    Ok(Json(found.session))
+    Ok(Json(found.await?.flatten().ok_or_else(|| not_recorded(&id))?))
 }
 
 fn not_recorded(id: &str) -> Problem {
@@ -178,21 +176,18 @@ pub(in crate::daemon) async fn plays(State(app): State<App>, uri: Uri, id: PathP
         return Err(no_session(&id).into());
     }
     let (asked, store) = (id.clone(), Arc::clone(&app.store));
-    let json = recorded(&app.engine, WRITTEN, move |dir, sessions, written| {
-        let found = sessions.recorded.into_iter().find(|recorded| recorded.session.id == asked);
-        let Some(found) = found else { return Ok(None) };
-        let mut plays = reader::plays(dir, found, from)?;
-        // Those of the whole record: what is missing elsewhere may be other sessions.
-        (plays.unreadable, plays.problems) = (sessions.unreadable, sessions.problems);
-        if !written {
-            plays.lack(slow_disk());
-        }
-        mark_kept(&mut plays.plays, &store, dir);
-        Ok(Some(serde_json::to_vec(&plays).unwrap_or_default()))
+    let json = reads(&app.engine, WRITTEN, move |dir, known, running, written| {
+        let found = reader::plays(dir, &asked, known, running, from)?;
+        Ok(found.map(|(mut plays, texts)| {
+            if !written {
+                plays.lack(slow_disk());
+            }
+            mark_kept(&mut plays.plays, &store, &texts);
+            serde_json::to_vec(&plays).unwrap_or_default()
+        }))
     });
     let Some(json) = json.await? else {
-        let detail =
-            "this daemon keeps no session record: start it without --no-record, and see `logbook_days`";
+        let detail = "this daemon keeps no session record: start it without --no-record";
         return Err(Problem::new(Code::NotFound, detail).into());
     };
     Ok(json_response(json.ok_or_else(|| not_recorded(&id))?))
@@ -203,14 +198,14 @@ fn slow_disk() -> String {
     format!("the disk has not taken the newest entries within {} s: ask again", WRITTEN.as_secs())
 }
 
-/// Marks the plays whose patterns' texts are stored, or kept in the record.
-fn mark_kept(plays: &mut [RecordedPlay], store: &Store, record: &FilePath) {
+/// Marks the plays whose patterns' texts are stored, or stand in the session's file.
+fn mark_kept(plays: &mut [RecordedPlay], store: &Store, texts: &HashSet<String>) {
     let mut known = HashMap::<String, bool>::new();
     let mut is_kept = |item: &ItemRecord| {
         *known.entry(item.pattern_sha256.to_string()).or_insert_with_key(|sha256| {
             // A blank item has no text.
             sha256.is_empty()
-                || keeps_text(record, sha256)
+                || texts.contains(sha256)
                 || store.get(&item.pattern).is_ok_and(|stored| stored.sha256 == *sha256)
         })
     };

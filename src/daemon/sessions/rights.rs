@@ -113,7 +113,7 @@ mod tests {
     use crate::daemon::runtime;
     use crate::daemon::sessions::caller::{Asker, DAEMON};
     use crate::daemon::sessions::right;
-    use crate::session_record::Peer;
+    use crate::record::Peer;
     use meissner_api::{Route, Session, SessionRequest};
     use meissner_array::spec::Array;
     use meissner_stream::Settings;

@@ -8,11 +8,11 @@ use crate::daemon::net::refusal::{NOT_VALID, READS_ONLY};
 use crate::daemon::sessions::caller::{Asker, Caller};
 use crate::daemon::sessions::rights::{NoRight, going_on};
 use crate::daemon::sessions::state::{Running, no_play, no_session, random_hex};
-use crate::session_record::{Entry, Note};
+use crate::record::Entry;
 use meissner_api::access::{Access, SessionRule};
 use meissner_api::{
-    Code, EndCause, Event, PlayAnswer, PlayState, Problem, Receipt, Role, Route, Session, SessionRequest,
-    SessionStarted,
+    Code, EndCause, Event, PlayAnswer, PlayState, Problem, Receipt, RecordNeed, Role, Route, Session,
+    SessionRequest, SessionStarted,
 };
 use meissner_input::message;
 use meissner_stream::queues::Command;
@@ -20,6 +20,14 @@ use meissner_stream::time::HostInstant;
 use std::collections::BTreeSet;
 use tokio::sync::oneshot;
 use tracing::info;
+
+/// The error that no session starts, because its start is not recorded.
+fn no_session_without_record(why: &str) -> Problem {
+    let detail = format!(
+        "no session was started: {why}; let the daemon write there, or start it with --no-record to play without a record"
+    );
+    Problem::new(Code::Store, detail)
+}
 
 /// Characters of a warning about the record in a receipt, at most.
 const MAX_WARNING: usize = 160;
@@ -45,15 +53,15 @@ impl State {
             return Err(Problem::new(Code::SessionRunning, detail));
         }
         self.check_nothing_plays()?;
-        if !self.publisher.session_record.takes_plays() {
-            let detail = "the session record has no room for more at this rate: try again later";
-            return Err(Problem::new(Code::TooManyPlays, detail));
+        let is_required = request.record == RecordNeed::Required;
+        if is_required && let Some(why) = self.publisher.record.problem() {
+            return Err(no_session_without_record(&why));
         }
         let no_numbers = || Problem::new(Code::Store, "the system gives no random numbers for the token");
         let (token, unique) =
             (random_hex::<16>().ok_or_else(no_numbers)?, random_hex::<3>().ok_or_else(no_numbers)?);
         let now = clock::now().1;
-        let SessionRequest { participant, experiment, labels, seed, exclusive } = request;
+        let SessionRequest { participant, experiment, labels, seed, exclusive, record } = request;
         let session = Session {
             id: format!("{}-{unique}", now.strftime("%Y%m%dT%H%M%SZ")),
             participant,
@@ -68,28 +76,27 @@ impl State {
         let started = SessionStarted {
             id: session.id.clone(),
             token: token.clone(),
-            record_problem: self.record_problem().filter(|_| self.publisher.session_record.dir().is_none()),
+            record_problem: self.record_problem(),
         };
         self.exposure.start_session(&session.participant);
         self.sessions.running =
-            Some(Running { session, token, heard: HostInstant::now(), answered: BTreeSet::new() });
+            Some(Running { session, record, token, heard: HostInstant::now(), answered: BTreeSet::new() });
         self.rights_changed();
-        let event = self.session().map(|session| Event::SessionStarted { session: Box::new(session) });
-        let entry = event.as_ref().and_then(|event| Entry::of(event, None));
-        let record = &self.publisher.session_record;
-        let recorded = entry.filter(|_| record.dir().is_some()).map(|entry| record.add_told(entry));
-        Ok((started, recorded))
+        let (version, device) = (env!("CARGO_PKG_VERSION"), self.plays.receipts.device());
+        let session = Box::new(self.session().unwrap_or_default());
+        let (record, entry) = (&self.publisher.record, Entry::SessionStarted { session, version, device });
+        if is_required && record.dir().is_some() {
+            return Ok((started, Some(record.add_told(entry))));
+        }
+        record.add(entry);
+        Ok((started, None))
     }
 
-    /// Announces a session whose start has a line, or that is not recorded at all (`Some(true)`). Otherwise ends it: as if it had
-    /// never begun if the start has no line, with an end in the record if the line may yet come (`None`).
-    pub(in crate::daemon) fn session_recorded(
-        &mut self,
-        id: &str,
-        is_recorded: Option<bool>,
-    ) -> Result<(), Problem> {
+    /// Announces a session whose start has a line, or needs none. Otherwise ends it, as if it had never
+    /// begun.
+    pub(in crate::daemon) fn session_recorded(&mut self, id: &str, is_recorded: bool) -> Result<(), Problem> {
         let session = self.session().filter(|session| session.id == id);
-        if is_recorded == Some(true) {
+        if is_recorded {
             if let Some(session) = session.map(Box::new) {
                 self.publisher.announce(&Event::SessionStarted { session });
             }
@@ -97,16 +104,26 @@ impl State {
         }
         let why =
             self.record_problem().unwrap_or_else(|| "the disk of the session record is too slow".to_owned());
-        if session.is_some() && is_recorded.is_none() {
-            self.close_session("not-recorded");
-        } else if session.is_some() {
+        if session.is_some() {
             self.exposure.end_session();
             self.sessions.running = None;
             self.rights_changed();
-            self.publisher.session_record.forget_session(id);
+            self.publisher.record.forget_session(id);
         }
+        Err(no_session_without_record(&why))
+    }
+
+    /// Refuses a play of a session whose record is required and cannot be written.
+    pub(in crate::daemon) fn check_record(&self) -> Result<(), Problem> {
+        let running = self.sessions.running.as_ref();
+        let needs = running.filter(|running| running.record == RecordNeed::Required);
+        let Some((Running { session, .. }, why)) = needs.zip(self.publisher.record.problem()) else {
+            return Ok(());
+        };
         let detail = format!(
-            "no session was started: {why}; let the daemon write there, or start it with --no-record to play without a record"
+            "session {} takes no plays: {why}; free space there or let the daemon write there, which it tries every second; sessions \
+             started with `\"record\": \"optional\"` go on without it",
+            session.id
         );
         Err(Problem::new(Code::Store, detail))
     }
@@ -128,7 +145,7 @@ impl State {
         let mut session = self.session()?;
         session.vibration_s = self.exposure.end_session();
         (session.ended, session.reason) = (Some(clock::local_text()), Some(reason.to_owned()));
-        session.release_in_s = None;
+        (session.release_in_s, session.record_problem) = (None, None);
         self.sessions.running = None;
         self.rights_changed();
         self.publish(&Event::SessionEnded { session: Box::new(session.clone()) });
@@ -137,14 +154,14 @@ impl State {
 
     /// Why nothing is recorded now.
     fn record_problem(&self) -> Option<String> {
-        let record = &self.publisher.session_record;
+        let record = &self.publisher.record;
         let none = || "this daemon keeps no session record: start it without --no-record".to_owned();
         record.problem().or_else(|| record.dir().is_none().then(none))
     }
 
     /// What the session record lacks that concerns a play: entries of its session, or all that comes now.
     pub(in crate::daemon) fn record_warning(&self, receipt: &Receipt) -> Option<String> {
-        let record = &self.publisher.session_record;
+        let record = &self.publisher.record;
         let lost = receipt.order.terms.session.as_ref().map_or(0, |session| record.lost_of(session).entries);
         let told = (lost > 0).then(|| format!("the session record has lost {lost} entries of this session"));
         Some(message::cut(&record.problem().or(told)?, MAX_WARNING))
@@ -155,7 +172,7 @@ impl State {
         if let Some(running) = &mut self.sessions.running {
             running.answered.remove(&play);
         }
-        let slow = || "the disk of the session record has not taken it, and may still do so".to_owned();
+        let slow = || "the disk of the session record has not taken it in time".to_owned();
         let why = self.record_problem().unwrap_or_else(slow);
         Problem::new(Code::Store, format!("the answer to play {play} is not recorded: {why}; send it again"))
     }
@@ -190,13 +207,9 @@ impl State {
             let detail = format!("play {play} has an answer already: a play has one at most");
             return Err(Problem::new(Code::Exists, detail));
         }
-        if !self.publisher.session_record.takes_plays() {
-            let detail = "the session record has no room for more at this rate: try again later";
-            return Err(Problem::new(Code::TooManyPlays, detail));
-        }
         running.answered.insert(play);
         let session = running.session.id.clone();
-        Ok(self.publisher.session_record.add_told(Note::Answered { session, play, answer }))
+        Ok(self.publisher.record.add_told(Entry::Answered { session, play, answer }))
     }
 
     /// Opens an exclusive session to others, if its owner has been silent for too long.
@@ -214,9 +227,10 @@ impl State {
     pub(in crate::daemon) fn session(&self) -> Option<Session> {
         let Running { session, .. } = self.sessions.running.as_ref()?;
         let left = self.sessions.until_release(&session.id).filter(|_| session.is_closed_to_others());
-        let lost = self.publisher.session_record.lost_of(&session.id);
+        let lost = self.publisher.record.lost_of(&session.id);
         Some(Session {
             lost,
+            record_problem: self.publisher.record.problem(),
             vibration_s: self.exposure.session_s(),
             release_in_s: left.map(|left| left.as_secs_f64()),
             ..session.clone()

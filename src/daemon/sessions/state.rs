@@ -7,7 +7,7 @@
 
 use crate::receipts::KEPT;
 use crate::store::hexadecimal;
-use meissner_api::{Code, Problem, Session};
+use meissner_api::{Code, Problem, RecordNeed, Session};
 use meissner_stream::time::{HostInstant, random};
 use std::collections::BTreeSet;
 use std::time::Duration;
@@ -16,6 +16,8 @@ use std::time::Duration;
 #[derive(Debug)]
 pub(super) struct Running {
     pub(super) session: Session,
+    /// Whether it goes on while it cannot be recorded.
+    pub(super) record: RecordNeed,
     pub(super) token: String,
     /// When the last request with the token came.
     pub(super) heard: HostInstant,

@@ -20,7 +20,6 @@ use std::time::Duration;
 const READ: Duration = Duration::from_secs(3);
 
 pub(in crate::daemon) async fn status(Call { app, by }: Call) -> Json<Status> {
-    app.engine.session_record().look().await;
     Json(report::status(&app.engine, Some(&by)))
 }
 

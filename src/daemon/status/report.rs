@@ -36,7 +36,7 @@ pub(in crate::daemon) fn status(engine: &Engine, by: Option<&Asker>) -> Status {
     };
     let settings = &daemon.settings;
     let at_link = snapshot.filter(|at| at.connected);
-    let record = &daemon.publisher.session_record;
+    let record = &daemon.publisher.record;
     Status {
         state: state.to_owned(),
         cause,
@@ -95,7 +95,10 @@ pub(in crate::daemon) fn status(engine: &Engine, by: Option<&Asker>) -> Status {
             drift_limit_um: settings.drift_limit_um,
             lead_ms: snapshot.map_or(settings.lead_ms, |snapshot| snapshot.lead_ms),
             lease_ms: settings.lease_ms,
-            logbook_problem: record.problem().or_else(|| daemon.exposure.problem()).or_else(|| record.gaps()),
+            logbook_problem: record
+                .problem()
+                .or_else(|| daemon.exposure.problem())
+                .or_else(|| record.found()),
             logbook_lost: record.lost(),
         },
     }
@@ -123,7 +126,7 @@ pub(in crate::daemon) fn status_line(engine: &Engine) -> String {
         0 => {}
         queued => drop(write!(line, "; {queued} queued")),
     }
-    let problem = daemon.publisher.session_record.problem();
+    let problem = daemon.publisher.record.problem();
     if let Some(problem) = problem.or_else(|| daemon.exposure.problem()) {
         let _ = write!(line, "; {problem}");
     }

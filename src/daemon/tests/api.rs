@@ -1,6 +1,7 @@
 //! The local API of a real daemon: commands, receipts, events, errors, and the end.
 
 use super::bench::{Bench, Client, Events, LOCAL, began, ended, next, problem, refusal};
+use super::sessions::owner;
 use meissner_api::{DoctorReport, EndCause, Event, Level, MAX_BODY, MAX_CLIENTS, PlayState, Receipt, Status};
 use meissner_test_support::assert_accounts;
 use serde_json::{Value, json};
@@ -166,7 +167,7 @@ fn one_sample_of_the_status_pairs_the_clocks() {
 #[test]
 fn a_pattern_is_shown_as_it_was_played() {
     let daemon = Bench::start();
-    let mut client = daemon.armed();
+    let (mut client, _) = owner(&daemon, "P07", false);
     let mut events = daemon.client().events();
     let text = |amplitude_um: u32| {
         format!(

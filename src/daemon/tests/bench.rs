@@ -28,7 +28,7 @@ use crate::daemon::sessions::right::Right;
 use crate::daemon::sessions::rights::going_on;
 use crate::daemon::tokens::store::TokenStore;
 use crate::log::kept::Kept;
-use crate::session_record::{NetworkPeer, Note, Peer, Recorder, SessionRecord, Users};
+use crate::record::{Entry, NetworkPeer, Peer, Record, Recorder, Users};
 use axum::Router;
 use axum::body::{Body, Bytes};
 use axum::http::Request;
@@ -46,7 +46,7 @@ use serde_json::{Value, json};
 use std::cell::Cell;
 use std::io::{self, Read, Write};
 use std::net::{IpAddr, Ipv4Addr};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::rc::Rc;
 use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::Duration;
@@ -148,6 +148,9 @@ impl Bench {
             format!("patterns_dir = {:?}\nlogbook_dir = {:?}\n{config}", path("patterns"), path("logbook"));
         let text = if config.contains("device = ") { text } else { format!("device = \"mock\"\n{text}") };
         let (kept, mut config) = (config.to_owned(), Config::parse(&text, &path("meissner.toml")).unwrap());
+        if kept.contains("# no record") {
+            config.logbook = None;
+        }
         if config.device == (Spec::MockBoard { lower_stop: true }) {
             config.add_lower_stop();
         }
@@ -162,8 +165,8 @@ impl Bench {
                 users.look_up(0);
                 std::thread::yield_now();
             }
-            let record = config.logbook.clone().map_or_else(SessionRecord::none, |location| {
-                let (record, recorder) = SessionRecord::turned(location, Arc::clone(&users));
+            let record = config.logbook.clone().map_or_else(Record::none, |location| {
+                let (record, recorder) = Record::turned(location, Arc::clone(&users));
                 tokio::spawn(write(recorder));
                 record
             });
@@ -208,7 +211,7 @@ impl Bench {
             engine.lock().close_session("daemon-ended");
             engine.lock().publisher.close();
             let _ = close.send(true);
-            engine.session_record().add(Note::DaemonEnded { problem: None });
+            engine.record().add(Entry::DaemonEnded { problem: None });
             // The disk.
             sleep(Duration::from_secs(2)).await;
         });
@@ -236,17 +239,13 @@ impl Bench {
 
     /// The whole session record.
     pub(super) fn record(&self) -> String {
-        let files = self.days().into_iter();
+        let files = record_files(&self.path("logbook")).into_iter();
         files.filter_map(|file| std::fs::read_to_string(file).ok()).collect()
     }
 
-    /// The daily files of the session record.
-    pub(super) fn days(&self) -> Vec<PathBuf> {
-        let files = std::fs::read_dir(self.path("logbook")).unwrap().map(|file| file.unwrap().path());
-        let mut files: Vec<_> =
-            files.filter(|file| file.extension().is_some_and(|end| end == "jsonl")).collect();
-        files.sort();
-        files
+    /// The file of a session.
+    pub(super) fn session(&self, id: &str) -> PathBuf {
+        self.path(&format!("logbook/sessions/{id}.jsonl"))
     }
 
     /// A file in its directory.
@@ -313,6 +312,18 @@ impl Bench {
         let _: Status = client.post("/v1/arm", &json!({"assume_rest": true})).unwrap();
         client
     }
+}
+
+/// The files of a session record: what belongs to no session comes first.
+pub(super) fn record_files(dir: &Path) -> Vec<PathBuf> {
+    let of = |dir: &Path| {
+        let files = std::fs::read_dir(dir).into_iter().flatten().map(|file| file.unwrap().path());
+        let mut files: Vec<_> =
+            files.filter(|file| file.extension().is_some_and(|end| end == "jsonl")).collect();
+        files.sort();
+        files
+    };
+    [of(dir), of(&dir.join("sessions"))].concat()
 }
 
 impl Drop for Parts {

@@ -3,7 +3,6 @@
 use super::bench::{Bench, ended, problem, refusal};
 use meissner_api::{EndCause, PlanCheck, Status};
 use serde_json::{Value, json};
-use std::fs;
 
 const BLIND: &str = "drift_limit_um = 60\n[mock]\ntelemetry_hz = 0\n";
 
@@ -30,11 +29,7 @@ fn a_drifting_array_ends_plays_refuses_them_and_asks_for_a_check() {
     assert_eq!(armed.state, "armed");
     let _: Value = client.post("/v1/play", &play).unwrap();
     assert_eq!(ended(&mut events).state.name(), "done");
-    let recorded = || -> String {
-        let files = fs::read_dir(daemon.path("logbook")).unwrap();
-        files.filter_map(|file| fs::read_to_string(file.unwrap().path()).ok()).collect()
-    };
-    daemon.until(|| recorded().contains("\"checked\":\"Ada\""));
+    daemon.until(|| daemon.record().contains("\"checked\":\"Ada\""));
 }
 
 #[test]

@@ -1,7 +1,7 @@
 //! Live plays: updates, objects, mistakes, and clients that vanish.
 
 use super::bench::{Bench, LOCAL, Wire, ended, problem};
-use crate::session_record::Peer;
+use crate::record::Peer;
 use meissner_api::{EndCause, LiveAccepted, LiveAnswer, LiveApplied, Status};
 use meissner_test_support::assert_accounts;
 use serde_json::{Value, json};

@@ -1,9 +1,9 @@
 //! Plays with motions: inline patterns, what is told before and after, refusals in one line, overlapping and blank items.
 
 use super::bench::{Bench, problem};
+use super::sessions::owner;
 use meissner_api::{ItemState, PlayState};
 use serde_json::{Value, json};
-use std::fs;
 use std::time::Duration;
 
 /// A press of 0.3 s on pin 9.
@@ -38,7 +38,7 @@ fn holds_are_bounded_and_refused_before_the_device_would_end_them() {
 #[test]
 fn an_inline_pattern_is_played_told_and_kept_like_a_stored_one() {
     let bench = Bench::start();
-    let client = bench.armed();
+    let (client, _) = owner(&bench, "P07", false);
     let request = json!({"pattern": press(), "labels": {"what": "press"}});
     let (accepted, receipt) = client.played(&request);
     assert_eq!((receipt.name.as_str(), receipt.state), ("inline", PlayState::Done), "{receipt:?}");
@@ -56,10 +56,9 @@ fn an_inline_pattern_is_played_told_and_kept_like_a_stored_one() {
     assert!((onset..onset + 85 * 20).contains(&pin.first_pulse_tick), "{pin:?} after {onset}");
     assert!((25_000..27_000).contains(&(pin.offset_tick - onset)), "{pin:?} after {onset}");
     // The hash is that of the text that the session record keeps, and it is the same for the same content.
-    let path = bench.path(&format!("logbook/patterns/{}.toml", receipt.sha256));
     bench.advance(Duration::from_secs(1));
-    let text = fs::read_to_string(path).unwrap();
-    assert!(text.contains("[[ramp]]") && text.contains("name = \"inline\""), "{text}");
+    let text = bench.record().lines().find(|line| line.contains("\"event\":\"pattern\"")).unwrap().to_owned();
+    assert!(text.contains("[[ramp]]") && text.contains("name = \\\"inline\\\""), "{text}");
     let again = json!({"pattern": "inline", "pattern_sha256": receipt.sha256});
     assert_eq!(client.played(&again).1.sha256, receipt.sha256);
     let (_, same) = client.played(&json!({"pattern": press()}));

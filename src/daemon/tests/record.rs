@@ -1,12 +1,17 @@
-//! The session record under faults: directories and files that are away, kills, lines that somebody takes away.
+//! The session record under faults: disks that fail, kills, and what somebody does to its files.
 
-use super::bench::{Bench, Client, LOCAL, ended, next, problem};
+use super::bench::{Bench, Client, DISK_STALLS, LOCAL, ended, next, problem};
 use super::sessions::owner;
-use meissner_api::{DoctorReport, Event, Level, Receipt, Session, SessionList, SessionPlays, Status};
+use crate::record::simulated_disk::{DIES_AFTER, FAILS, ROOM};
+use meissner_api::{
+    DoctorReport, Event, Level, Problem, Receipt, Session, SessionList, SessionPlays, SessionStarted, Status,
+};
+use meissner_stream::time::{HostInstant, set_wall};
 use serde_json::{Value, json};
 use std::fs::{self, File};
 use std::io::Write;
 use std::path::Path;
+use std::time::Duration;
 
 fn play(client: &Client, number: u64) {
     for _ in 0..number {
@@ -50,13 +55,17 @@ fn warnings(client: &Client) -> String {
     client.get::<Receipt>("/v1/plays/last").unwrap().reach.warnings.join("; ")
 }
 
-/// Something that happens to the record's directory, or to the file of the day.
+/// Something that happens to the record's directory, or to the file of the session.
 type Damage = fn(&Path, &Path);
 
-/// What makes the record unwritable, and what ends that. tests/record.rs fills the disk.
-const UNWRITABLE: [(Damage, Damage); 2] = [
-    // A file in the directory's place.
+/// What makes the record fail, and what ends that; whether lines are lost, and whether it is noticed
+/// without a further entry.
+const FAILURES: [(&str, Damage, Damage, bool, bool); 7] = [
+    ("full", |_, _| ROOM.set(0), |_, _| ROOM.set(usize::MAX), true, false),
+    ("fails", |_, _| FAILS.set(true), |_, _| FAILS.set(false), true, false),
+    ("stands still", |_, _| DISK_STALLS.set(true), |_, _| DISK_STALLS.set(false), false, false),
     (
+        "a file in the directory's place",
         |folder, _| {
             fs::rename(folder, folder.with_extension("away")).unwrap();
             fs::write(folder, "").unwrap();
@@ -65,221 +74,315 @@ const UNWRITABLE: [(Damage, Damage); 2] = [
             fs::remove_file(folder).unwrap();
             fs::rename(folder.with_extension("away"), folder).unwrap();
         },
+        true,
+        true,
     ),
-    // A directory in the file's place.
     (
-        |_, day| {
-            fs::rename(day, day.with_extension("away")).unwrap();
-            fs::create_dir(day).unwrap();
+        "a directory in the file's place",
+        |_, file| {
+            fs::rename(file, file.with_extension("away")).unwrap();
+            fs::create_dir(file).unwrap();
         },
-        |_, day| {
-            fs::remove_dir(day).unwrap();
-            fs::rename(day.with_extension("away"), day).unwrap();
+        |_, file| {
+            fs::remove_dir(file).unwrap();
+            fs::rename(file.with_extension("away"), file).unwrap();
         },
+        true,
+        true,
     ),
+    ("the file is removed", |_, file| fs::remove_file(file).unwrap(), |_, _| {}, true, true),
+    ("the folder is removed", |folder, _| fs::remove_dir_all(folder).unwrap(), |_, _| {}, true, true),
 ];
 
-#[test]
-fn no_session_starts_while_its_start_cannot_be_recorded() {
-    let daemon = Bench::start();
-    let client = daemon.armed();
-    for (damage, repair) in UNWRITABLE {
-        list(&daemon);
-        let day = daemon.days().remove(0);
-        let folder = day.parent().unwrap();
-        let before = list(&daemon).sessions.len();
-        damage(folder, &day);
-        let start = |client: &Client| client.post::<Value>("/v1/sessions", &json!({"participant": "P07"}));
-        for _ in 0..2 {
-            let refused = problem(start(&client));
-            let says = "no session was started: the session record cannot be written: ";
-            assert!(refused.code == "store" && refused.detail.starts_with(says), "{refused:?}");
-            assert_eq!(status(&client).session, None);
-        }
-        repair(folder, &day);
-        daemon.until(|| start(&client).is_ok());
-        let over = end(&client);
-        assert!(!over.lost.any());
-        let list = list(&daemon);
-        assert_eq!(list.sessions.len(), before + 1, "{list:?}");
-    }
+fn answer(client: &Client, play: u64) -> Result<Value, Problem> {
+    client.post(&format!("/v1/plays/{play}/answer"), &json!({"response": "left"}))
 }
 
 #[test]
-fn an_answer_that_cannot_be_recorded_is_refused_and_everybody_is_told() {
-    for (damage, repair) in UNWRITABLE {
+fn a_record_that_fails_is_said_at_once_and_its_session_takes_no_plays() {
+    for (what, damage, repair, loses, is_seen) in FAILURES {
         let daemon = Bench::start();
         let (client, started) = owner(&daemon, "P07", false);
-        let mut events = client.events();
         play(&client, 1);
-        list(&daemon);
-        assert!(!warnings(&client).contains("session record"));
-        let day = daemon.days().remove(0);
-        let folder = day.parent().unwrap();
-        damage(folder, &day);
-        let answer =
-            |client: &Client| client.post::<Value>("/v1/plays/1/answer", &json!({"response": "left"}));
-        // It is not taken as answered, either.
-        for _ in 0..2 {
-            let refused = problem(answer(&client));
+        let file = daemon.session(&started.id);
+        let folder = daemon.path("logbook");
+        let mut events = client.events();
+        let order = json!({"pattern": "pin-60", "seconds": 2.5});
+        let _: Value = client.post("/v1/play", &order).unwrap();
+        daemon.advance(Duration::from_millis(20));
+        damage(&folder, &file);
+        let at = daemon.now(HostInstant::now);
+        if !is_seen || what.contains("place") {
+            let refused = problem(answer(&client, 1));
             let says = "the answer to play 1 is not recorded: the session record cannot be written: ";
-            assert!(refused.code == "store" && refused.detail.starts_with(says), "{refused:?}");
+            assert!(refused.code == "store" && refused.detail.starts_with(says), "{what}: {refused:?}");
+            let after = daemon.now(HostInstant::now).since(at);
+            assert!(after <= Duration::from_millis(1010), "{what}: {after:?}");
         }
         let told = next(&mut events, |event| match event {
             Event::RecordProblem { problem, .. } => problem,
             _ => None,
         });
-        assert!(told.contains("cannot be written"), "{told}");
-        assert!(warnings(&client).contains("the session record cannot be written"));
-        let now = status(&client);
-        assert!(
-            now.daemon.logbook_problem.is_some()
-                && now.session.is_some_and(|session| session.lost.entries >= 2)
-        );
-        // A play meanwhile tells it, too.
-        let _: Value = client.post("/v1/play", &json!({"pattern": "pin-60", "seconds": 0.05})).unwrap();
-        assert!(
-            ended(&mut events).reach.warnings.join("; ").contains("the session record cannot be written")
-        );
-        repair(folder, &day);
-        daemon.until(|| answer(&client).is_ok());
-        assert_eq!(problem(answer(&client)).code, "exists");
-        next(&mut events, |event| match event {
-            Event::RecordProblem { problem: None, lost: 2.. } => Some(()),
-            _ => None,
-        });
-        assert!(warnings(&client).contains("entries of this session"));
+        assert!(told.contains("cannot be written"), "{what}: {told}");
+        assert!(daemon.now(HostInstant::now).since(at) <= Duration::from_millis(1110), "{what}");
+        if what.contains("removed") {
+            // The daemon soon makes another one, which says what is gone.
+            daemon.until(|| status(&client).daemon.logbook_problem.is_none());
+        } else {
+            let now = status(&client);
+            assert!(now.daemon.logbook_problem.is_some(), "{what}");
+            assert!(now.session.unwrap().record_problem.is_some(), "{what}");
+            assert!(warnings(&client).contains("the session record cannot be written"), "{what}");
+            let refused = problem(client.post("/v1/play", &order));
+            let says = format!("session {} takes no plays: the session record cannot be", started.id);
+            assert!(refused.code == "store" && refused.detail.starts_with(&says), "{what}: {refused:?}");
+            let receipt = ended(&mut events);
+            let warned = receipt.reach.warnings.join("; ");
+            assert!(warned.contains("the session record cannot be written"), "{what}: {warned}");
+            for path in ["/v1/stop", "/v1/disarm", "/v1/estop"] {
+                let _: Status = client.post(path, &json!({})).unwrap();
+            }
+            let _: Status = client.post("/v1/reset", &json!({"force": true})).unwrap();
+            let _: Status = client.post("/v1/arm", &json!({"assume_rest": true})).unwrap();
+            repair(&folder, &file);
+        }
+        daemon.until(|| answer(&client, 1).is_ok());
+        assert_eq!(problem(answer(&client, 1)).code, "exists", "{what}");
+        client.played(&json!({"pattern": "pin-60", "seconds": 0.05}));
         let over = end(&client);
-        assert!(over.lost.entries >= 2 && over.lost.plays == 1, "{over:?}");
+        assert_eq!(over.lost.any(), loses, "{what}: {over:?}");
         let exported = exported(&daemon, &started.id);
-        assert_eq!(exported.plays[0].answer.as_ref().unwrap().response, "left");
+        assert_eq!(exported.complete, !loses, "{what}: {:?}", exported.missing);
+        let given = exported.plays.iter().find(|play| play.receipt.id == 1);
+        if what.contains("removed") {
+            assert!(given.is_none(), "{what}");
+        } else {
+            assert_eq!(given.unwrap().answer.as_ref().unwrap().response, "left", "{what}");
+        }
+        let text = fs::read_to_string(&file).unwrap();
+        assert_eq!(text.matches("\"event\":\"answered\"").count(), 1, "{what}");
+        assert_eq!(text.contains("\"event\":\"lost\""), loses, "{what}");
+        let numbers = text.lines().map(|line| serde_json::from_str::<Value>(line).unwrap());
+        let numbers: Vec<_> = numbers.map(|line| line["number"].as_u64().unwrap()).collect();
+        assert_eq!(numbers, (1..=numbers.len() as u64).collect::<Vec<_>>(), "{what}");
+        // The next session lacks nothing.
+        let (client, next) = owner(&daemon, "P08", false);
+        play(&client, 1);
+        assert!(!end(&client).lost.any(), "{what}");
+        assert!(self::exported(&daemon, &next.id).complete, "{what}");
     }
 }
 
 #[test]
-fn acknowledged_answers_that_somebody_takes_away_are_told_without_a_further_entry() {
-    fn without_answer(day: &Path) -> String {
-        let text = fs::read_to_string(day).unwrap();
-        text.split_inclusive('\n').filter(|line| !line.contains("\"answered\"")).collect()
+fn no_session_starts_while_its_start_cannot_be_recorded_unless_its_record_is_optional() {
+    for (what, damage, repair, _, is_seen) in FAILURES {
+        if is_seen {
+            continue;
+        }
+        let daemon = Bench::start();
+        let mut client = daemon.armed();
+        daemon.advance(Duration::from_secs(1));
+        damage(Path::new(""), Path::new(""));
+        let start = |client: &Client, record: &str| {
+            client.post::<Value>("/v1/sessions", &json!({"participant": "P07", "record": record}))
+        };
+        for _ in 0..2 {
+            let refused = problem(start(&client, "required"));
+            let says = "no session was started: the session record cannot be written: ";
+            assert!(refused.code == "store" && refused.detail.starts_with(says), "{what}: {refused:?}");
+            assert_eq!(status(&client).session, None, "{what}");
+        }
+        let started = start(&client, "optional").unwrap();
+        assert!(started["record_problem"].as_str().unwrap().contains("cannot be written"), "{what}");
+        client.set_token(started["token"].as_str().map(str::to_owned));
+        play(&client, 2);
+        assert_eq!(problem(answer(&client, 1)).code, "store", "{what}");
+        repair(Path::new(""), Path::new(""));
+        daemon.until(|| status(&client).session.unwrap().record_problem.is_none());
+        play(&client, 1);
+        answer(&client, 3).unwrap();
+        let over = end(&client);
+        let id = started["id"].as_str().unwrap();
+        let exported = exported(&daemon, id);
+        // What only waited for the disk is there.
+        let (lost, plays) = if what == "stands still" { (0, 3) } else { (2, 1) };
+        assert_eq!((over.plays, over.lost.plays), (3, lost), "{what}");
+        assert_eq!((exported.plays_missing, exported.complete), (lost, lost == 0), "{what}");
+        assert_eq!(exported.plays.iter().filter(|play| play.receipt.onset.is_some()).count(), plays);
+        assert_eq!(list(&daemon).sessions.len(), 1, "{what}: those that were refused have no file");
     }
-    type Damage = fn(&Path);
-    let kinds: [(&str, Damage); 4] = [
-        ("status", |day| fs::remove_file(day).unwrap()),
-        ("list", |day| drop(File::create(day).unwrap())),
-        // As an editor saves it, and as `sed -i` does.
-        ("status", |day| fs::write(day, without_answer(day)).unwrap()),
-        ("doctor", |day| {
-            fs::write(day.with_extension("other"), without_answer(day)).unwrap();
-            fs::rename(day.with_extension("other"), day).unwrap();
-        }),
+}
+
+/// A whole session, what happens to its file, what is said of it, and whether the session is whole.
+type Found = (Damage, &'static str, bool);
+
+#[test]
+fn whatever_somebody_does_to_the_files_is_said_by_name() {
+    fn lines(file: &Path) -> Vec<String> {
+        fs::read_to_string(file).unwrap().split_inclusive('\n').map(str::to_owned).collect()
+    }
+    fn rename(file: &Path, name: &str) {
+        fs::rename(file, file.with_file_name(name)).unwrap();
+    }
+    const OTHER: &str = "20200101T000000Z-000000.jsonl";
+    let found: [Found; 15] = [
+        (|_, file| drop(File::create(file).unwrap()), "is empty", false),
+        (|_, file| fs::write(file, &lines(file)[..4].concat()).unwrap(), "is cut", false),
+        (
+            |_, file| fs::write(file, &fs::read(file).unwrap()[..1000]).unwrap(),
+            "not a line of a session",
+            false,
+        ),
+        (
+            |_, file| {
+                let mut lines = lines(file);
+                lines.remove(3);
+                fs::write(file, lines.concat()).unwrap();
+            },
+            "1 lines are missing inside",
+            false,
+        ),
+        (
+            |_, file| {
+                let mut lines = lines(file);
+                lines.insert(3, lines[3].clone());
+                fs::write(file, lines.concat()).unwrap();
+            },
+            "1 stand twice",
+            false,
+        ),
+        (
+            |_, file| fs::write(file, lines(file)[1..].concat()).unwrap(),
+            "its first line is not the start of a session",
+            false,
+        ),
+        (|_, file| fs::write(file, vec![0; 5000]).unwrap(), "its first line is not", false),
+        (|_, file| fs::write(file, b"\x1f\x8b\x08\x00\n\xff\xfe\n").unwrap(), "is packed", false),
+        (|_, file| fs::remove_file(file).unwrap(), "is missing, with session", false),
+        (|_, file| rename(file, "P07.jsonl.gz"), "is packed: unpack it", false),
+        (|_, file| rename(file, OTHER), "renamed or copied", true),
+        (|_, file| _ = fs::copy(file, file.with_file_name(OTHER)).unwrap(), "holds session", false),
+        (|dir, _| fs::write(dir.join("notes.txt"), "x").unwrap(), "is no session's file", true),
+        (|dir, _| fs::write(dir.join("a.jsonl"), "{}\n").unwrap(), "its first line is not", true),
+        (|dir, _| fs::create_dir(dir.join("b.jsonl")).unwrap(), "is a directory", true),
     ];
-    let doctor = |daemon: &Bench| {
-        let report: DoctorReport = daemon.client().get("/v1/doctor").unwrap();
-        report.findings.iter().any(|finding| finding.what == "logbook" && finding.level == Level::Warn)
-    };
-    let is_damaged = |daemon: &Bench| {
-        let list = list(daemon);
-        list.unreadable > 0 || list.sessions.iter().any(|session| session.lost.any())
-    };
-    let is_told = |status: &Status| status.daemon.logbook_problem.is_some() || status.daemon.logbook_lost > 0;
-    for (kind, (first, damage)) in kinds.into_iter().enumerate() {
+    for (damage, says, is_whole) in found {
         let daemon = Bench::start();
         let (client, started) = owner(&daemon, "P07", false);
         play(&client, 1);
-        list(&daemon);
-        let _: Value = client.post("/v1/plays/1/answer", &json!({"response": "left"})).unwrap();
-        list(&daemon);
-        assert!(!is_told(&status(&client)) && !doctor(&daemon));
-        damage(&daemon.days().remove(0));
-        match first {
-            "status" => daemon.until(|| is_told(&status(&daemon.client()))),
-            "doctor" => daemon.until(|| doctor(&daemon)),
-            _ => assert!(is_damaged(&daemon)),
-        }
-        assert!(doctor(&daemon), "{kind} {first}");
-        assert!(is_damaged(&daemon), "{kind} {first}");
-        let now = status(&client);
-        assert!(now.session.as_ref().is_some_and(|session| session.lost.any()), "{kind} {first}: {now:?}");
-        assert!(end(&client).lost.any(), "{kind} {first}");
-        assert!(!exported(&daemon, &started.id).complete, "{kind} {first}");
-        // The next daemon tells it, too.
-        daemon.end();
-        drop(client);
-        let daemon = daemon.again();
-        daemon.until(|| status(&daemon.client()).daemon.logbook_problem.is_some());
-        assert!(doctor(&daemon), "{kind} {first}");
-        assert!(is_damaged(&daemon), "{kind} {first}");
+        end(&client);
+        let (mine, other) = owner(&daemon, "P08", false);
+        end(&mine);
+        let doctor = || {
+            let report: DoctorReport = daemon.client().get("/v1/doctor").unwrap();
+            report.findings.iter().any(|finding| finding.what == "logbook" && finding.level == Level::Warn)
+        };
+        assert!(list(&daemon).problems.is_empty() && !doctor(), "{says}");
+        damage(&daemon.path("logbook/sessions"), &daemon.session(&started.id));
+        let listed = list(&daemon);
+        let named = listed.problems.iter().any(|line| line.contains("/sessions/") && line.contains(says));
+        assert!(named && listed.unreadable > 0, "{says}: {listed:?}");
+        assert!(doctor() && status(&client).daemon.logbook_problem.is_some(), "{says}");
+        let path = format!("/v1/sessions/{}/plays", started.id);
+        let whole = client.get::<SessionPlays>(&path).is_ok_and(|exported| exported.complete);
+        assert_eq!(whole, is_whole, "{says}");
+        assert!(exported(&daemon, &other.id).complete, "{says}: the other session is whole");
     }
 }
 
+/// What was acknowledged before the machine died in the middle of a write is there.
 #[test]
-fn sessions_that_vanish_with_their_file_are_told() {
-    let mut daemon = Bench::start();
-    let ids: Vec<_> = (0..6)
-        .map(|_| {
-            let (client, started) = owner(&daemon, "P07", false);
-            end(&client);
-            started.id
-        })
-        .collect();
-    daemon.end();
-    let today = daemon.days().remove(0);
-    let text = fs::read_to_string(&today).unwrap();
-    let lines: Vec<&str> = text.lines().collect();
-    let ends: Vec<_> =
-        (0..lines.len()).filter(|&at| lines[at].contains("\"event\":\"session-ended\"")).collect();
-    let (second, third) = (ends[1] + 1, ends[3] + 1);
-    let write = |path: &Path, lines: &[&str]| fs::write(path, lines.join("\n") + "\n").unwrap();
-    let parts = ["2026-01-02", "2026-01-03"].map(|day| today.with_file_name(format!("{day}.jsonl")));
-    write(&parts[0], &lines[..second]);
-    write(&parts[1], &lines[second..third]);
-    write(&today, &lines[third..]);
-    daemon = daemon.again();
-    let whole = |daemon: &Bench| {
-        let listed = list(daemon);
-        assert!(listed.sessions.len() == 6 && listed.problems.is_empty(), "{listed:?}");
-        assert_eq!(status(&daemon.client()).daemon.logbook_problem, None);
-    };
-    let told = |daemon: &Bench, says: &str| {
-        let listed = list(daemon).problems.join("; ");
-        assert!(listed.contains(says), "{says}: {listed}");
-        let problem = status(&daemon.client()).daemon.logbook_problem.unwrap();
-        assert!(problem.contains(says), "{says}: {problem}");
-        let warned = exported(daemon, &ids[5]);
-        let warned = (warned.problems.join("; "), warned.complete);
-        assert!(
-            warned.0.contains(says) && warned.1,
-            "the session is whole, others may be missing: {warned:?}"
-        );
-    };
-    let damages: [fn(&Path); 3] = [
-        |path| fs::remove_file(path).unwrap(),
-        |path| fs::write(path, b"\x1f\x8b\x08\x00\n\xff\xfe\n").unwrap(),
-        |path| fs::write(path, vec![0; fs::read(path).unwrap().len()]).unwrap(),
-    ];
-    for (path, (first, last)) in parts.iter().zip([(1, second), (second + 1, third)]) {
-        let before = fs::read(path).unwrap();
-        for damage in damages {
-            whole(&daemon);
-            damage(path);
-            told(&daemon, &format!("entries {first} to {last} of the session record are missing"));
-            fs::write(path, &before).unwrap();
+fn a_machine_that_dies_at_any_write_loses_nothing_that_was_acknowledged() {
+    let (mut writes, mut is_over) = (1, false);
+    while !is_over {
+        let daemon = Bench::start();
+        daemon.advance(Duration::from_secs(1));
+        DIES_AFTER.set(writes);
+        let mut client = daemon.armed();
+        let started = client.post::<SessionStarted>("/v1/sessions", &json!({"participant": "P07"}));
+        let (mut answered, mut ended) = (Vec::new(), None);
+        if let Ok(started) = &started {
+            client.set_token(Some(started.token.clone()));
+            for id in 1..=2 {
+                let order = json!({"pattern": "pin-60", "seconds": 0.05});
+                if client.post::<Value>("/v1/play", &order).is_ok() {
+                    let _: Receipt = client.get(&format!("/v1/plays/{id}?wait=60")).unwrap();
+                    answered.extend(answer(&client, id).is_ok().then_some(id));
+                }
+            }
+            ended = Some(end(&client));
         }
+        is_over = DIES_AFTER.get() > 0;
+        DIES_AFTER.set(u32::MAX);
+        drop(client);
+        let daemon = daemon.again();
+        daemon.record().lines().for_each(|line| drop(serde_json::from_str::<Value>(line).unwrap()));
+        let listed = list(&daemon);
+        let Ok(started) = started else {
+            let is_cut = |session: &Session| session.reason.as_deref() == Some("unknown");
+            assert!(listed.sessions.iter().all(is_cut), "{writes}: {listed:?}");
+            writes += 1;
+            continue;
+        };
+        let exported = exported(&daemon, &started.id);
+        let kept = exported.plays.iter().filter(|play| play.answer.is_some());
+        let kept: Vec<_> = kept.map(|play| play.receipt.id).collect();
+        assert_eq!(kept, answered, "{writes}");
+        let Session { lost, record_problem, .. } = ended.unwrap();
+        let is_whole = !lost.any() && record_problem.is_none();
+        assert!(exported.complete || !is_whole, "{writes}: {:?}", exported.missing);
+        assert!(is_whole || !is_over, "{writes}");
+        writes += 1;
     }
-    // A line inside the file of an old day.
-    let inside = second + 2;
-    write(&parts[1], &[&lines[second..inside - 1], &lines[inside..third]].concat());
-    told(&daemon, &format!("entries {inside} to {inside} of the session record are missing"));
-    write(&parts[1], &lines[second..third]);
-    whole(&daemon);
-    // The newest file, while no daemon runs: the next one knows its last number.
-    daemon.end();
-    fs::write(&today, "").unwrap();
-    daemon = daemon.again();
-    let says = format!("entries {} to ", third + 1);
-    let problem = status(&daemon.client()).daemon.logbook_problem.unwrap();
-    assert!(problem.contains(&says), "{says}: {problem}");
-    assert!(list(&daemon).problems.join("; ").contains(&says));
+    assert!(writes > 15, "{writes}");
+}
+
+#[test]
+fn a_clock_that_is_set_and_midnight_change_nothing() {
+    const DAY_NS: i64 = 86_400 * 1_000_000_000;
+    let daemon = Bench::start();
+    let (client, started) = owner(&daemon, "P07", false);
+    play(&client, 1);
+    set_wall(-2 * DAY_NS);
+    play(&client, 1);
+    let now = daemon.now(crate::clock::local);
+    let midnight = now.tomorrow().unwrap().start_of_day().unwrap();
+    set_wall(-2 * DAY_NS + now.duration_until(&midnight).as_nanos() as i64 - 1_000_000);
+    play(&client, 1);
+    end(&client);
+    let exported = exported(&daemon, &started.id);
+    assert!(exported.complete, "{:?}", exported.missing);
+    let ids: Vec<_> = exported.plays.iter().map(|play| play.receipt.id).collect();
+    assert_eq!(ids, [1, 2, 3]);
+    assert_eq!(fs::read_dir(daemon.path("logbook/sessions")).unwrap().count(), 1);
+    set_wall(0);
+}
+
+/// Requests of others during a session: none of them counts against it.
+#[test]
+fn what_others_do_stands_elsewhere_and_never_counts_against_a_session() {
+    let daemon = Bench::start();
+    let (client, started) = owner(&daemon, "P07", false);
+    play(&client, 1);
+    let _: Status = client.post("/v1/home", &json!({})).unwrap();
+    let other = daemon.client();
+    let _: Result<Value, _> = other.post("/v1/play", &json!({"pattern": "no-such"}));
+    let _: Status = other.post("/v1/stop", &json!({})).unwrap();
+    end(&client);
+    assert!(exported(&daemon, &started.id).complete);
+    let text = fs::read_to_string(daemon.session(&started.id)).unwrap();
+    let rest = fs::read_to_string(daemon.path("logbook/daemon.jsonl")).unwrap();
+    for (command, is_here) in [("play", true), ("home", true), ("stop", false)] {
+        let line = format!("\"command\":\"{command}\"");
+        assert_eq!(text.matches(&line).count(), usize::from(is_here), "{command}");
+    }
+    assert!(rest.contains("no-such") && rest.contains("\"command\":\"stop\""));
+    let events: Vec<Value> = text.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+    let names: Vec<_> = events.iter().map(|line| line["event"].as_str().unwrap()).collect();
+    assert_eq!((names[0], names[names.len() - 1]), ("session-started", "session-ended"));
+    assert_eq!(events[0]["device"]["kind"], "mock");
+    assert_eq!(events[names.len() - 1]["lines"], names.len());
+    assert_eq!(names.iter().filter(|name| **name == "pattern").count(), 1);
 }
 
 #[test]

@@ -8,7 +8,7 @@ mod faults;
 mod rules;
 mod truth;
 
-use super::bench::{Bench, Client, Events, Live, Machine};
+use super::bench::{Bench, Client, Events, Live, Machine, record_files};
 use crate::daemon::tests::seeds::faults::Trouble;
 use crate::daemon::tests::seeds::truth::Truth;
 use meissner_api::{Event, LiveAccepted, PlayAccepted, Problem, SessionStarted, Status};
@@ -84,6 +84,8 @@ struct Life {
     ordered_s: f64,
     /// What the wall clock was set by when the daemon began, ns.
     wall_set: i64,
+    /// Whether an event has said that the record fails, or has lost something.
+    losses_said: bool,
     /// Whether the disk has taken all so far.
     disk_was_good: bool,
     /// Whether the array and its line were good so far.
@@ -270,6 +272,9 @@ impl World {
             let now_s = self.now_s();
             match serde_json::from_str(data).unwrap() {
                 Event::Began { id, .. } => assert!(self.life.began.insert(id), "play {id} begins twice"),
+                Event::RecordProblem { problem, lost } => {
+                    self.life.losses_said |= problem.is_some() || lost > 0;
+                }
                 Event::Ended { receipt } => {
                     let before = self.life.ended.insert(receipt.id, now_s);
                     assert!(before.is_none(), "play {} ends twice", receipt.id);
@@ -522,9 +527,8 @@ impl World {
         let (answer, patience) = (json!({"response": "left", "correct": true}), self.patience());
         match self.call::<Value>(client, patience, ("POST", &format!("/v1/plays/{id}/answer"), &answer)) {
             Some(Ok(_)) => assert!(self.life.answered.insert(id), "play {id} takes two answers"),
-            // A disk that is slow may still take it.
-            Some(Err(problem)) if problem.code != "store" => {}
-            Some(Err(_)) | None => _ = self.life.unsure_answers.insert(id),
+            Some(Err(_)) => {}
+            None => _ = self.life.unsure_answers.insert(id),
         }
     }
 
@@ -584,15 +588,8 @@ impl World {
 
     /// The lines of the record since the last call, up to this time of the machine's clock.
     fn read_record(&mut self, until_s: f64) -> Vec<Value> {
-        let mut files: Vec<_> = fs::read_dir(self.machine.dir.path().join("logbook"))
-            .into_iter()
-            .flatten()
-            .map(|file| file.unwrap().path())
-            .filter(|path| path.extension().is_some_and(|end| end == "jsonl"))
-            .collect();
-        files.sort();
         let mut lines = Vec::new();
-        for path in files {
+        for path in record_files(&self.machine.dir.path().join("logbook")) {
             let text = fs::read_to_string(&path).unwrap();
             let from = self.read.get(&path).copied().unwrap_or(0);
             let mut at = from;

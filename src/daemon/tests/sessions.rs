@@ -183,7 +183,7 @@ fn a_session_ends_with_its_daemon_and_the_record_says_how() {
 
 #[test]
 fn a_daemon_that_keeps_no_record_has_sessions_too() {
-    let daemon = Bench::with("logbook_days = 0\n");
+    let daemon = Bench::with("# no record\n");
     let (client, started) = owner(&daemon, "P07", false);
     assert!(started.record_problem.unwrap().contains("keeps no session record"));
     let _: Session = client.post("/v1/sessions/running/end", &json!({})).unwrap();

@@ -17,7 +17,7 @@ pub(in crate::daemon) async fn create(
     Call { app, by }: Call,
     body: Body,
 ) -> Answer<(StatusCode, Json<TokenCreated>)> {
-    let mut logged = LoggedRequest::new(&app.engine, "token-create", by.peer());
+    let mut logged = LoggedRequest::of(&app.engine, "token-create", &by);
     let result = async {
         let request = TokenRequest::parse(&body::read_command(body).await?)?;
         logged.set_arguments(&request);
@@ -38,7 +38,7 @@ pub(in crate::daemon) async fn list(State(app): State<App>) -> Json<TokenList> {
 }
 
 pub(in crate::daemon) async fn revoke(Call { app, by }: Call, id: PathPart) -> Answer<Json<TokenInfo>> {
-    let mut logged = LoggedRequest::new(&app.engine, "token-revoke", by.peer());
+    let mut logged = LoggedRequest::of(&app.engine, "token-revoke", &by);
     let result = async {
         let id: String = path(id)?.chars().take(100).collect();
         logged.set_arguments(&json!({"id": id}));

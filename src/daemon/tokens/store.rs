@@ -10,7 +10,7 @@
 
 use crate::clock::utc_text;
 use crate::file::{self, read_regular};
-use crate::session_record::TokenId;
+use crate::record::TokenId;
 use crate::store::hexadecimal;
 use arc_swap::ArcSwap;
 use meissner_api::{Code, MAX_TOKENS, Problem, Role, TOKEN_PREFIX, TokenCreated, TokenInfo};

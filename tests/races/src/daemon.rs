@@ -3,7 +3,7 @@
 use crate::estop::{EStops, Origin};
 use crate::explore::Model;
 use crate::gate::Gate;
-use crate::session_record::Peer;
+use crate::record::Peer;
 use loom::thread::{spawn, yield_now};
 use meissner_stream::queues::{Command, queues};
 use std::sync::{Arc, Mutex};

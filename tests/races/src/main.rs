@@ -40,7 +40,7 @@ mod newest;
 
 // What these files need of the rest of the program.
 #[cfg(loom)]
-mod session_record {
+mod record {
     /// A client.
     #[derive(Clone, Copy, Debug)]
     pub(crate) struct Peer {

@@ -32,7 +32,7 @@ use crate::daemon::net::framing::HEAD;
 use crate::daemon::net::gate::Gate;
 use crate::daemon::net::orders::Orders;
 use crate::daemon::net::stream::Stream;
-use crate::session_record::Peer;
+use crate::record::Peer;
 use listeners::{accept, accept_tcp, spare_descriptor};
 use meissner_api::{Code, Problem};
 use meissner_stream::device::priority;

@@ -6,7 +6,7 @@ use crate::daemon::net::framing::HEAD;
 use crate::daemon::net::gate::Gate;
 use crate::daemon::net::stream::Stream;
 use crate::receipts::refusal;
-use crate::session_record::Peer;
+use crate::record::Peer;
 use meissner_api::Problem;
 use meissner_client::STOPPED;
 use std::io::{self, ErrorKind, Read, Write};

@@ -2,7 +2,7 @@
 
 use super::{World, rules};
 use crate::daemon::tests::bench::DISK_STALLS;
-use crate::session_record::simulated_disk::{FAILS, ROOM};
+use crate::record::simulated_disk::{FAILS, ROOM};
 use firmware_protocol::message::{Cause, DeviceMessage, State};
 use meissner_stream::Line;
 use meissner_stream::faulty::Liar;

@@ -143,7 +143,7 @@ pub(super) fn recorded(world: &mut World, before: &Before, life: &Life) {
     };
     each_answer_is_recorded(life, &of("answered", "/play"));
     let lost = of("lost", "/entries").iter().sum();
-    each_play_is_recorded_or_lost(world, before, life, &of("ended", "/receipt/id"), lost);
+    each_play_is_recorded_or_lost(before, life, &of("ended", "/receipt/id"), lost);
     sums_survive(world, before);
     sessions_are_whole_or_not_complete(world, before, life);
 }
@@ -162,7 +162,7 @@ fn each_answer_is_recorded(life: &Life, lines: &[u64]) {
 }
 
 /// Each play whose end was told has a line, and one only, or the record says that entries are lost.
-fn each_play_is_recorded_or_lost(world: &mut World, before: &Before, life: &Life, lines: &[u64], lost: u64) {
+fn each_play_is_recorded_or_lost(before: &Before, life: &Life, lines: &[u64], lost: u64) {
     let kept: BTreeSet<u64> = lines.iter().copied().collect();
     assert_eq!(kept.len(), lines.len(), "a play has one line");
     let unknown = kept.iter().filter(|id| !life.accepted.contains_key(id)).count() as u64;
@@ -170,13 +170,10 @@ fn each_play_is_recorded_or_lost(world: &mut World, before: &Before, life: &Life
     // The record's thread writes every millisecond, unless the disk stalls.
     let due = |at_s: f64| !before.stalls && at_s < before.at_s - 0.1;
     let missing = life.ended.iter().filter(|&(id, &at_s)| due(at_s) && !kept.contains(id)).count() as u64;
-    if missing > lost {
-        let status = world.status();
-        assert!(
-            status.daemon.logbook_problem.is_some(),
-            "{missing} plays are missing, {lost} entries are said to be"
-        );
-    }
+    assert!(
+        missing <= lost || life.losses_said,
+        "{missing} plays are missing, {lost} entries are said to be"
+    );
 }
 
 /// A kill makes no sum of vibration smaller, but by a return whose order is younger than two milliseconds.

@@ -1,27 +1,25 @@
-//! Entries: the content of a line of the session record, without the time.
+//! Entries: the content of a line of the record, without the time.
 //!
-//! Most are the daemon's events as clients see them; the others are commands, and the daemon's start and end. Events that
-//! come ten times a second or once per stroke are left out, because receipts sum them up.
+//! Most are the daemon's events as clients see them. Events that come ten times a second or once per
+//! stroke have no entry, because receipts sum them up.
 //!
-//! A command keeps at most [`MAX_TEXT`] characters of each text that its client sent, and [`MAX_ITEMS`] items of a list.
+//! A command keeps at most [`MAX_TEXT`] characters of each text that its client sent, and
+//! [`MAX_ITEMS`] items of a list.
 //!
-//! Invariant: the `event` key of a line determines which other keys it has.
+//! Invariant: the `event` key of a line determines which other keys it has, each once.
 
-use super::json;
-use meissner_api::{EdgeEffect, EdgeRecord, Event, MAX_DETAIL, PlayAnswer, Session};
+use meissner_api::{DeviceInfo, EdgeEffect, EdgeRecord, Event, MAX_DETAIL, PlayAnswer, Session};
 use meissner_input::message;
-use serde::Serialize;
+use serde::{Serialize, Serializer};
 use serde_json::Value;
-use std::collections::BTreeMap;
 use std::fmt;
 use std::net::IpAddr;
+use std::sync::Arc;
 
 /// Characters kept of a text among a command's arguments: more than any name has.
 const MAX_TEXT: usize = 100;
 /// Items kept of a list among them: as many as a calibration takes.
 const MAX_ITEMS: usize = 100;
-/// Bytes of a line beside its entry: the times, and the user's name, which is added later.
-const LINE: u64 = 192;
 
 /// A client, as the kernel identifies it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -97,6 +95,9 @@ pub struct CommandEntry {
     /// The problem, in one line, cut.
     #[serde(skip_serializing_if = "Option::is_none")]
     detail: Option<String>,
+    /// Whether its client shows the token of the running session.
+    #[serde(skip)]
+    pub is_of_owner: bool,
 }
 
 impl CommandEntry {
@@ -114,6 +115,7 @@ impl CommandEntry {
             play: None,
             answer: "hung-up".to_owned(),
             detail: None,
+            is_of_owner: false,
         }
     }
 
@@ -153,10 +155,10 @@ fn cut(value: &mut Value) {
     }
 }
 
-/// An entry that is not an event of the API.
+/// The content of a line.
 #[derive(Clone, Debug, Serialize)]
 #[serde(tag = "event", rename_all = "kebab-case")]
-pub enum Note {
+pub enum Entry {
     /// A daemon has started.
     DaemonStarted {
         /// Its version.
@@ -171,8 +173,39 @@ pub enum Note {
         /// The problem; null: a signal or a request ended it.
         problem: Option<String>,
     },
+    /// The first line of a session's file.
+    SessionStarted {
+        /// The session.
+        session: Box<Session>,
+        /// The daemon's version.
+        version: &'static str,
+        /// The device; null without one.
+        device: Option<DeviceInfo>,
+    },
+    /// The last line of a session's file.
+    SessionEnded {
+        /// The session.
+        session: Box<Session>,
+        /// How many lines the file has. The record sets it.
+        lines: u64,
+    },
+    /// A session has begun, or ended: in `daemon.jsonl`, so that a missing file is noticed.
+    Session {
+        /// Its id.
+        id: String,
+        /// Whether it has ended.
+        ended: bool,
+    },
     /// A client's command.
     Command(CommandEntry),
+    /// The text of a pattern that the session plays.
+    Pattern {
+        /// Its hash.
+        sha256: String,
+        /// The text.
+        #[serde(serialize_with = "as_text")]
+        text: Arc<[u8]>,
+    },
     /// A participant's answer to a play.
     Answered {
         /// The session of the play.
@@ -182,7 +215,7 @@ pub enum Note {
         /// The answer.
         answer: PlayAnswer,
     },
-    /// An edge of the trigger input. It has a number and an instant of its own, beside those of the line.
+    /// An edge of the trigger input. It has a number and an instant of its own.
     Edge {
         /// The edge.
         edge: EdgeRecord,
@@ -191,31 +224,33 @@ pub enum Note {
         /// As in the event.
         effect: EdgeEffect,
     },
-    /// Entries are missing here. The line has the number of the last of them.
+    /// Entries are missing before this line.
     Lost {
         /// How many.
         entries: u64,
-        /// The missing entries that this daemon knows of, without those of an earlier daemon.
-        of: Vec<LostOf>,
-        /// The sessions whose start or end is among them.
-        sessions: Vec<Session>,
+        /// The ends of plays among them.
+        plays: u64,
     },
     /// Clients or devices made more entries than the record takes.
     LeftOut {
-        /// How many entries were left out since the last such entry.
+        /// How many entries were left out since the last such line.
         entries: u64,
         /// Their clients and kinds.
         of: Vec<LeftOut>,
     },
-}
-
-/// Lost entries of a session.
-#[derive(Clone, Debug, Serialize)]
-pub struct LostOf {
-    /// The session; null: they belong to none.
-    pub(super) session: Option<String>,
-    /// How many, by command or event.
-    pub(super) kinds: BTreeMap<&'static str, u64>,
+    /// An event as clients see it, and the user whose play it is about.
+    #[serde(untagged)]
+    Event {
+        /// The event.
+        #[serde(flatten)]
+        event: Box<Event>,
+        /// The user who ordered the play.
+        #[serde(skip_serializing_if = "Option::is_none")]
+        uid: Option<u32>,
+        /// That user's name.
+        #[serde(skip_serializing_if = "Option::is_none")]
+        user: Option<String>,
+    },
 }
 
 /// Entries of one kind that were left out.
@@ -234,132 +269,114 @@ pub struct LeftOut {
 /// Entries that share a bound.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Kind {
-    /// An accepted play, its result, and its participant's answer.
+    /// About a session, an accepted play, or a participant's answer: never left out.
     Play,
     /// An emergency stop.
     EStop,
-    /// An edge of the trigger input.
-    Edge,
-    /// Another command.
-    Command,
-    /// Events of the daemon and its device.
+    /// Another command, or an edge of the trigger input.
+    Other,
+    /// An event of the daemon and its device.
     Daemon,
 }
 
-/// The content of a line.
-#[derive(Clone, Debug, Serialize)]
-#[serde(untagged)]
-pub enum Entry {
-    /// An entry that is not an event.
-    Note(Note),
-    /// An event as clients see it, and the user whose play it is about.
-    Event {
-        /// The event.
-        #[serde(flatten)]
-        event: Box<Event>,
-        /// The user who ordered the play.
-        #[serde(skip_serializing_if = "Option::is_none")]
-        uid: Option<u32>,
-        /// That user's name.
-        #[serde(skip_serializing_if = "Option::is_none")]
-        user: Option<String>,
-    },
+/// Texts of patterns are UTF-8: [`Record::add_text`](super::Record::add_text) takes no others.
+fn as_text<S: Serializer>(text: &Arc<[u8]>, to: S) -> Result<S::Ok, S::Error> {
+    to.serialize_str(str::from_utf8(text).unwrap_or_default())
 }
 
 impl Entry {
-    /// The entry for an event, if the session record keeps it; `client` is the owner of the play that it is about.
+    /// The entry for an event, if the record keeps it; `client` is the owner of the play that it is
+    /// about.
     #[must_use]
     pub fn of(event: &Event, client: Option<Peer>) -> Option<Self> {
-        match event {
+        Some(match event {
             Event::State { .. }
             | Event::Late { .. }
             | Event::Refused { .. }
             | Event::Lagged { .. }
+            | Event::Lost { .. }
             | Event::RecordProblem { .. }
-            | Event::Rendering { .. } => None,
-            &Event::Edge { edge, play, effect } => Some(Note::Edge { edge, play, effect }.into()),
-            event => Some(Self::Event {
+            | Event::SessionStarted { .. }
+            | Event::Rendering { .. } => return None,
+            &Event::Edge { edge, play, effect } => Self::Edge { edge, play, effect },
+            Event::SessionEnded { session } => Self::SessionEnded { session: session.clone(), lines: 0 },
+            event => Self::Event {
                 event: Box::new(event.clone()),
                 uid: client.map(|client| client.uid),
                 user: None,
-            }),
-        }
+            },
+        })
     }
 
     /// Sets the names of users.
     pub(super) fn name_users(&mut self, mut name: impl FnMut(u32) -> Option<String>) {
         match self {
-            Self::Note(Note::Command(CommandEntry { user, uid, .. })) | Self::Event { user, uid, .. } => {
+            Self::Command(CommandEntry { user, uid, .. }) | Self::Event { user, uid, .. } => {
                 *user = uid.and_then(name);
             }
-            Self::Note(Note::LeftOut { of, .. }) => {
+            Self::LeftOut { of, .. } => {
                 for row in of {
                     row.user = row.uid.and_then(&mut name);
                 }
             }
-            Self::Note(_) => {}
+            _ => {}
         }
     }
 
     /// Its kind, its client's user, and the command or event.
     pub(super) fn kind(&self) -> (Kind, Option<u32>, &'static str) {
-        let daemon = |name| (Kind::Daemon, None, name);
         match self {
-            Self::Note(Note::Command(CommandEntry { command, uid, play, .. })) => {
+            Self::Command(CommandEntry { command, uid, play, .. }) => {
                 let kind = match (*command, play) {
                     (_, Some(_)) => Kind::Play,
                     ("estop", _) => Kind::EStop,
-                    _ => Kind::Command,
+                    _ => Kind::Other,
                 };
                 (kind, *uid, command)
             }
-            Self::Note(Note::DaemonStarted { .. }) => daemon("daemon-started"),
-            Self::Note(Note::DaemonEnded { .. }) => daemon("daemon-ended"),
-            // A play has one at most, so the room for plays bounds them.
-            Self::Note(Note::Answered { .. }) => (Kind::Play, None, "answered"),
-            Self::Note(Note::Edge { .. }) => (Kind::Edge, None, "edge"),
-            Self::Note(Note::Lost { .. }) => daemon("lost"),
-            Self::Note(Note::LeftOut { .. }) => daemon("left-out"),
+            Self::SessionStarted { .. }
+            | Self::SessionEnded { .. }
+            | Self::Pattern { .. }
+            | Self::Answered { .. } => (Kind::Play, None, "session"),
+            Self::Edge { .. } => (Kind::Other, None, "edge"),
             Self::Event { event, .. } => match **event {
                 Event::Queued { .. }
                 | Event::Began { .. }
                 | Event::Items { .. }
                 | Event::Ended { .. }
-                | Event::SessionStarted { .. }
-                | Event::SessionReleased { .. }
-                | Event::SessionEnded { .. }
-                | Event::Calibrated { .. } => (Kind::Play, None, event.name()),
-                _ => daemon(event.name()),
+                | Event::SessionReleased { .. } => (Kind::Play, None, event.name()),
+                _ => (Kind::Daemon, None, event.name()),
             },
+            _ => (Kind::Daemon, None, "daemon"),
         }
     }
 
-    /// Whether the running session lacks something without this entry. Requests do not count, not even the owner's: what they
-    /// do to the session has entries of its own.
-    pub(super) fn is_of_session(&self) -> bool {
+    /// Whether it belongs to the session that runs, if this is its id.
+    pub(super) fn is_of(&self, running: &str) -> bool {
         match self {
-            Self::Event { event, .. } => !matches!(**event, Event::Intervened { .. }),
-            Self::Note(_) => matches!(self.kind().0, Kind::Play | Kind::EStop | Kind::Edge),
+            Self::SessionStarted { session, .. } | Self::SessionEnded { session, .. } => {
+                session.id == running
+            }
+            Self::Command(CommandEntry { play, is_of_owner, .. }) => play.is_some() || *is_of_owner,
+            Self::Pattern { .. } | Self::Answered { .. } | Self::Edge { .. } => true,
+            Self::Event { event, .. } => match &**event {
+                Event::Queued { .. } | Event::Began { .. } | Event::SessionReleased { .. } => true,
+                Event::Items { session, .. } => session.as_deref() == Some(running),
+                Event::Ended { receipt } => receipt.session() == Some(running),
+                _ => false,
+            },
+            _ => false,
         }
     }
 
-    /// The session that begins or ends with this entry, if any.
-    pub(super) fn bounds_session(&self) -> Option<&Session> {
-        let Self::Event { event, .. } = self else { return None };
-        match &**event {
-            Event::SessionStarted { session } | Event::SessionEnded { session } => Some(session),
-            _ => None,
-        }
+    /// Whether a session lacks something without this entry of its file. Commands that begin no play
+    /// do not count: what they do has entries of its own.
+    pub(super) fn counts(&self) -> bool {
+        matches!(self.kind().0, Kind::Play) || matches!(self, Self::Edge { .. })
     }
 
-    /// The bytes of its line, at most.
-    pub(super) fn bytes(&self) -> u64 {
-        LINE + json::bytes(self)
-    }
-}
-
-impl From<Note> for Entry {
-    fn from(note: Note) -> Self {
-        Self::Note(note)
+    /// Whether it is the end of a play.
+    pub(super) fn ends_play(&self) -> bool {
+        matches!(self, Self::Event { event, .. } if matches!(**event, Event::Ended { .. }))
     }
 }

@@ -16,24 +16,6 @@ pub(crate) fn write(to: impl Write, value: &impl Serialize) -> io::Result<()> {
     Ok(value.serialize(&mut serde_json::Serializer::with_formatter(to, Plain))?)
 }
 
-/// The bytes that [`write`] writes.
-pub(super) fn bytes(value: &impl Serialize) -> u64 {
-    struct Count(u64);
-    impl Write for Count {
-        fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-            self.0 += bytes.len() as u64;
-            Ok(bytes.len())
-        }
-        fn flush(&mut self) -> io::Result<()> {
-            Ok(())
-        }
-    }
-    let mut count = Count(0);
-    // The record's values can be serialized, and counting does not fail.
-    let _ = write(&mut count, value);
-    count.0
-}
-
 struct Plain;
 
 impl Formatter for Plain {
@@ -52,7 +34,7 @@ impl Formatter for Plain {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::session_record::{CommandEntry, Entry, Note, Peer};
+    use crate::record::{CommandEntry, Entry, Peer};
     use meissner_api::{DeviceInfo, Event, Receipt, Terms};
     use serde_json::{Value, json};
 
@@ -102,12 +84,12 @@ mod tests {
             (Event::Calibrated { id: 1, motors: vec![1], problem: Some(odd()) }, 1),
         ];
         let notes = [
-            (Note::Command(command), 4),
-            (Note::DaemonStarted { version: "1", pid: 1, wanted: odd() }, 1),
-            (Note::DaemonEnded { problem: Some(odd()) }, 1),
+            (Entry::Command(command), 4),
+            (Entry::DaemonStarted { version: "1", pid: 1, wanted: odd() }, 1),
+            (Entry::DaemonEnded { problem: Some(odd()) }, 1),
         ];
         let events = events.into_iter().map(|(event, odd)| (Entry::of(&event, None).unwrap(), odd));
-        for (entry, count) in events.chain(notes.into_iter().map(|(note, odd)| (note.into(), odd))) {
+        for (entry, count) in events.chain(notes) {
             let line = line(&entry);
             assert!(line.chars().all(is_plain), "{line:?}");
             let value: Value = serde_json::from_str(&line).unwrap();
