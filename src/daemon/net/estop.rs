@@ -14,7 +14,7 @@
 
 use crate::daemon::arm::estop::{EStops, Origin};
 use crate::daemon::core::engine::Engine;
-use crate::daemon::net::answer::ErrorResponse;
+use crate::daemon::net::answer::{ErrorResponse, answer_alone};
 use crate::daemon::net::gate::Gate;
 use crate::daemon::net::head::Head;
 use crate::daemon::net::refusal::Refusal;
@@ -24,9 +24,6 @@ use crate::daemon::status::report;
 use crate::receipts::refusal;
 use crate::session_record::{NetworkPeer, Peer};
 use axum::Json;
-use axum::body::to_bytes;
-use axum::http::header::CONTENT_TYPE;
-use axum::response::IntoResponse;
 use meissner_api::{Code, Problem, Route};
 use meissner_client::STOPPED;
 use meissner_stream::device::priority;
@@ -36,17 +33,15 @@ use rustix::fd::{AsFd, OwnedFd};
 use rustix::io::Errno;
 use rustix::net::{SocketAddrAny, SocketFlags, acceptfrom_with};
 use std::collections::VecDeque;
-use std::fmt::Write as _;
 use std::io::{self, ErrorKind, Read, Write};
 use std::net::{SocketAddr, TcpListener, TcpStream};
 use std::os::unix::net::{UnixListener, UnixStream};
 use std::sync::Arc;
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
-use tokio::io::AsyncWriteExt;
 use tokio::sync::{mpsc, oneshot};
 
-/// Clients of each listener, at most.
+/// Clients of each listener, at most; fewer if there are few descriptors.
 pub(in crate::daemon) const MOST: usize = 64;
 /// Bytes of a request over the network, at most: a browser's head has about 1 KiB.
 const MAX: usize = 4096;
@@ -93,25 +88,9 @@ impl Asked {
                 Err(refusal.into())
             }
         };
-        // The client may be gone.
-        let Some(Ok(mut stream)) = stream.map(tokio::net::TcpStream::from_std) else { return };
-        let response = answer.into_response();
-        let (status, headers) = (response.status(), response.headers());
-        let kind = headers.get(CONTENT_TYPE).and_then(|kind| kind.to_str().ok()).unwrap_or_default();
-        let mut head = format!("HTTP/1.1 {status}\r\ncontent-type: {kind}\r\nconnection: close\r\n");
-        if !site.is_empty() {
-            let _ = write!(head, "access-control-allow-origin: {site}\r\nvary: origin\r\n");
+        if let Some(Ok(stream)) = stream.map(tokio::net::TcpStream::from_std) {
+            answer_alone(stream, answer, &site).await;
         }
-        let Ok(body) = to_bytes(response.into_body(), usize::MAX).await else { return };
-        let _ = write!(head, "content-length: {}\r\n\r\n", body.len());
-        let written = async {
-            // A connection that is closed with unread bytes loses the answer.
-            let mut unread = [0; MAX];
-            while stream.try_read(&mut unread).is_ok_and(|len| len > 0) {}
-            stream.write_all(&[head.as_bytes(), &body].concat()).await?;
-            stream.shutdown().await
-        };
-        let _ = tokio::time::timeout(PATIENCE, written).await;
     }
 }
 
@@ -129,13 +108,14 @@ impl EStopThread {
         tcp: Option<TcpListener>,
         estops: Arc<EStops>,
         gate: Arc<Gate>,
+        most: usize,
     ) -> io::Result<(Self, mpsc::Receiver<Asked>, oneshot::Receiver<()>)> {
         let (alive, ended) = oneshot::channel();
-        let (sender, asked) = mpsc::channel(2 * MOST);
+        let (sender, asked) = mpsc::channel(2 * most);
         let stop = Arc::new(eventfd(0, EventfdFlags::CLOEXEC | EventfdFlags::NONBLOCK)?);
-        let (near, far) = (VecDeque::with_capacity(MOST + 1), VecDeque::with_capacity(MOST));
+        let (near, far) = (VecDeque::with_capacity(most + 1), VecDeque::with_capacity(most));
         let (spare, rest) = (spare_descriptor(), Instant::now());
-        let work = Work { socket, tcp, spare, estops, gate, sender, near, far, rest };
+        let work = Work { socket, tcp, spare, estops, gate, sender, most, near, far, rest };
         let stopped = Arc::clone(&stop);
         let thread = thread::Builder::new().name("estop".into()).spawn(move || {
             // Dropped at the end, even after a panic.
@@ -174,6 +154,8 @@ struct Work {
     estops: Arc<EStops>,
     gate: Arc<Gate>,
     sender: mpsc::Sender<Asked>,
+    /// Clients of each listener, at most.
+    most: usize,
     /// Clients of the socket, oldest first.
     near: VecDeque<Near>,
     /// Clients of the port whose requests are not complete, oldest first.
@@ -243,7 +225,7 @@ impl Work {
             let peer = getsockopt(&stream, PeerCredentials);
             let peer = peer.map_or(Peer::UNKNOWN, |peer| Peer::local(peer.pid(), peer.uid()));
             self.near.push_back(Client { stream, peer, since: Instant::now(), sent: None });
-            if self.near.len() > MOST {
+            if self.near.len() > self.most {
                 // Bytes may have come meanwhile. Connections without one go first.
                 self.read_near();
                 let first = self.near.iter().position(|it| it.sent.is_none()).unwrap_or(0);
@@ -283,7 +265,7 @@ impl Work {
             };
             let network = NetworkPeer { address: address.ip().to_canonical(), token: None };
             let (stream, peer) = (TcpStream::from(fd), Peer::network(network));
-            if self.far.len() >= MOST && !self.read_far_at(0) {
+            if self.far.len() >= self.most && !self.read_far_at(0) {
                 self.far.pop_front();
             }
             let (since, sent) = (Instant::now(), heapless::Vec::new());
@@ -510,7 +492,8 @@ mod tests {
         let gate = Gate::new(Some(listen), None, TokenStore::open(None));
         let engine = Engine::of_paper(commands).with_gate(gate);
         let (estops, gate) = (Arc::clone(&engine.estops), Arc::clone(&engine.gate));
-        let (thread, mut asked, _ended) = EStopThread::spawn(Some(near), Some(far), estops, gate).unwrap();
+        let (thread, mut asked, _ended) =
+            EStopThread::spawn(Some(near), Some(far), estops, gate, MOST).unwrap();
         let held = engine.lock();
         // Clients that say nothing, or not all of it: later ones displace them.
         let silent: Vec<_> = (0..2 * MOST)
