@@ -2,7 +2,7 @@
 //! `cargo bench -p meissner-benches --bench estop`.
 //!
 //! For each load it orders emergency stops, one after the other, on the e-stop socket. Every tenth time it also sends
-//! `POST /v1/estop` on a new connection, to the API's socket and over TCP. It measures the time from before `connect` until the
+//! `POST /v1/estop` on a new connection, to the API's socket and to the TCP port for emergency stops. It measures the time from before `connect` until the
 //! board, at the far end of a serial line, has read the order. Every tenth time it also sends `POST /v1/stop` and `GET /v1/status`
 //! on new connections, and measures the time until the whole answer is there. Times leave out failed orders: the board got none
 //! within a second, no answer came within ten, or the daemon answered that it has no free connection.
@@ -23,7 +23,7 @@ use meissner_stream::device::priority;
 use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
 use std::error::Error;
 use std::io::{self, Read, Write};
-use std::net::TcpListener;
+use std::net::{SocketAddr, TcpListener};
 use std::os::unix::fs::chown;
 use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
@@ -264,7 +264,9 @@ fn by_http(place: &Place) -> Result<(), String> {
 }
 
 fn by_tcp(place: &Place) -> Result<(), String> {
-    is_stopped(exchange_tcp(place.tcp, request(&place.tcp.to_string()).as_bytes()))
+    // The port for emergency stops.
+    let address = SocketAddr::new(place.tcp.ip(), place.tcp.port() + 1);
+    is_stopped(exchange_tcp(address, request(&address.to_string()).as_bytes()))
 }
 
 fn is_stopped(answer: io::Result<String>) -> Result<(), String> {

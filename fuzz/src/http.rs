@@ -9,7 +9,7 @@ use axum::body::Body;
 use axum::http::{HeaderName, HeaderValue, Method, Request, StatusCode, Uri};
 use http_body_util::BodyExt;
 use meissner::config::Config;
-use meissner::daemon::{Daemon, Fuzzed};
+use meissner::daemon::{Daemon, Fuzzed, estop_token};
 use std::cell::OnceCell;
 use std::net::{IpAddr, Ipv4Addr};
 use std::path::Path;
@@ -51,7 +51,13 @@ pub fn run(data: &[u8]) {
     SERVED.with(|served| {
         let Served { runtime, daemon } = served.get_or_init(serve);
         let mut input = Unstructured::new(data);
-        let from = match crate::input::byte(&mut input) % 4 {
+        let from = match crate::input::byte(&mut input) % 5 {
+            // The port for emergency stops.
+            4 => {
+                let sent = input.take_rest();
+                assert!(estop_token(sent).is_none_or(|token| sent.len() >= token.len()));
+                return;
+            }
             1 => Some(IpAddr::V4(Ipv4Addr::LOCALHOST)),
             2 => Some(IpAddr::V4(Ipv4Addr::new(192, 0, 2, 7))),
             _ => None,
@@ -107,7 +113,7 @@ async fn ask(daemon: &Fuzzed, request: Request<Body>, from: Option<IpAddr>) {
         method == Method::POST && path == "/v1/estop" && from.is_none() && request.headers().is_empty();
     let patience = if is_estop { ESTOP } else { PATIENCE };
     let answered = tokio::time::timeout(patience, async {
-        let response = daemon.answer(request, from).await.expect("a socket");
+        let response = daemon.answer(request, from).await;
         let status = response.status();
         let mut body = response.into_body();
         let mut bytes = Vec::new();

@@ -26,7 +26,10 @@ pub(super) fn check(
 ) -> Result<Option<Listen>, KeyError> {
     let found = address.unwrap_or("none");
     let bad = |_| KeyError::key("listen", Problem::Listen { found: quote(found) });
-    let address = if found == "none" { None } else { Some(found.parse().map_err(bad)?) };
+    let address: Option<SocketAddr> = if found == "none" { None } else { Some(found.parse().map_err(bad)?) };
+    if address.is_some_and(|address| address.port() == u16::MAX) {
+        return Err(KeyError::key("listen", Problem::LastPort { found: quote(found) }));
+    }
     let hosts = hosts.unwrap_or_default();
     let plain = |name: &str| {
         let good = |byte: u8| byte.is_ascii_alphanumeric() || b"-._".contains(&byte);
@@ -76,6 +79,7 @@ mod tests {
                 "listen = \"8765\"",
                 "`listen` is `8765`: must be an address and a port, as \"127.0.0.1:8765\", or \"none\"",
             ),
+            ("listen = \"[::]:65535\"", "`listen` is `[::]:65535`: emergency stops take the port after it"),
             ("listen = \"localhost:8765\"", "`listen` is `localhost:8765`: must be an address and a port"),
             (
                 "listen_hosts = [\"a.b:80\"]",

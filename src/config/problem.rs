@@ -36,6 +36,8 @@ pub enum Problem {
     ControlCharacter,
     #[error("is {found}: must be an address and a port, as \"127.0.0.1:8765\", or \"none\"")]
     Listen { found: String },
+    #[error("is {found}: emergency stops take the port after it: choose 65534 at most")]
+    LastPort { found: String },
     #[error("is {found}: must be a host's name, without port and path")]
     Host { found: String },
     #[error(

@@ -1,6 +1,6 @@
 //! The daemon: the streamer's thread, and around it clients, patterns, devices, receipts and the session record.
 //!
-//! Threads: `streamer` and `acceptor` (real time; an emergency stop needs no other), `connector` (opens devices),
+//! Threads: `streamer` and `estop` (real time; an emergency stop needs no other), `connector` (opens devices),
 //! `rendering` and `preview` (follow a process), `session record` (disk), and the runtime's one thread for clients and events. An idle daemon runs no timer except a service manager's watchdog.
 //!
 //! A folder is a room: all of one subject, with its part of the state (`state`), its rules and its handlers.
@@ -20,14 +20,14 @@
 //! - `net`: sockets, who may pass, HTTP; emergency stops are ordered here.
 //! - `core`: the lock over the state, commands to the streamer, its events, the device, the runtime.
 //!
-//! `run` starts and ends the daemon; `routes` leads each request to its handler. For the fuzzer and the bench (`tests/bench.rs`) there is also
-//! `fuzzed`: requests without a socket.
+//! `run` starts and ends the daemon; `routes` leads each request to its handler. For the fuzzer there is also `fuzzed`: requests without a
+//! socket.
 
 mod arm;
 mod calibration;
 mod core;
 mod exposure;
-#[cfg(any(fuzzing, test, feature = "bench"))]
+#[cfg(fuzzing)]
 mod fuzzed;
 mod jobs;
 mod live;
@@ -49,7 +49,7 @@ pub use self::core::panics::end_on_panic;
 pub use self::core::runtime::runtime;
 pub use self::core::signals::Signals;
 #[cfg(fuzzing)]
-pub use fuzzed::Fuzzed;
+pub use fuzzed::{Fuzzed, estop_token};
 pub use net::socket::SocketError;
 pub use run::{Daemon, Hosted};
 #[cfg(any(test, feature = "bench"))]

@@ -9,17 +9,19 @@
 
 use crate::daemon::net::answer::ErrorResponse;
 use crate::daemon::net::app::App;
-use crate::daemon::net::{admission, body, compress};
+use crate::daemon::net::{admission, body};
 use crate::daemon::page;
 use crate::daemon::{arm, calibration, jobs, live, patterns, plays, sessions, status, tokens};
 use axum::Router;
 use axum::body::Body;
 use axum::http::header::{AUTHORIZATION, CONTENT_TYPE, HeaderName};
 use axum::http::{HeaderValue, Method, Uri};
-use axum::middleware::{from_fn, from_fn_with_state};
+use axum::middleware::from_fn_with_state;
 use axum::routing::{MethodFilter, MethodRouter, on};
 use meissner_api::{Code, Problem, REFERENCE, Route};
 use std::sync::Arc;
+use tower_http::compression::predicate::SizeAbove;
+use tower_http::compression::{CompressionLayer, CompressionLevel};
 use tower_http::cors::{AllowOrigin, CorsLayer};
 
 const SESSION: HeaderName = HeaderName::from_static("meissner-session");
@@ -30,8 +32,7 @@ pub(in crate::daemon) fn router(app: App) -> Router {
     let routes = Route::ALL.into_iter().fold(Router::new(), |router, route| {
         let guard = from_fn_with_state((app.clone(), route), admission::guard);
         let handler = handler(route).route_layer(guard);
-        let handler =
-            if route.operation().packed { handler.layer(from_fn(compress::layer)) } else { handler };
+        let handler = if route.operation().packed { handler.layer(packed()) } else { handler };
         router.route(route.path(), handler)
     });
     let gate = from_fn_with_state(Arc::clone(&app.engine.gate), admission::layer);
@@ -41,6 +42,11 @@ pub(in crate::daemon) fn router(app: App) -> Router {
         routes.merge(page::routes()).fallback(no_route).method_not_allowed_fallback(no_method).layer(gate);
     let routes = if origins.is_empty() { routes } else { routes.layer(open_to(origins)) };
     routes.with_state(app)
+}
+
+/// Compresses an answer that does not fit into a packet or two.
+fn packed() -> CompressionLayer<SizeAbove> {
+    CompressionLayer::new().quality(CompressionLevel::Fastest).compress_when(SizeAbove::new(1000))
 }
 
 /// What browsers ask and read before a page of one of these sites gets an answer. The gate decides all the same.

@@ -18,11 +18,12 @@ use crate::daemon::core::service::{self, Manager, Notification, StatusReporter};
 use crate::daemon::core::signals::Signals;
 use crate::daemon::exposure::state::Exposure;
 use crate::daemon::exposure::sums;
-use crate::daemon::net::acceptor::{Acceptor, Bounds, Counts, Sockets};
 use crate::daemon::net::app::App;
+use crate::daemon::net::bounds::Bounds;
+use crate::daemon::net::estop::EStopThread;
 use crate::daemon::net::gate::Gate;
 use crate::daemon::net::listen;
-use crate::daemon::net::server::Server;
+use crate::daemon::net::server::{Counts, Server};
 use crate::daemon::net::socket::Bound;
 use crate::daemon::routes;
 use crate::daemon::sessions::handlers::look_for_losses;
@@ -34,11 +35,10 @@ use meissner_api::Realtime;
 use meissner_stream::device::mock::TruePositions;
 use meissner_stream::queues::{CommandQueue, EventQueue};
 use std::io;
-use std::net::TcpListener;
-use std::os::unix::net::UnixListener;
 use std::sync::Arc;
 use std::thread::{self, JoinHandle};
 use std::time::Duration;
+use tokio::net::{TcpListener, UnixListener};
 use tokio::sync::{oneshot, watch};
 use tracing::{info, warn};
 
@@ -53,8 +53,8 @@ const STREAMER_TIMEOUT: Duration = Duration::from_millis(500);
 #[derive(Debug)]
 pub struct Daemon {
     bound: Bound,
-    /// The listener for network clients.
-    tcp: Option<TcpListener>,
+    /// The listeners for network clients: of the API, and for emergency stops.
+    tcp: Option<[std::net::TcpListener; 2]>,
     pub(in crate::daemon) engine: Arc<Engine>,
     pub(in crate::daemon) store: Arc<Store>,
     events: EventQueue,
@@ -71,7 +71,7 @@ impl Daemon {
     pub fn start(config: &Config) -> Result<Self, DaemonError> {
         let store = check::store(config)?;
         let bound = Bound::take_over(&config.socket)?.map_or_else(|| Bound::new(&config.socket), Ok)?;
-        let listen::Bound { listener: tcp, listen, problem } = listen::listen(config.listen.as_ref());
+        let listen::Bound { listeners: tcp, listen, problem } = listen::listen(config.listen.as_ref());
         let gate = Gate::new(listen, problem, TokenStore::open(config.tokens.clone()));
         let (commands, events, realtime, streamer) =
             meissner_stream::spawn(config.settings).map_err(system("streamer's thread"))?;
@@ -128,14 +128,16 @@ impl Daemon {
 
     async fn work(self, mut signals: Signals) -> Result<(), DaemonError> {
         let Self { bound, tcp, engine, store, events, streamer, connector, .. } = self;
-        let api = bound.listener.try_clone().map_err(system("socket"))?;
+        let unix = bound.listener.try_clone().and_then(UnixListener::from_std).map_err(system("socket"))?;
         let estop =
-            bound.estop.as_ref().map(UnixListener::try_clone).transpose().map_err(system("socket"))?;
-        let (sockets, gate) = (Sockets { api, estop, tcp }, Arc::clone(&engine.gate));
+            bound.estop.as_ref().map(|socket| socket.try_clone()).transpose().map_err(system("socket"))?;
+        let (tcp, tcp_estop) = tcp.map_or((None, None), |[api, estop]| (Some(api), Some(estop)));
+        let tcp = tcp.map(TcpListener::from_std).transpose().map_err(system("socket"))?;
         let (bounds, counts) = (Bounds::of_process(), Arc::new(Counts::default()));
-        let (acceptor, handovers, mut acceptor_ended) =
-            Acceptor::spawn(sockets, Arc::clone(&engine.estops), gate, bounds, Arc::clone(&counts))
-                .map_err(system("acceptor's thread"))?;
+        let (estops, gate) = (Arc::clone(&engine.estops), Arc::clone(&engine.gate));
+        let (estop_thread, asked, mut estops_ended) =
+            EStopThread::spawn(estop, tcp_estop, estops, gate, bounds.estops)
+                .map_err(system("thread for emergency stops"))?;
         let manager = Manager::find().map_err(system("thread"))?;
         let (close, closing) = watch::channel(false);
         let reporter = StatusReporter::new(manager.clone());
@@ -148,12 +150,12 @@ impl Daemon {
         let looking = Arc::clone(&engine);
         tokio::spawn(async move { look_for_losses(&looking, RECORD_TIMEOUT).await });
         let server = Server::new(Arc::clone(&engine), router, bounds, counts);
-        let server = tokio::spawn(server.serve(handovers, closing));
+        let server = tokio::spawn(server.serve(unix, tcp, asked, closing));
         manager.notify(Notification::Ready);
         let result = tokio::select! {
             () = signals.end() => Ok(()),
             _ = &mut streamer => Err(DaemonError::Streamer),
-            _ = &mut acceptor_ended => Err(DaemonError::Acceptor),
+            _ = &mut estops_ended => Err(DaemonError::EStops),
             _ = &mut event_loop => Err(DaemonError::EventLoop),
             () = panics::of_needed_thread() => Err(DaemonError::Panicked),
         };
@@ -175,7 +177,7 @@ impl Daemon {
             state.close_session("daemon-ended");
             state.publisher.close();
         }
-        drop(acceptor);
+        drop(estop_thread);
         // An error means that the server has ended already.
         let _ = close.send(true);
         let _ = server.await;

@@ -276,9 +276,9 @@ routes! {
         access: Access { role: Role::Observe, ..Access::MAKES_SAFE },
         packed: false,
         summary: "Stop at once, switch the motors off and latch the fault",
-        description: "The daemon acts before it reads the body, and passes the command on even if its queue is full, \
-                      too many clients are connected or it shuts down. As the first request of a connection it \
-                      waits for no other client. It answers when the device has confirmed that all lines are off; \
+        description: "Prefer `SOCKET.estop`, or over TCP the same request with the access token as its body on the port after \
+                      this one: a real-time thread serves them, and they wait for no other client. Clients send both at once. The daemon \
+                      acts before it reads the body, and passes the command on even if its queue is full or it shuts down. It answers when the device has confirmed that all lines are off; \
                       `estop.off_ms` in the status says how long after the order that was. `POST /v1/reset` clears the latch.",
         body: Body::None,
         ..Operation::post("/v1/estop")

@@ -6,7 +6,7 @@ use crate::error::ClientError;
 use crate::events::Events;
 use hyper::Method;
 use hyper::body::Bytes;
-use meissner_api::{Order, PlanCheck, PlayAccepted, Problem};
+use meissner_api::{Order, PlanCheck, PlayAccepted, Problem, Status};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use std::env;
@@ -111,6 +111,12 @@ impl Client {
     ) -> Result<T, ClientError> {
         let body = serde_json::to_vec(body).map_err(|error| self.bad_answer(&error))?;
         self.call(Method::POST, path, body.into(), timeout)
+    }
+
+    /// Sends an emergency stop; its body is the access token, which the port for emergency stops reads there.
+    pub(crate) fn estop(&mut self) -> Result<Status, ClientError> {
+        let token = self.tokens.access.clone().unwrap_or_default();
+        self.call(Method::POST, "/v1/estop", token.into(), ANSWER_TIMEOUT)
     }
 
     /// Sends a `PUT` with a text and reads the JSON answer.

@@ -6,7 +6,7 @@
 //! - [`Endpoint`]: where to connect to.
 //! - [`Client`]: calls that wait for their answer, by default for [`ANSWER_TIMEOUT`]. Each client has its own small async runtime.
 //! - [`Events`]: the daemon's events, on a separate connection.
-//! - [`estop_at`]: an emergency stop, on a socket of its own if there is one.
+//! - [`estop_at`]: an emergency stop, on both of the daemon's paths at once.
 //! - [`ClientError`]: the errors, each one line that says what to do.
 //!
 //! ```no_run

@@ -1,6 +1,6 @@
 //! Emergency stops: the switch to the streamer, and the origin of the stops since the last reset.
 //!
-//! The acceptor's thread and request handlers share it. A client may reset without `force` if every emergency stop since the last
+//! The thread for emergency stops and request handlers share it. A client may reset without `force` if every emergency stop since the last
 //! reset came from its own terminal ([`Origin`]). A single atomic number ([`Guard`]) decides this. No lock is involved: an
 //! emergency stop works while the rest of the daemon is busy or hangs.
 //!
@@ -44,7 +44,7 @@ impl Origin {
     #[cfg(test)]
     pub(crate) const UNKNOWN: Self = Self { pid: 0, terminal: UNKNOWN };
 
-    /// The origin of a client that is connected now. Uses no heap: the acceptor's real-time thread calls it.
+    /// The origin of a client that is connected now. Uses no heap: the real-time thread calls it.
     pub(crate) fn of(peer: Peer) -> Self {
         let pid = u32::try_from(peer.pid).ok().filter(|pid| *pid < 1 << PID_BITS).unwrap_or(0);
         // For process 0 the kernel would report the daemon's own session.

@@ -8,13 +8,11 @@ use crate::daemon::net::answer::{Answer, ErrorResponse};
 use crate::daemon::net::app::{App, Call};
 use crate::daemon::net::body;
 use crate::daemon::net::request_log::LoggedRequest;
-use crate::daemon::net::server::Ordered;
 use crate::daemon::plays::begin::nanoseconds;
 use crate::daemon::sessions::caller::{Asker, Caller};
 use crate::daemon::status::report;
 use axum::Json;
 use axum::body::Body;
-use axum::extract::Extension;
 use firmware_protocol::tick::Tick;
 use meissner_api::{
     ArmRequest, Code, DisarmRequest, EdgeRequest, Event, Problem, ResetRequest, Status, parse_empty,
@@ -62,17 +60,10 @@ fn tell_owner(app: &App, caller: &Caller, name: &str) {
     }
 }
 
-/// Orders the stop before it reads the body, which may hold anything. The acceptor may have ordered it already.
-pub(in crate::daemon) async fn estop(
-    Call { app, by }: Call,
-    ordered: Option<Extension<Ordered>>,
-    body: Body,
-) -> Answer<Json<Status>> {
+/// Orders the stop before it reads the body, which may hold anything.
+pub(in crate::daemon) async fn estop(Call { app, by }: Call, body: Body) -> Answer<Json<Status>> {
     let logged = LoggedRequest::of(&app.engine, "estop", &by);
-    let result = match ordered {
-        Some(Extension(Ordered(number))) => app.engine.estop_answer(number).await,
-        None => app.engine.estop(Origin::of(by.peer())).await,
-    };
+    let result = app.engine.estop(Origin::of(by.peer())).await;
     // Read the body only now, so that a client that sends it separately does not find the connection closed.
     let _ = tokio::time::timeout(ESTOP_BODY, body::read_command(body)).await;
     logged.result(result.map(|()| Json(report::status(&app.engine, Some(&by)))).map_err(ErrorResponse::from))

@@ -50,9 +50,9 @@ pub enum DaemonError {
         "internal error: the daemon gets no more events from its streamer; motors go off when the host watchdog (`lease_ms`) expires"
     )]
     EventLoop,
-    /// The acceptor ended by itself: our bug.
-    #[error("internal error: the acceptor's thread has ended, so no client can order an emergency stop")]
-    Acceptor,
+    /// The thread for emergency stops ended by itself: our bug.
+    #[error("internal error: the thread for emergency stops has ended")]
+    EStops,
     /// The streamer ended by itself: our bug.
     #[error(
         "internal error: the streamer's thread has ended; motors go off when the host watchdog (`lease_ms`) expires"

@@ -1,8 +1,8 @@
 //! Handles panics, which our bugs cause, or a system that refuses memory or a thread.
 //!
 //! A panic of a connection's task ends that connection. A panic of the daemon's own work, or of a thread that the daemon needs,
-//! ends the daemon as a signal does, with exit 1: a daemon without one of its parts would be worse. The streamer and the acceptor
-//! are watched by [`Daemon::run`](crate::daemon::Daemon::run).
+//! ends the daemon as a signal does, with exit 1: a daemon without one of its parts would be worse. The streamer and the
+//! thread for emergency stops are watched by [`Daemon::run`](crate::daemon::Daemon::run).
 
 use std::future::{Future, poll_fn};
 use std::panic::{self, AssertUnwindSafe};

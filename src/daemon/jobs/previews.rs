@@ -4,12 +4,10 @@
 
 use crate::daemon::core::runtime::{OTHERS, computing};
 use crate::daemon::jobs::preview::begin;
-use crate::daemon::net::activity::Activity;
 use crate::daemon::net::answer::{Answer, PathPart, json_response, path};
 use crate::daemon::net::app::Call;
 use crate::daemon::patterns::find;
 use crate::render_process::{Job, Preview};
-use axum::extract::Extension;
 use axum::http::Uri;
 use axum::response::Response;
 use meissner_api::{Code, MAX_PREVIEW_FROM_S, MAX_PREVIEW_S, Problem};
@@ -25,12 +23,7 @@ const MAX_PATTERN: usize = 4 << 20;
 const LEAST_S: f64 = 0.001;
 const SECONDS: f64 = 1.0;
 
-pub(in crate::daemon) async fn show(
-    Call { app, by }: Call,
-    Extension(activity): Extension<Arc<Activity>>,
-    name: PathPart,
-    uri: Uri,
-) -> Answer<Response> {
+pub(in crate::daemon) async fn show(Call { app, by }: Call, name: PathPart, uri: Uri) -> Answer<Response> {
     let (name, (from_s, seconds)) = (path(name)?, piece(uri.query().unwrap_or_default())?);
     let _waits = app.waiting_place(by.peer())?;
     let job = {
@@ -48,22 +41,15 @@ pub(in crate::daemon) async fn show(
         };
         computing(job).await?
     };
-    let computed = async {
-        let (mut running, _place) = begin(job).await?;
-        let late = |_| {
-            let seconds = TIMEOUT.as_secs();
-            let detail =
-                format!("the preview takes longer than {seconds} s: take an earlier piece, or a shorter one");
-            Problem::new(Code::Timeout, detail)
-        };
-        let result = timeout(TIMEOUT, running.result()).await.map_err(late)?;
-        result.map_err(|detail| Problem::new(Code::Store, detail))
+    let (mut running, _place) = begin(job).await?;
+    let late = |_| {
+        let seconds = TIMEOUT.as_secs();
+        let detail =
+            format!("the preview takes longer than {seconds} s: take an earlier piece, or a shorter one");
+        Problem::new(Code::Timeout, detail)
     };
-    tokio::select! {
-        computed = computed => Ok(json_response(computed?)),
-        // Nobody reads this.
-        () = activity.hung_up() => Err(Problem::new(Code::Timeout, "the client hung up").into()),
-    }
+    let result = timeout(TIMEOUT, running.result()).await.map_err(late)?;
+    Ok(json_response(result.map_err(|detail| Problem::new(Code::Store, detail))?))
 }
 
 /// The piece that a query asks for: its beginning and length, s.

@@ -5,7 +5,6 @@
 //!
 //! Invariant: a request that is refused here changes nothing; a change that the guard refuses is recorded like any refused command.
 
-use crate::daemon::net::activity::Activity;
 use crate::daemon::net::answer::ErrorResponse;
 use crate::daemon::net::app::App;
 use crate::daemon::net::body;
@@ -24,7 +23,6 @@ use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use meissner_api::{Code, Method, Problem, Route};
 use std::sync::Arc;
-use std::sync::atomic::Ordering;
 
 const CROSS_ORIGIN_RESOURCE_POLICY: HeaderName = HeaderName::from_static("cross-origin-resource-policy");
 
@@ -42,12 +40,6 @@ pub(in crate::daemon) async fn layer(
     };
     let refusal = match check(&gate, peer, &request) {
         Ok(caller) => {
-            // A file of the page needs no token.
-            if let Some(activity) = request.extensions().get::<Arc<Activity>>()
-                && request.uri().path().starts_with("/v1/")
-            {
-                activity.is_known.store(true, Ordering::Relaxed);
-            }
             request.extensions_mut().insert(caller.peer);
             request.extensions_mut().insert(caller);
             return with_headers(next.run(request).await);

@@ -1,13 +1,21 @@
 //! Answers: problems as responses, parts of the address, and JSON that is already written.
 
 use axum::Json;
-use axum::body::Bytes;
+use axum::body::{Bytes, to_bytes};
 use axum::extract::Path;
 use axum::extract::rejection::PathRejection;
 use axum::http::StatusCode;
 use axum::http::header::CONTENT_TYPE;
+use axum::http::response::Parts;
 use axum::response::{IntoResponse, Response};
+use futures_util::FutureExt;
 use meissner_api::{Code, Problem};
+use std::time::Duration;
+use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt};
+use tokio::time::timeout;
+
+/// How long writing an answer without a server may take.
+const WRITE: Duration = Duration::from_secs(5);
 
 /// The answer of a handler.
 pub(in crate::daemon) type Answer<T> = Result<T, ErrorResponse>;
@@ -51,4 +59,33 @@ pub(in crate::daemon) fn path(path: PathPart) -> Answer<String> {
 /// An answer of JSON that is already written.
 pub(in crate::daemon) fn json_response(json: impl Into<Bytes>) -> Response {
     ([(CONTENT_TYPE, "application/json")], json.into()).into_response()
+}
+
+/// Writes an answer without a server, and closes the connection. A page of this site may read it.
+pub(in crate::daemon) async fn answer_alone(
+    mut stream: impl AsyncRead + AsyncWrite + Unpin,
+    response: impl IntoResponse,
+    site: &str,
+) {
+    let (Parts { status, headers, .. }, body) = response.into_response().into_parts();
+    let kind = headers.get(CONTENT_TYPE).and_then(|kind| kind.to_str().ok()).unwrap_or_default();
+    let site = if site.is_empty() {
+        String::new()
+    } else {
+        format!("access-control-allow-origin: {site}\r\nvary: origin\r\n")
+    };
+    let Ok(body) = to_bytes(body, usize::MAX).await else { return };
+    let head = format!(
+        "HTTP/1.1 {status}\r\ncontent-type: {kind}\r\ncontent-length: {}\r\nconnection: close\r\n{site}\r\n",
+        body.len()
+    );
+    let write = async {
+        // A connection that is closed with unread bytes may lose the answer.
+        let mut unread = [0; 4096];
+        while stream.read(&mut unread).now_or_never().is_some_and(|read| read.is_ok_and(|len| len > 0)) {}
+        stream.write_all(&[head.as_bytes(), &body].concat()).await?;
+        stream.shutdown().await
+    };
+    // The client may be gone.
+    let _ = timeout(WRITE, write).await;
 }

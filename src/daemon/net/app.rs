@@ -3,7 +3,8 @@
 //! Invariant: a client that waits holds a place, and a network client a further one, so that places stay free for clients of the socket.
 
 use crate::daemon::core::engine::Engine;
-use crate::daemon::net::acceptor::{Bounds, Counts};
+use crate::daemon::net::bounds::Bounds;
+use crate::daemon::net::server::Counts;
 use crate::daemon::sessions::caller::Asker;
 use crate::daemon::status::doctor::Doctor;
 use crate::record::Peer;

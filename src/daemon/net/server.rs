@@ -1,54 +1,66 @@
-//! The server: answers the clients that the acceptor hands over, limits their number, and closes their connections at the end.
+//! The API's server: accepts connections, gives each request to the router, and limits the number of clients.
 //!
-//! hyper speaks HTTP/1.1 on a [`Connection`]; [`http`](crate::daemon::routes) handles the requests. If more clients are connected than
-//! [`Bounds::clients`], the server disconnects one that the gate does not know, or else the one for which it has waited longest
-//! ([`Activity`]). If it waits for none, the new client gets an error. A prompt request or an emergency stop still gets its answer,
-//! and then the connection ends.
+//! hyper speaks HTTP/1.1; the [`router`](crate::daemon::routes) handles the requests. If more clients are connected than
+//! [`Bounds::clients`], the server disconnects the one for which it has waited longest ([`Client::due`]), clients that the gate has
+//! not admitted first. If it waits for none, the new client gets an error.
 //!
-//! Invariant: a client occupies one place and its own buffers; between two of its requests the server handles one of every other
-//! client.
+//! Invariants: between two requests of a client the server handles one of every other client; a command that has come whole is carried
+//! out to its end, even if its client is gone.
 
 use crate::daemon::core::engine::Engine;
-use crate::daemon::net::acceptor::{
-    Accepted, Bounds, Counts, Handover, IDLE, refuse, response, too_many_clients,
-};
-use crate::daemon::net::activity::Activity;
-use crate::daemon::net::answer::ErrorResponse;
-use crate::daemon::net::connection::{Connection, ReadAhead};
-use crate::daemon::net::first_request::Kind;
-use crate::daemon::net::orders::Orders;
-use crate::daemon::net::request_log::LoggedRequest;
-use crate::record::Peer;
+use crate::daemon::net::answer::{ErrorResponse, answer_alone};
+use crate::daemon::net::bounds::Bounds;
+use crate::daemon::net::client::{Arriving, Client, Waits, Watched};
+use crate::daemon::net::estop::Asked;
+use crate::record::{NetworkPeer, Peer};
 use axum::Router;
-use axum::http::HeaderValue;
-use axum::http::header::{CONNECTION, CONTENT_TYPE};
+use axum::body::Body;
+use axum::http::header::CONTENT_TYPE;
+use axum::http::{Method, StatusCode};
+use futures_util::FutureExt;
+use futures_util::future::Either;
 use hyper::Request;
-use hyper::body::Incoming;
+use hyper::body::{Body as _, Incoming};
 use hyper::server::conn::http1;
 use hyper::service::service_fn;
-use hyper_util::rt::{TokioIo, TokioTimer};
+use hyper_util::rt::TokioIo;
+use meissner_api::{Code, Problem};
+use rustix::net::sockopt;
 use std::collections::HashMap;
 use std::pin::pin;
 use std::sync::Arc;
-use std::sync::atomic::Ordering;
-use std::time::{Duration, Instant};
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Duration;
+use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite};
+use tokio::net::{TcpListener, TcpStream, UnixListener};
 use tokio::sync::{mpsc, watch};
-use tokio::task::{AbortHandle, Id, JoinSet};
+use tokio::task::{AbortHandle, Id, JoinSet, yield_now};
+use tokio::time::{Instant, interval, sleep, timeout};
 use tower::ServiceExt;
 use tracing::{debug, warn};
 
 /// The size of hyper's buffer for a client in each direction, bytes: a request's head fits.
 const BUFFER: usize = 32 << 10;
-/// How long a client may be idle between two requests: as long as a break between two blocks of an experiment.
-const KEPT_IDLE: Duration = Duration::from_secs(600);
 /// How long running requests may still take at the end.
 const DRAIN: Duration = Duration::from_secs(1);
+/// How often the server looks for clients that are late.
+const LOOK_EVERY: Duration = Duration::from_secs(1);
 /// How often the log reports refused and disconnected clients.
 const REPORT_EVERY: Duration = Duration::from_secs(10);
+/// How long a network client's machine may fail to answer, because it sleeps or has lost its network. A client that waits for an
+/// answer does not count as silent, so this bounds how long a dead client keeps motors armed beyond its stated silence.
+const UNANSWERED: Duration = Duration::from_secs(10);
+/// How long a client that is refused may take to send its request.
+const REFUSED: Duration = Duration::from_millis(100);
+/// How long to wait for another descriptor.
+const NO_DESCRIPTOR: Duration = Duration::from_millis(10);
 
-/// The number of the emergency stop that the acceptor has ordered for this request.
-#[derive(Clone, Copy, Debug)]
-pub(in crate::daemon) struct Ordered(pub(in crate::daemon) u64);
+/// Clients that were refused, and disconnected because others needed their places.
+#[derive(Debug, Default)]
+pub(in crate::daemon) struct Counts {
+    pub(in crate::daemon) refused: AtomicU64,
+    pub(in crate::daemon) evicted: AtomicU64,
+}
 
 /// See the module.
 #[derive(Debug)]
@@ -57,11 +69,10 @@ pub(in crate::daemon) struct Server {
     router: Router,
     bounds: Bounds,
     counts: Arc<Counts>,
-    clients: JoinSet<()>,
-    /// Emergency stops that wait for their answers, to be recorded.
-    estops: JoinSet<()>,
-    /// The clients' tasks, and how active each is.
-    tasks: HashMap<Id, (AbortHandle, Arc<Activity>)>,
+    tasks: JoinSet<()>,
+    clients: HashMap<Id, (AbortHandle, Arc<Client>)>,
+    /// Emergency stops and refused clients that wait for their answers.
+    others: JoinSet<()>,
     /// The numbers of refusals, evictions and denials that the log has reported.
     reported: [u64; 3],
     reported_at: Option<Instant>,
@@ -74,99 +85,115 @@ impl Server {
         bounds: Bounds,
         counts: Arc<Counts>,
     ) -> Self {
-        let (clients, estops, tasks, reported, reported_at) = Default::default();
-        Self { engine, router, bounds, counts, clients, estops, tasks, reported, reported_at }
+        let (tasks, clients, others, reported, reported_at) = Default::default();
+        Self { engine, router, bounds, counts, tasks, clients, others, reported, reported_at }
     }
 
     /// Serves until `closing` turns true, then finishes the running requests, for [`DRAIN`] at most.
     pub(in crate::daemon) async fn serve(
         mut self,
-        mut handovers: mpsc::Receiver<Handover>,
+        unix: UnixListener,
+        tcp: Option<TcpListener>,
+        mut asked: mpsc::Receiver<Asked>,
         mut closing: watch::Receiver<bool>,
     ) {
+        let mut look = interval(LOOK_EVERY);
         loop {
             tokio::select! {
-                Some(handover) = handovers.recv() => match handover {
-                    Handover::Client(accepted) => self.take(accepted, &closing),
-                    Handover::EStop { peer, number } => self.record_estop(peer, number),
-                },
-                Some(ended) = self.clients.join_next_with_id() => {
-                    let id = ended.map_or_else(|error| error.id(), |(id, ())| id);
-                    self.tasks.remove(&id);
+                Some(asked) = asked.recv() => {
+                    // Beyond the bound it is not recorded: the device does not answer, and the earlier ones are recorded.
+                    if self.others.len() < 4 * self.bounds.estops {
+                        self.engine.names.users.look_up(asked.peer.uid);
+                        self.others.spawn(asked.answer(Arc::clone(&self.engine)));
+                    }
                 }
-                Some(_) = self.estops.join_next() => {}
+                accepted = unix.accept() => match accepted {
+                    Ok((stream, _)) => {
+                        let peer = stream.peer_cred().ok().and_then(|peer| Some((peer.pid()?, peer.uid())));
+                        let peer = peer.map_or(Peer::UNKNOWN, |(pid, uid)| Peer::local(pid, uid));
+                        self.take(stream, peer, &closing).await;
+                    }
+                    Err(_) => self.make_room(false).await,
+                },
+                Some(accepted) = accept(tcp.as_ref()) => match accepted {
+                    Ok((stream, address)) => {
+                        let network = NetworkPeer { address: address.ip().to_canonical(), token: None };
+                        set_options(&stream);
+                        self.take(stream, Peer::network(network), &closing).await;
+                    }
+                    Err(_) => self.make_room(true).await,
+                },
+                Some(ended) = self.tasks.join_next_with_id() => {
+                    let id = ended.map_or_else(|error| error.id(), |(id, ())| id);
+                    self.clients.remove(&id);
+                }
+                Some(_) = self.others.join_next() => {}
+                _ = look.tick() => self.end_late(),
                 () = closed(&mut closing) => break,
             }
             self.report();
         }
-        let drained = async { while self.clients.join_next().await.is_some() {} };
-        if tokio::time::timeout(DRAIN, drained).await.is_err() {
+        let drained = async { while self.tasks.join_next().await.is_some() {} };
+        if timeout(DRAIN, drained).await.is_err() {
             warn!("clients were disconnected in mid-request");
         }
     }
 
-    fn take(&mut self, accepted: Accepted, closing: &watch::Receiver<bool>) {
-        let Accepted { stream, head, peer, first, estop, place } = accepted;
-        let full = self.clients_now().count() >= self.bounds.clients;
+    async fn take<S>(&mut self, stream: S, peer: Peer, closing: &watch::Receiver<bool>)
+    where
+        S: AsyncRead + AsyncWrite + Send + Unpin + 'static,
+    {
+        let is_network = peer.network.is_some();
+        let of_network = self.clients.values().filter(|(_, client)| client.peer.network.is_some()).count();
         // A network client displaces only network clients.
-        let is_network = stream.is_network();
-        let of_network = self.clients_now().filter(|activity| activity.is_network).count();
-        let full = full || is_network && of_network >= self.bounds.network;
-        let is_beyond = full && !self.evict(is_network, first.is_known);
-        let (estops, gate) = (&self.engine.estops, &self.engine.gate);
-        let mut orders = Orders::new(Arc::clone(estops), Arc::clone(gate), peer, estop);
-        if is_beyond && first.kind <= Kind::Other {
+        let is_full =
+            self.clients.len() >= self.bounds.clients || is_network && of_network >= self.bounds.network;
+        if is_full && !self.evict(is_network) {
             self.counts.refused.fetch_add(1, Ordering::Relaxed);
-            orders.take(&head);
-            refuse(&stream, &response(&too_many_clients(self.bounds.clients)), &mut orders);
-            return;
+            if self.others.len() < 2 * self.bounds.estops {
+                self.others.spawn(refuse(stream, self.bounds.clients));
+            }
+        } else {
+            self.engine.names.users.look_up(peer.uid);
+            let client = Client::new(peer);
+            let serving = serve_client(stream, Arc::clone(&client), self.router.clone(), closing.clone());
+            let handle = self.tasks.spawn(serving);
+            self.clients.insert(handle.id(), (handle, client));
         }
-        self.engine.names.users.look_up(peer.uid);
-        let Ok((connection, ahead, activity)) = Connection::new(stream, &head, orders, first.is_known) else {
-            return;
-        };
-        let (router, closing, watched) = (self.router.clone(), closing.clone(), Arc::clone(&activity));
-        let handle = self.clients.spawn(async move {
-            serve_client(connection, ahead, watched, peer, is_beyond, router, closing).await;
-            drop(place);
-        });
-        self.tasks.insert(handle.id(), (handle, activity));
+        // What the client has sent is read before the next one may displace it.
+        yield_now().await;
     }
 
-    /// Ends the connection of a client that the gate does not know, if the new one is known; else the one for which the server has waited
-    /// longest, with `network_only` among network clients. Returns whether there was one.
-    fn evict(&mut self, network_only: bool, for_known: bool) -> bool {
-        let clients = self.clients_now().filter(|activity| activity.is_network || !network_only);
-        let rank = |activity: &Activity| {
-            let is_stranger = for_known && !activity.is_known.load(Ordering::Relaxed);
-            let waited = activity.lazy_for(IDLE);
-            (is_stranger || waited.is_some()).then_some((is_stranger, waited))
-        };
-        let lazy = clients.filter_map(|activity| Some((rank(activity)?, activity)));
-        let Some((_, laziest)) = lazy.max_by_key(|(rank, _)| *rank) else { return false };
-        laziest.evict();
+    /// Ends the connection of a client for which the server waits, with `network_only` of a network client; returns whether there was
+    /// one.
+    fn evict(&mut self, network_only: bool) -> bool {
+        let clients =
+            self.clients.iter().filter(|(_, (_, client))| client.peer.network.is_some() || !network_only);
+        let waited = clients.filter_map(|(id, (_, client))| {
+            let (since, patience, _) = client.due()?;
+            (since.elapsed() >= patience).then_some((client.is_known(), since, *id))
+        });
+        let Some((.., id)) = waited.min() else { return false };
+        if let Some((handle, _)) = self.clients.remove(&id) {
+            handle.abort();
+        }
         self.counts.evicted.fetch_add(1, Ordering::Relaxed);
         true
     }
 
-    /// The served connections that are not about to end.
-    fn clients_now(&self) -> impl Iterator<Item = &Activity> {
-        let running = self.tasks.values().filter(|(handle, _)| !handle.is_finished());
-        running.map(|(_, activity)| &**activity).filter(|activity| !activity.is_evicted())
+    /// Makes room for a connection for which there is no descriptor.
+    async fn make_room(&mut self, network_only: bool) {
+        self.evict(network_only);
+        sleep(NO_DESCRIPTOR).await;
     }
 
-    /// Writes an emergency stop that the acceptor has ordered to the log and the session record, once it is answered.
-    fn record_estop(&mut self, peer: Peer, number: u64) {
-        // Beyond the bound it is not recorded: the device does not answer, and the earlier ones are recorded.
-        if self.estops.len() >= self.bounds.estops {
-            return;
+    /// Ends the connections of clients that have kept the server waiting for too long.
+    fn end_late(&mut self) {
+        for (handle, client) in self.clients.values() {
+            if client.due().is_some_and(|(since, _, most)| since.elapsed() >= most) {
+                handle.abort();
+            }
         }
-        self.engine.names.users.look_up(peer.uid);
-        let engine = Arc::clone(&self.engine);
-        self.estops.spawn(async move {
-            let logged = LoggedRequest::new(&engine, "estop", peer);
-            let _ = logged.result(engine.estop_answer(number).await.map_err(ErrorResponse::from));
-        });
     }
 
     fn report(&mut self) {
@@ -193,49 +220,66 @@ impl Server {
     }
 }
 
-/// Serves a client until its connection ends; a client beyond the places only until its first answer.
-pub(in crate::daemon) async fn serve_client(
-    connection: Connection,
-    mut ahead: ReadAhead,
-    activity: Arc<Activity>,
-    peer: Peer,
-    is_beyond: bool,
+async fn accept(tcp: Option<&TcpListener>) -> Option<std::io::Result<(TcpStream, std::net::SocketAddr)>> {
+    Some(tcp?.accept().await)
+}
+
+/// Sets the options of a connection. Errors are ignored: the client is gone.
+fn set_options(stream: &TcpStream) {
+    let _ = stream.set_nodelay(true);
+    let _ = sockopt::set_socket_keepalive(stream, true);
+    let _ = sockopt::set_tcp_keepidle(stream, UNANSWERED / 2);
+    let _ = sockopt::set_tcp_keepintvl(stream, UNANSWERED / 5);
+    let unanswered = u32::try_from(UNANSWERED.as_millis()).unwrap_or(u32::MAX);
+    let _ = sockopt::set_tcp_user_timeout(stream, unanswered);
+}
+
+/// Answers one client too many.
+async fn refuse(mut stream: impl AsyncRead + AsyncWrite + Unpin, most: usize) {
+    // A client that has not sent its request would find the connection closed, and not the answer.
+    let _ = timeout(REFUSED, stream.read(&mut [0; 4096])).await;
+    let detail = format!("{most} clients are connected already: close one, or try again in a moment");
+    answer_alone(stream, ErrorResponse(Problem::new(Code::TooManyClients, detail)), "").await;
+}
+
+/// Serves a client until its connection ends.
+pub(in crate::daemon) async fn serve_client<S>(
+    stream: S,
+    client: Arc<Client>,
     router: Router,
     mut closing: watch::Receiver<bool>,
-) {
-    let next_request = ahead.next_request();
-    let service = service_fn(move |mut request: Request<Incoming>| {
-        let (router, activity) = (router.clone(), Arc::clone(&activity));
-        activity.busy.store(true, Ordering::Relaxed);
-        request.extensions_mut().insert(peer);
-        request.extensions_mut().insert(Arc::clone(&activity));
-        if let Some(number) = next_request() {
-            request.extensions_mut().insert(Ordered(number));
-        }
-        async move {
+) where
+    S: AsyncRead + AsyncWrite + Send + Unpin + 'static,
+{
+    let served = Arc::clone(&client);
+    let service = service_fn(move |request: Request<Incoming>| {
+        let (router, client) = (router.clone(), Arc::clone(&served));
+        let is_read = matches!(*request.method(), Method::GET | Method::HEAD);
+        let is_api = request.uri().path().starts_with("/v1/");
+        // An emergency stop is carried out before its body is read.
+        let is_whole = request.body().is_end_stream() || request.uri().path() == "/v1/estop";
+        client.set(if is_whole { Waits::Nothing } else { Waits::Body });
+        let mut request = request.map(|body| Body::new(Arriving(body, Arc::clone(&client))));
+        request.extensions_mut().insert(client.peer);
+        let answer = async move {
             // Let other clients have their turn, even if this one sends one request after the other.
-            tokio::task::yield_now().await;
-            let mut response = router.oneshot(request).await;
-            let streams = |response: &axum::response::Response| {
-                response.headers().get(CONTENT_TYPE).is_some_and(|kind| kind == "text/event-stream")
-            };
-            activity.streaming.store(response.as_ref().is_ok_and(streams), Ordering::Relaxed);
-            activity.busy.store(false, Ordering::Relaxed);
-            if let Ok(response) = &mut response
-                && is_beyond
-            {
-                response.headers_mut().insert(CONNECTION, HeaderValue::from_static("close"));
-            }
+            yield_now().await;
+            let Ok(response) = router.oneshot(request).await;
+            let is_stream =
+                response.headers().get(CONTENT_TYPE).is_some_and(|kind| kind == "text/event-stream");
+            let is_refused = matches!(response.status(), StatusCode::UNAUTHORIZED | StatusCode::FORBIDDEN);
+            client.answered(is_stream, is_api && !is_refused);
             response
-        }
+        };
+        // hyper drops the answer of a client that is gone: then nobody waits for a read, but a command is carried out.
+        if is_read { Either::Left(answer.map(Ok)) } else { Either::Right(tokio::spawn(answer)) }
     });
     let mut http = http1::Builder::new();
-    // A client that has sent its request may close its half of the connection.
-    http.half_close(true).max_buf_size(BUFFER).timer(TokioTimer::new()).header_read_timeout(KEPT_IDLE);
-    let mut connection = pin!(http.serve_connection(TokioIo::new(connection), service).with_upgrades());
+    // The server ends late clients.
+    http.max_buf_size(BUFFER).header_read_timeout(None);
+    let stream = TokioIo::new(Watched(stream, Arc::clone(&client)));
+    let mut connection = pin!(http.serve_connection(stream, service).with_upgrades());
     let ended = tokio::select! {
-        biased;
-        () = ahead.late_head() => return,
         ended = connection.as_mut() => ended,
         () = closed(&mut closing) => {
             connection.as_mut().graceful_shutdown();
@@ -243,7 +287,7 @@ pub(in crate::daemon) async fn serve_client(
         }
     };
     if let Err(error) = ended {
-        debug!(pid = peer.pid, "a client's connection broke: {error}");
+        debug!(pid = client.peer.pid, "a client's connection broke: {error}");
     }
 }
 
@@ -256,102 +300,142 @@ async fn closed(closing: &mut watch::Receiver<bool>) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::daemon::net::stream::Stream;
+    use axum::routing::{get, post};
     use meissner_stream::queues::queues;
-    use tokio::io::{AsyncReadExt, AsyncWriteExt};
+    use std::future::pending;
+    use tokio::io::AsyncWriteExt;
+    use tokio::net::UnixStream;
 
-    /// A client, and the work that serves it.
-    fn served(
-        router: Router,
-        closing: watch::Receiver<bool>,
-    ) -> (tokio::net::UnixStream, impl Future<Output = ()> + Send) {
-        let (client, stream) = std::os::unix::net::UnixStream::pair().unwrap();
-        for end in [&client, &stream] {
-            end.set_nonblocking(true).unwrap();
-        }
-        let (_port, commands, _events) = queues().unwrap();
-        let engine = Engine::of_paper(commands);
-        let peer = Peer::local(1, 0);
-        let orders = Orders::new(Arc::clone(&engine.estops), Arc::clone(&engine.gate), peer, None);
-        let (connection, ahead, activity) =
-            Connection::new(Stream::unix(stream.into()), b"", orders, true).unwrap();
-        let serving = serve_client(connection, ahead, activity, peer, false, router, closing);
-        (tokio::net::UnixStream::from_std(client).unwrap(), serving)
-    }
+    const GET: &[u8] = b"GET /v1/x HTTP/1.1\r\nhost: x\r\n\r\n";
+    const HEAD_S: u64 = 5;
+    const WAIT: &[u8] = b"GET /v1/wait HTTP/1.1\r\nhost: x\r\n\r\n";
 
-    /// This runs in virtual time.
-    #[test]
-    fn an_idle_client_is_kept_for_ten_minutes() {
+    /// Runs a test in virtual time against a server with four places, which counts the posts that it has carried out.
+    fn on_server(test: impl AsyncFnOnce(&dyn Fn() -> UnixStream, &AtomicU64)) {
         crate::daemon::runtime().unwrap().block_on(async {
             tokio::time::pause();
-            let (_close, closing) = watch::channel(false);
-            let router = Router::new().route("/", axum::routing::get(async || "answer"));
-            let (mut client, serving) = served(router, closing);
-            tokio::spawn(serving);
-            let mut text = Vec::new();
-            // The second request comes after another break.
-            for breaks in 1..3 {
-                client.write_all(b"GET / HTTP/1.1\r\nhost: x\r\n\r\n").await.unwrap();
-                while !text.ends_with(b"answer") {
-                    client.read_buf(&mut text).await.unwrap();
-                }
-                text.clear();
-                let begun = tokio::time::Instant::now();
-                if breaks == 1 {
-                    tokio::time::sleep(KEPT_IDLE - Duration::from_secs(1)).await;
-                } else {
-                    assert_eq!(client.read_buf(&mut text).await.unwrap(), 0);
-                    assert!(begun.elapsed().abs_diff(KEPT_IDLE) < Duration::from_secs(1));
-                }
-            }
+            let dir = tempfile::tempdir().unwrap();
+            let path = dir.path().join("m");
+            let listener = UnixListener::bind(&path).unwrap();
+            let (_port, commands, _events) = queues().unwrap();
+            let posts = Arc::new(AtomicU64::new(0));
+            let count = Arc::clone(&posts);
+            let router = Router::new()
+                .route("/v1/x", get(async || "answer"))
+                .route("/v1/large", get(async || vec![0; 4 << 20]))
+                .route("/v1/wait", get(async || pending::<()>().await))
+                .route(
+                    "/v1/post",
+                    post(async move || {
+                        sleep(Duration::from_secs(1)).await;
+                        count.fetch_add(1, Ordering::Relaxed);
+                    }),
+                );
+            let bounds = Bounds { clients: 4, network: 3, waiting: 3, waiting_network: 2, estops: 4 };
+            let server = Server::new(Arc::new(Engine::of_paper(commands)), router, bounds, Arc::default());
+            let ((_asker, asked), (_close, closing)) = (mpsc::channel(1), watch::channel(false));
+            tokio::spawn(server.serve(listener, None, asked, closing));
+            let connect = || {
+                let stream = std::os::unix::net::UnixStream::connect(&path).unwrap();
+                stream.set_nonblocking(true).unwrap();
+                UnixStream::from_std(stream).unwrap()
+            };
+            test(&connect, &posts).await;
         });
     }
 
-    /// This runs in virtual time.
+    /// What the server sends until it ends with this, or closes the connection.
+    async fn read(stream: &mut UnixStream, end: &[u8]) -> String {
+        let mut bytes = Vec::new();
+        while !bytes.ends_with(end) && stream.read_buf(&mut bytes).await.is_ok_and(|len| len > 0) {}
+        String::from_utf8_lossy(&bytes).into_owned()
+    }
+
+    async fn ask(stream: &mut UnixStream) -> String {
+        let _ = stream.write_all(GET).await;
+        read(stream, b"answer").await
+    }
+
     #[test]
-    fn a_later_head_has_five_seconds_from_its_first_byte_on() {
-        crate::daemon::runtime().unwrap().block_on(async {
-            tokio::time::pause();
-            let (_close, closing) = watch::channel(false);
-            let sleepy = async || tokio::time::sleep(Duration::from_secs(20)).await;
-            let router = Router::new()
-                .route("/", axum::routing::get(async || "answer"))
-                .route("/sleepy", axum::routing::get(sleepy));
-            let (mut client, serving) = served(router, closing);
-            tokio::spawn(serving);
-            let mut text = Vec::new();
-            client.write_all(b"GET / HTTP/1.1\r\nhost: x\r\n\r\n").await.unwrap();
-            while !text.ends_with(b"answer") {
-                client.read_buf(&mut text).await.unwrap();
+    fn a_client_too_many_gets_an_error_unless_the_server_waits_for_another() {
+        on_server(async |connect, _| {
+            let mut working = Vec::new();
+            for _ in 0..3 {
+                let mut stream = connect();
+                stream.write_all(WAIT).await.unwrap();
+                working.push(stream);
             }
-            tokio::time::sleep(Duration::from_secs(100)).await;
-            // Part of a head waits behind a long request. It still gets its time after the answer.
-            client.write_all(b"GET /sleepy HTTP/1.1\r\nhost: x\r\n\r\nGET / HT").await.unwrap();
-            text.clear();
-            while !text.windows(8).any(|bytes| bytes == b"HTTP/1.1") {
-                client.read_buf(&mut text).await.unwrap();
+            for part in [
+                &b""[..],
+                b"GET /v1/x HT",
+                b"POST /v1/post HTTP/1.1\r\nhost: x\r\ncontent-length: 9\r\n\r\n{",
+                &[GET, b"GET /v1/x HT"].concat(),
+                b"GET /v1/large HTTP/1.1\r\nhost: x\r\n\r\n",
+            ] {
+                let mut slow = connect();
+                slow.write_all(part).await.unwrap();
+                sleep(Duration::from_secs(2)).await;
+                assert!(ask(&mut connect()).await.starts_with("HTTP/1.1 200 "), "{part:?}");
             }
-            assert!(text.starts_with(b"HTTP/1.1 200"), "the request before is answered");
-            client.write_all(b"TP/1.1\r\nhost: x\r\n\r\n").await.unwrap();
-            while !text.ends_with(b"answer") {
-                client.read_buf(&mut text).await.unwrap();
-            }
-            text.clear();
-            let begun = tokio::time::Instant::now();
-            let slow = async {
-                for byte in b"GET / HTTP/1.1\r\nhost: x\r\nx: y".iter().cycle() {
-                    // The write may fail, because the connection ends meanwhile.
-                    let _ = client.write_all(&[*byte]).await;
-                    if tokio::time::timeout(Duration::from_secs(2), client.read_buf(&mut text)).await.is_ok()
-                    {
-                        break;
-                    }
+            let mut fourth = connect();
+            fourth.write_all(WAIT).await.unwrap();
+            sleep(Duration::from_secs(2)).await;
+            let refused = ask(&mut connect()).await;
+            assert!(
+                refused.starts_with("HTTP/1.1 503 ") && refused.contains("too-many-clients"),
+                "{refused}"
+            );
+            // A client that is gone leaves its place, although its request waits.
+            drop(fourth);
+            sleep(Duration::from_secs(2)).await;
+            assert!(ask(&mut connect()).await.starts_with("HTTP/1.1 200 "));
+        });
+    }
+
+    #[test]
+    fn a_head_has_five_seconds_an_answer_ten_and_an_idle_client_ten_minutes() {
+        on_server(async |connect, _| {
+            let large = b"GET /v1/large HTTP/1.1\r\nhost: x\r\n\r\n";
+            for (begins, sends, most) in [
+                (&b""[..], &b""[..], HEAD_S),
+                (b"", b"GET / HT", HEAD_S),
+                (GET, b"", 600),
+                (GET, b"GET / HT", HEAD_S),
+            ] {
+                let mut stream = connect();
+                stream.write_all(begins).await.unwrap();
+                if !begins.is_empty() {
+                    read(&mut stream, b"answer").await;
                 }
-            };
-            slow.await;
-            let late = begun.elapsed().abs_diff(crate::daemon::net::framing::HEAD);
-            assert!(late < Duration::from_secs(1), "{late:?}");
-            assert!(text.starts_with(b"HTTP/1.1 408"), "{}", String::from_utf8_lossy(&text));
+                stream.write_all(sends).await.unwrap();
+                let begun = Instant::now();
+                assert_eq!(read(&mut stream, b"never").await, "");
+                let took = begun.elapsed().abs_diff(Duration::from_secs(most));
+                assert!(took <= LOOK_EVERY, "{begins:?}, {sends:?}: {took:?}");
+            }
+            let mut stream = connect();
+            stream.write_all(large).await.unwrap();
+            sleep(Duration::from_secs(12)).await;
+            assert!(read(&mut stream, b"never").await.len() < 4 << 20, "it has read nothing for 10 s");
+        });
+    }
+
+    #[test]
+    fn a_command_of_a_client_that_is_gone_is_carried_out() {
+        on_server(async |connect, posts| {
+            for body in ["content-length: 0\r\n\r\n", "content-length: 2\r\n\r\n{}"] {
+                for before in [&b""[..], GET] {
+                    let mut stream = connect();
+                    stream.write_all(before).await.unwrap();
+                    if !before.is_empty() {
+                        read(&mut stream, b"answer").await;
+                    }
+                    let post = format!("POST /v1/post HTTP/1.1\r\nhost: x\r\n{body}");
+                    stream.write_all(post.as_bytes()).await.unwrap();
+                }
+            }
+            sleep(Duration::from_secs(5)).await;
+            assert_eq!(posts.load(Ordering::Relaxed), 4);
         });
     }
 }

@@ -2,7 +2,6 @@
 
 use crate::daemon::core::engine::{Engine, TIMEOUT};
 use crate::daemon::core::runtime::{CHECKS, Lane, PLAYS, STORED, check_place};
-use crate::daemon::net::activity::Activity;
 use crate::daemon::net::answer::{Answer, PathPart, path};
 use crate::daemon::net::app::{App, Call};
 use crate::daemon::net::body;
@@ -16,7 +15,6 @@ use crate::record::has_line;
 use crate::store::Stored;
 use axum::Json;
 use axum::body::Body;
-use axum::extract::Extension;
 use axum::http::{StatusCode, Uri};
 use meissner_api::{
     AnswerTaken, Code, MAX_PACKED_BODY, MAX_WAIT_S, Order, PatternChoice, PlanCheck, PlayAccepted,
@@ -120,7 +118,6 @@ pub(in crate::daemon) async fn check(Call { app, by }: Call, body: Body) -> Answ
 
 pub(in crate::daemon) async fn receipt(
     Call { app, by }: Call,
-    Extension(activity): Extension<Arc<Activity>>,
     uri: Uri,
     id: PathPart,
 ) -> Answer<Json<Receipt>> {
@@ -132,7 +129,6 @@ pub(in crate::daemon) async fn receipt(
     tokio::select! {
         receipt = ended(&app.engine, &id) => receipt,
         () = tokio::time::sleep(wait) => Ok(Json(find_receipt(&app.engine, &id)?)),
-        () = activity.hung_up() => Ok(Json(receipt)),
     }
 }
 

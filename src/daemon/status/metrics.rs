@@ -4,8 +4,8 @@
 //!
 //! Invariant: a published name keeps its meaning and unit.
 
-use crate::daemon::net::acceptor::Counts;
 use crate::daemon::net::app::App;
+use crate::daemon::net::server::Counts;
 use crate::receipts::{Receipts, reset_name};
 use axum::extract::State;
 use axum::http::header::CONTENT_TYPE;

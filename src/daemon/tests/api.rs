@@ -269,43 +269,6 @@ fn an_emergency_stop_whose_body_comes_later_is_answered() {
 }
 
 #[test]
-fn an_emergency_stop_counts_behind_requests_that_wait() {
-    let wait = "GET /v1/plays/last?wait=50 HTTP/1.1\r\nhost: x\r\n\r\n";
-    let chunked =
-        "PUT /v1/patterns/x HTTP/1.1\r\nhost: x\r\ntransfer-encoding: chunked\r\n\r\n3\r\nabc\r\n0\r\n\r\n";
-    // The requests before the emergency stop, and the number of answers including its own.
-    for (before, answers) in [(wait.to_owned(), 2), ([wait, chunked, wait].concat(), 4)] {
-        let daemon = Bench::start();
-        let client = daemon.armed();
-        let _: Value = client.post("/v1/play", &json!({"pattern": "pin-60", "endless": true})).unwrap();
-        let mut wire = daemon.connect(LOCAL);
-        wire.write_all(before.as_bytes()).unwrap();
-        // The daemon is at the first request when the emergency stop comes.
-        daemon.advance(Duration::from_millis(200));
-        wire.write_all(b"POST /v1/estop HTTP/1.1\r\nhost: x\r\nconnection: close\r\n\r\n").unwrap();
-        let answer = wire.rest();
-        let status: Status = client.get("/v1/status").unwrap();
-        assert_eq!((status.state.as_str(), status.estop.orders), ("faulted", 1), "once");
-        assert_eq!(answer.matches("HTTP/1.1 ").count(), answers, "{answer}");
-        let waited = answer.split("HTTP/1.1 ").nth(1).unwrap();
-        let receipt: Value = serde_json::from_str(waited.split("\r\n\r\n").nth(1).unwrap()).unwrap();
-        assert_eq!(receipt["cause"], "estop", "the play has ended by it: {receipt}");
-    }
-}
-
-#[test]
-fn a_reset_that_waits_undoes_no_later_emergency_stop() {
-    let daemon = Bench::start();
-    let reset = "POST /v1/reset HTTP/1.1\r\nhost: x\r\ncontent-length: 14\r\n\r\n{\"force\":true}";
-    for _ in 0..10 {
-        let estop = "POST /v1/estop HTTP/1.1\r\nhost: x\r\nconnection: close\r\n\r\n";
-        let answer = daemon.raw(LOCAL, &format!("{reset}{reset}{estop}"));
-        assert_eq!(answer.matches("HTTP/1.1 ").count(), 3, "{answer}");
-        assert_eq!(daemon.client().get::<Status>("/v1/status").unwrap().state, "faulted");
-    }
-}
-
-#[test]
 fn event_streams_and_clients_that_wait_leave_places_for_commands_and_give_them_back() {
     let daemon = Bench::start();
     let client = daemon.armed();

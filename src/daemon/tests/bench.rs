@@ -3,7 +3,7 @@
 //! Engine, router, event loop, session record and the streamer's loop with the simulated array run as tasks of one runtime, whose clock
 //! stands still while any of them works. [`HostInstant::now`](meissner_stream::time::HostInstant::now) reads that clock, so that hours take
 //! seconds, and nothing depends on the machine. A [`Wire`] is a connection as the server serves it, from a socket or the network. There is
-//! no acceptor, no connector and no process: tests of those start the program.
+//! no listener, no connector and no process: tests of those start the program.
 
 use crate::config::Config;
 use crate::daemon::core::check;
@@ -12,15 +12,12 @@ use crate::daemon::core::connector;
 use crate::daemon::core::engine::Engine;
 use crate::daemon::core::event_loop::readable;
 use crate::daemon::core::service::{Manager, StatusReporter};
-use crate::daemon::fuzzed;
 use crate::daemon::live::play::{end_live, live_message};
-use crate::daemon::net::acceptor::{Bounds, Counts};
 use crate::daemon::net::app::App;
-use crate::daemon::net::connection::Connection;
+use crate::daemon::net::bounds::Bounds;
+use crate::daemon::net::client;
 use crate::daemon::net::gate::Gate;
-use crate::daemon::net::orders::Orders;
-use crate::daemon::net::server::serve_client;
-use crate::daemon::net::stream::Stream;
+use crate::daemon::net::server::{Counts, serve_client};
 use crate::daemon::routes::router;
 use crate::daemon::sessions::caller::Caller;
 use crate::daemon::sessions::handlers::look_for_losses;
@@ -51,12 +48,12 @@ use std::rc::Rc;
 use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::Duration;
 use tempfile::TempDir;
-use tokio::io::{AsyncReadExt, AsyncWriteExt};
-use tokio::net::UnixStream;
+use tokio::io::{AsyncReadExt, AsyncWriteExt, DuplexStream};
 use tokio::runtime::Runtime;
 use tokio::sync::broadcast::error::TryRecvError;
 use tokio::sync::{broadcast, mpsc, watch};
 use tokio::time::{Instant, sleep, timeout};
+use tower::ServiceExt;
 use tracing::subscriber::DefaultGuard;
 
 /// What the clock reads at the start of a bench.
@@ -284,17 +281,10 @@ impl Bench {
 
     /// A connection of this client.
     pub(super) fn connect(&self, peer: Peer) -> Wire {
-        let Parts { runtime, engine, router, close, .. } = &*self.0;
-        let (client, stream) = std::os::unix::net::UnixStream::pair().unwrap();
-        client.set_nonblocking(true).unwrap();
-        stream.set_nonblocking(true).unwrap();
-        let stream = runtime.block_on(async {
-            let orders = Orders::new(Arc::clone(&engine.estops), Arc::clone(&engine.gate), peer, None);
-            let (connection, ahead, activity) =
-                Connection::new(Stream::unix(stream.into()), b"", orders, true).unwrap();
-            let (router, closing) = (router.clone(), close.subscribe());
-            tokio::spawn(serve_client(connection, ahead, activity, peer, false, router, closing));
-            UnixStream::from_std(client).unwrap()
+        let Parts { runtime, router, close, .. } = &*self.0;
+        let (stream, served) = tokio::io::duplex(64 << 10);
+        runtime.block_on(async {
+            tokio::spawn(serve_client(served, client::Client::new(peer), router.clone(), close.subscribe()));
         });
         Wire { bench: self.clone(), stream }
     }
@@ -360,7 +350,7 @@ async fn write(mut recorder: Recorder) {
 /// A connection as its client has it: to read and to write lets time pass.
 pub(super) struct Wire {
     bench: Bench,
-    stream: UnixStream,
+    stream: DuplexStream,
 }
 
 impl Wire {
@@ -471,17 +461,18 @@ impl Client {
         path: &str,
         body: Vec<u8>,
     ) -> Option<(u16, Bytes)> {
-        let Parts { runtime, engine, router, .. } = &*self.bench.0;
+        let Parts { runtime, router, .. } = &*self.bench.0;
         let mut request = Request::builder().method(method).uri(path).header("host", "localhost");
         request = request.header(CLIENT_HEADER, &self.name);
         if let Some(token) = &self.token {
             request = request.header(SESSION_HEADER, token);
         }
         request = self.headers.iter().fold(request, |request, (name, value)| request.header(*name, value));
-        let request = request.body(Body::from(body)).unwrap();
+        let mut request = request.body(Body::from(body)).unwrap();
+        request.extensions_mut().insert(self.peer);
         runtime.block_on(async {
             let answer = async {
-                let answer = fuzzed::answer(engine, router, request, self.peer).await.unwrap();
+                let Ok(answer) = router.clone().oneshot(request).await;
                 let status = answer.status().as_u16();
                 (status, answer.into_body().collect().await.unwrap().to_bytes())
             };

@@ -1,5 +1,6 @@
 //! The most connections: the usual bounds, or less if the system gives the daemon few descriptors.
 
+use crate::daemon::net::estop::MOST;
 use meissner_api::MAX_CLIENTS;
 use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
 use tracing::warn;
@@ -18,28 +19,19 @@ pub(in crate::daemon) struct Bounds {
     pub(in crate::daemon) waiting: usize,
     /// How many of the waiting requests may come from network clients.
     pub(in crate::daemon) waiting_network: usize,
-    /// Connections to the socket whose first head is not complete; the newest ones displace the oldest.
-    pub(super) silent: usize,
-    /// The same for connections of network clients.
-    pub(super) silent_network: usize,
-    /// Three equal bounds: emergency stops at the same time on their socket; clients for which the server makes room; and further
-    /// places, half for prompt commands and half for emergency stops.
+    /// Clients of each listener for emergency stops. As many clients wait for an answer that refuses them.
     pub(in crate::daemon) estops: usize,
 }
 
 impl Bounds {
-    /// Descriptors that the acceptor watches, with its own.
-    pub(super) const MOST: usize = Self::USUAL.silent + Self::USUAL.silent_network + Self::USUAL.estops + 7;
-    const USUAL: Self = Self::new(MAX_CLIENTS, 192, 64);
+    const USUAL: Self = Self::new(MAX_CLIENTS, MOST);
 
-    const fn new(clients: usize, silent: usize, estops: usize) -> Self {
+    const fn new(clients: usize, estops: usize) -> Self {
         Self {
             clients,
             network: clients * 3 / 4,
             waiting: clients * 3 / 4,
             waiting_network: clients / 2,
-            silent,
-            silent_network: silent / 2,
             estops,
         }
     }
@@ -68,18 +60,18 @@ impl Bounds {
     }
 
     /// The bounds for a process that may open so many descriptors.
-    pub(super) fn within(descriptors: u64) -> Self {
+    fn within(descriptors: u64) -> Self {
         let left = usize::try_from(descriptors.saturating_sub(RESERVED)).unwrap_or(usize::MAX);
         if left as u64 >= Self::USUAL.descriptors() {
             return Self::USUAL;
         }
         // With fewer descriptors the daemon works, but may run out of them: then it closes connections to the API first.
         let part = (left / 8).max(2);
-        Self::new((2 * part).min(MAX_CLIENTS), 2 * part, part)
+        Self::new((3 * part).min(MAX_CLIENTS), part)
     }
 
     const fn descriptors(&self) -> u64 {
-        (self.clients + self.silent + self.silent_network + 3 * self.estops) as u64
+        (self.clients + 4 * self.estops) as u64
     }
 }
 
