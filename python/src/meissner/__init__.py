@@ -20,6 +20,7 @@ from __future__ import annotations
 import os
 import re
 
+from . import _estop
 from ._arguments import hinted, text
 from ._bodies import SequenceItem
 from ._endpoint import Endpoint, endpoints
@@ -102,6 +103,7 @@ def connect(
         client = Client(_core(endpoint, token, 0.0))
         try:
             begin(client.core)
+            _estop.check(endpoint)
         except Unreachable as error:
             client.close()
             errors.append(error)

@@ -12,7 +12,7 @@ import hashlib
 import os
 from collections.abc import Generator, Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, ParamSpec, Protocol, TypeVar
+from typing import Any, Protocol
 from urllib.parse import quote
 
 from . import _http, motions
@@ -57,8 +57,6 @@ from .errors import (
 from .motions import Samples
 from .results import PlanCheck, Receipt, Status
 
-P = ParamSpec("P")
-T = TypeVar("T")
 _LONGEST_WAIT = 50.0
 _COMPILING = 60.0
 """How long the daemon may take to compile a play of long motions, s."""
@@ -279,13 +277,6 @@ def disarm(core: Core) -> Status:
 def stop(core: Core) -> Status:
     """Stop the running play and clear the queue. The motors stay armed."""
     return _command(core, "/v1/stop")
-
-
-def estop(core: Core) -> Status:
-    """Switch all lines off at once and latch the fault. `reset()` clears it."""
-    request = Request("POST", "/v1/estop", b"{}", timeout=5.0, fresh=True, repeatable=True)
-    answer = send(core, request)
-    return _take_status(core, answer)
 
 
 def reset(core: Core, *, force: bool = False, keep: bool = False) -> Status:

@@ -11,7 +11,7 @@ from collections.abc import Callable, Generator, Iterable
 from types import TracebackType
 from typing import Any, Concatenate, ParamSpec, TypeVar
 
-from . import _ending, _exports, _kept, _live, _sessions, bids, nwb, program
+from . import _ending, _estop, _exports, _kept, _live, _sessions, bids, nwb, program
 from . import _operations as ops
 from ._alive import Alive
 from ._arguments import hinted, hints
@@ -219,7 +219,7 @@ class Client:
     arm = _arming(ops.arm)
     disarm = _blocking(ops.disarm)
     stop = _blocking(ops.stop)
-    estop = _blocking(ops.estop)
+    estop = _blocking(_estop.estop)
     reset = _blocking(ops.reset)
     home = _blocking(ops.home)
     edge = _blocking(ops.edge)
