@@ -76,7 +76,7 @@ fn tcp_listeners(pid: u32) -> usize {
 #[test]
 fn without_the_key_nothing_listens() {
     let (daemon, listens) = (Daemon::start(), listening(""));
-    for (daemon, listeners) in [(&daemon, 0), (&listens, 1)] {
+    for (daemon, listeners) in [(&daemon, 0), (&listens, 2)] {
         let status: Status = daemon.client().get("/v1/status").unwrap();
         assert_eq!(
             (tcp_listeners(status.daemon.pid), usize::from(status.daemon.network.is_some())),

@@ -20,6 +20,7 @@ use crate::daemon::exposure::state::Exposure;
 use crate::daemon::exposure::sums;
 use crate::daemon::net::acceptor::{Acceptor, Bounds, Counts, Sockets};
 use crate::daemon::net::app::App;
+use crate::daemon::net::estop::EStopThread;
 use crate::daemon::net::gate::Gate;
 use crate::daemon::net::listen;
 use crate::daemon::net::server::Server;
@@ -53,8 +54,8 @@ const STREAMER_TIMEOUT: Duration = Duration::from_millis(500);
 #[derive(Debug)]
 pub struct Daemon {
     bound: Bound,
-    /// The listener for network clients.
-    tcp: Option<TcpListener>,
+    /// The listeners for network clients: of the API, and for emergency stops.
+    tcp: Option<[TcpListener; 2]>,
     pub(in crate::daemon) engine: Arc<Engine>,
     pub(in crate::daemon) store: Arc<Store>,
     events: EventQueue,
@@ -71,7 +72,7 @@ impl Daemon {
     pub fn start(config: &Config) -> Result<Self, DaemonError> {
         let store = check::store(config)?;
         let bound = Bound::take_over(&config.socket)?.map_or_else(|| Bound::new(&config.socket), Ok)?;
-        let listen::Bound { listener: tcp, listen, problem } = listen::listen(config.listen.as_ref());
+        let listen::Bound { listeners: tcp, listen, problem } = listen::listen(config.listen.as_ref());
         let gate = Gate::new(listen, problem, TokenStore::open(config.tokens.clone()));
         let (commands, events, realtime, streamer) =
             meissner_stream::spawn(config.settings).map_err(system("streamer's thread"))?;
@@ -131,7 +132,11 @@ impl Daemon {
         let api = bound.listener.try_clone().map_err(system("socket"))?;
         let estop =
             bound.estop.as_ref().map(UnixListener::try_clone).transpose().map_err(system("socket"))?;
-        let (sockets, gate) = (Sockets { api, estop, tcp }, Arc::clone(&engine.gate));
+        let (tcp, tcp_estop) = tcp.map_or((None, None), |[api, estop]| (Some(api), Some(estop)));
+        let (_estops, asked, mut estops_ended) =
+            EStopThread::spawn(estop, tcp_estop, Arc::clone(&engine.estops), Arc::clone(&engine.gate))
+                .map_err(system("thread for emergency stops"))?;
+        let (sockets, gate) = (Sockets { api, estop: None, tcp }, Arc::clone(&engine.gate));
         let (bounds, counts) = (Bounds::of_process(), Arc::new(Counts::default()));
         let (acceptor, handovers, mut acceptor_ended) =
             Acceptor::spawn(sockets, Arc::clone(&engine.estops), gate, bounds, Arc::clone(&counts))
@@ -148,12 +153,13 @@ impl Daemon {
         let looking = Arc::clone(&engine);
         tokio::spawn(async move { look_for_losses(&looking, RECORD_TIMEOUT).await });
         let server = Server::new(Arc::clone(&engine), router, bounds, counts);
-        let server = tokio::spawn(server.serve(handovers, closing));
+        let server = tokio::spawn(server.serve(handovers, asked, closing));
         manager.notify(Notification::Ready);
         let result = tokio::select! {
             () = signals.end() => Ok(()),
             _ = &mut streamer => Err(DaemonError::Streamer),
             _ = &mut acceptor_ended => Err(DaemonError::Acceptor),
+            _ = &mut estops_ended => Err(DaemonError::Acceptor),
             _ = &mut event_loop => Err(DaemonError::EventLoop),
             () = panics::of_needed_thread() => Err(DaemonError::Panicked),
         };

@@ -9,7 +9,7 @@
 
 use crate::config::Listen;
 use crate::daemon::net::head::{Head, Shown};
-use crate::daemon::net::refusal::{NOT_VALID, READS_ONLY, Refusal};
+use crate::daemon::net::refusal::{MALFORMED, NOT_VALID, READS_ONLY, Refusal};
 use crate::daemon::page;
 use crate::daemon::tokens::store::TokenStore;
 use crate::session_record::{NetworkPeer, Peer, TokenId};
@@ -86,33 +86,62 @@ impl Gate {
     }
 
     fn check_network<'a>(&self, client: NetworkPeer, head: &Head<'a>) -> Result<Checked<'a>, Refusal> {
+        let listen = self.check_host(head)?;
+        check_site(head, &listen.origins)?;
+        // The page itself needs no token: it asks the person for it.
+        let Some(needs) = needs(head) else { return Ok(Checked::default()) };
+        let shown = head.shown()?;
+        let access = self.find(shown.access, needs)?;
+        if needs.local {
+            let detail = "tokens are created and revoked on the daemon's machine: `meissner token`";
+            return Err(Refusal(Code::Forbidden, detail));
+        }
+        if access.is_none() && !is_trusted(client, head, listen) {
+            let detail = "send a valid token in the `Authorization: Bearer` header: `meissner token create` on the daemon's machine makes one";
+            return Err(Refusal(Code::Unauthorized, detail));
+        }
+        Ok(Checked { access, shown })
+    }
+
+    /// Refuses a request over the network that goes to another host.
+    fn check_host(&self, head: &Head<'_>) -> Result<&Listen, Refusal> {
         let Some(listen) = &self.listen else {
             return Err(Refusal(Code::Forbidden, "the daemon does not serve the network"));
         };
-        let shown = head.shown();
         // Check this first: if there are two hosts, either may be the wrong one.
         if head.malformed {
-            return shown.map(|_| Checked::default());
+            return Err(MALFORMED);
         }
         if !head.host.is_some_and(|host| is_known(host, &listen.hosts)) {
             let detail = "the `Host` header names another host: use this machine's address, or add the name to `listen_hosts`";
             return Err(Refusal(Code::Forbidden, detail));
         }
-        check_site(head, &listen.origins)?;
-        // The page itself needs no token: it asks the person for it.
-        let Some(needs) = needs(head) else { return Ok(Checked::default()) };
-        let shown = shown?;
-        let access = self.find(&shown, needs)?;
-        if needs.local {
-            let detail = "tokens are created and revoked on the daemon's machine: `meissner token`";
-            return Err(Refusal(Code::Forbidden, detail));
+        Ok(listen)
+    }
+
+    /// Refuses a request on the port for emergency stops that goes to another host, or that a page of another site has sent.
+    pub(in crate::daemon) fn check_estop_site(&self, head: &Head<'_>) -> Result<(), Refusal> {
+        let listen = self.check_host(head)?;
+        match head.origin {
+            Some(origin) if head.host.is_some_and(|host| is_page_beside(origin, host)) => Ok(()),
+            _ => check_site(head, &listen.origins),
         }
-        let is_trusted = client.address.is_loopback() && !head.forwarded && !listen.always_token;
+    }
+
+    /// Decides about an emergency stop on its port, which shows this access token, or an empty one.
+    pub(in crate::daemon) fn check_estop_token(
+        &self,
+        client: NetworkPeer,
+        head: &Head<'_>,
+        token: &str,
+    ) -> Result<Option<TokenId>, Refusal> {
+        let access = self.find(Some(token).filter(|token| !token.is_empty()), Route::EStop.access())?;
+        let is_trusted = self.listen.as_ref().is_some_and(|listen| is_trusted(client, head, listen));
         if access.is_none() && !is_trusted {
-            let detail = "send a valid token in the `Authorization: Bearer` header: `meissner token create` on the daemon's machine makes one";
+            let detail = "send a valid access token as the body: `meissner token create` on the daemon's machine makes one";
             return Err(Refusal(Code::Unauthorized, detail));
         }
-        Ok(Checked { access, shown })
+        Ok(access)
     }
 
     /// Decides about a request on the Unix socket. `ssh -L` makes the socket a port of another machine, where a browser may reach
@@ -134,12 +163,12 @@ impl Gate {
             return Ok(Checked { access: None, shown });
         }
         let shown = head.shown()?;
-        Ok(Checked { access: self.find(&shown, needs)?, shown })
+        Ok(Checked { access: self.find(shown.access, needs)?, shown })
     }
 
     /// The access token that the client shows, if any. It must be valid, and its role must allow the request.
-    fn find(&self, shown: &Shown<'_>, needs: Access) -> Result<Option<TokenId>, Refusal> {
-        let Some(token) = shown.access else { return Ok(None) };
+    fn find(&self, token: Option<&str>, needs: Access) -> Result<Option<TokenId>, Refusal> {
+        let Some(token) = token else { return Ok(None) };
         match self.tokens.find(token) {
             Some((_, Role::Observe)) if needs.role == Role::Operate => Err(READS_ONLY),
             Some((id, _)) => Ok(Some(id)),
@@ -202,8 +231,29 @@ fn is_known(host: &str, names: &[String]) -> bool {
 
 /// Whether a request's origin is the host that it goes to.
 fn is_same_origin(origin: &str, host: Option<&str>) -> bool {
-    let from = origin.strip_prefix("http://").or_else(|| origin.strip_prefix("https://"));
-    from.zip(host).is_some_and(|(from, host)| from.eq_ignore_ascii_case(host))
+    name(origin).zip(host).is_some_and(|(from, host)| from.eq_ignore_ascii_case(host))
+}
+
+/// The host and port of an origin.
+fn name(origin: &str) -> Option<&str> {
+    origin.strip_prefix("http://").or_else(|| origin.strip_prefix("https://"))
+}
+
+/// Whether a request's origin is the API's page of the host whose port for emergency stops it goes to: the port before it.
+fn is_page_beside(origin: &str, host: &str) -> bool {
+    fn port(name: &str) -> (&str, Option<u16>) {
+        let parts = name.rsplit_once(':').filter(|(_, port)| !port.contains(']'));
+        parts.map_or((name, Some(80)), |(name, port)| (name, port.parse().ok()))
+    }
+    name(origin).is_some_and(|origin| {
+        let ((page, api), (host, estop)) = (port(origin), port(host));
+        page.eq_ignore_ascii_case(host) && api.is_some_and(|api| api.checked_add(1) == estop)
+    })
+}
+
+/// Whether a client needs no token: it is on this machine, and the configuration asks for none.
+const fn is_trusted(client: NetworkPeer, head: &Head<'_>, listen: &Listen) -> bool {
+    client.address.is_loopback() && !head.forwarded && !listen.always_token
 }
 
 #[cfg(test)]
@@ -407,6 +457,45 @@ mod tests {
             assert_eq!(ask(client, "GET", "/v1/live/00", &format!("Bearer {observe}")), "forbidden");
             assert_eq!(ask(client, "GET", "/v1/status", &format!("Bearer {observe}")), "ok");
         }
+    }
+
+    #[test]
+    fn the_port_for_emergency_stops_admits_the_page_beside_it_and_a_token() {
+        let ask = |gate: &Gate, client, headers: &[(&str, &str)], token: &str| {
+            let head = Head { path: "/v1/estop", ..head("POST", headers) };
+            let site = gate.check_estop_site(&head);
+            let asked = site.and_then(|()| gate.check_estop_token(client, &head, token));
+            asked.map_or_else(|refusal| Problem::from(refusal).code, |_| "ok".to_owned())
+        };
+        let (open, tokens) = gate(false);
+        let host = ("Host", "localhost:8766");
+        for (good, site) in [
+            ("http://localhost:8765", "same-site"),
+            ("https://LOCALHOST:8765", "same-site"),
+            ("https://lab.example", "cross-site"),
+        ] {
+            assert_eq!(ask(&open, LOCAL, &[host, ("Origin", good), ("Sec-Fetch-Site", site)], ""), "ok");
+        }
+        let of_80 = [("Host", "[::1]:81"), ("Origin", "http://[::1]"), ("Sec-Fetch-Site", "same-site")];
+        assert_eq!(ask(&open, LOCAL, &of_80, ""), "ok");
+        for bad in ["http://localhost:8767", "http://127.0.0.1:8765", "http://evil.example:8765", "null"] {
+            assert_eq!(ask(&open, LOCAL, &[host, ("Origin", bad)], ""), "forbidden", "{bad}");
+        }
+        assert_eq!(ask(&open, LOCAL, &[host, ("Sec-Fetch-Site", "cross-site")], ""), "forbidden");
+        assert_eq!(ask(&open, LOCAL, &[("Host", "evil.example:8766")], ""), "forbidden");
+        assert_eq!(ask(&open, LOCAL, &[host, host], ""), "bad-request");
+        let (strict, strict_tokens) = gate(true);
+        for (gate, client, tokens) in
+            [(&open, LOCAL, &tokens), (&open, far(), &tokens), (&strict, LOCAL, &strict_tokens)]
+        {
+            assert_eq!(ask(gate, client, &[host], "mst_00"), "unauthorized");
+            for token in tokens {
+                assert_eq!(ask(gate, client, &[host], token), "ok", "an observer may stop");
+            }
+        }
+        assert_eq!(ask(&open, far(), &[host], ""), "unauthorized");
+        assert_eq!(ask(&strict, LOCAL, &[host], ""), "unauthorized");
+        assert_eq!(ask(&open, LOCAL, &[host, ("Via", "x")], ""), "unauthorized");
     }
 
     #[test]

@@ -7,7 +7,7 @@
 //! Invariant: a value that has none of these forms is refused, and never ignored. Nothing here uses the heap, because the
 //! acceptor's real-time thread reads heads.
 
-use crate::daemon::net::refusal::Refusal;
+use crate::daemon::net::refusal::{MALFORMED, Refusal};
 use meissner_api::{CLIENT_HEADER, Code, SESSION_HEADER, TOKEN_PREFIX};
 
 /// Hexadecimal digits of a session's token.
@@ -83,9 +83,7 @@ impl<'a> Head<'a> {
     /// The tokens and the name that it shows.
     pub(in crate::daemon) fn shown(&self) -> Result<Shown<'a>, Refusal> {
         if self.malformed {
-            let detail =
-                "a header occurs twice, is not plain text, or the address names another host: send it once";
-            return Err(Refusal(Code::BadRequest, detail));
+            return Err(MALFORMED);
         }
         let (access, session) = match self.authorization.map(bearer) {
             None => (None, self.session),

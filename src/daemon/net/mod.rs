@@ -16,6 +16,7 @@ pub(in crate::daemon) mod app;
 pub(in crate::daemon) mod body;
 pub(in crate::daemon) mod compress;
 pub(in crate::daemon) mod connection;
+pub(in crate::daemon) mod estop;
 pub(in crate::daemon) mod first_request;
 pub(in crate::daemon) mod framing;
 pub(in crate::daemon) mod gate;

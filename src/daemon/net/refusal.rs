@@ -1,6 +1,6 @@
 //! Why the gate refuses a request.
 //!
-//! Invariant: a refusal uses no heap, because the acceptor's real-time thread makes and drops it.
+//! Invariant: a refusal uses no heap, because the real-time thread for emergency stops makes and drops it.
 
 use meissner_api::{Code, Problem};
 
@@ -14,6 +14,11 @@ impl From<Refusal> for Problem {
     }
 }
 
+/// The refusal of headers that cannot be told apart.
+pub(in crate::daemon) const MALFORMED: Refusal = Refusal(
+    Code::BadRequest,
+    "a header occurs twice, is not plain text, or the address names another host: send it once",
+);
 /// The refusal of an observer's access token.
 pub(in crate::daemon) const READS_ONLY: Refusal = Refusal(
     Code::Forbidden,

@@ -13,11 +13,10 @@ use crate::daemon::net::acceptor::{
     Accepted, Bounds, Counts, Handover, IDLE, refuse, response, too_many_clients,
 };
 use crate::daemon::net::activity::Activity;
-use crate::daemon::net::answer::ErrorResponse;
 use crate::daemon::net::connection::{Connection, ReadAhead};
+use crate::daemon::net::estop::{self, Asked};
 use crate::daemon::net::first_request::Kind;
 use crate::daemon::net::orders::Orders;
-use crate::daemon::net::request_log::LoggedRequest;
 use crate::session_record::Peer;
 use axum::Router;
 use axum::http::HeaderValue;
@@ -82,14 +81,16 @@ impl Server {
     pub(in crate::daemon) async fn serve(
         mut self,
         mut handovers: mpsc::Receiver<Handover>,
+        mut asked: mpsc::Receiver<Asked>,
         mut closing: watch::Receiver<bool>,
     ) {
         loop {
             tokio::select! {
                 Some(handover) = handovers.recv() => match handover {
                     Handover::Client(accepted) => self.take(accepted, &closing),
-                    Handover::EStop { peer, number } => self.record_estop(peer, number),
+                    Handover::EStop { .. } => {}
                 },
+                Some(asked) = asked.recv() => self.answer_estop(asked),
                 Some(ended) = self.clients.join_next_with_id() => {
                     let id = ended.map_or_else(|error| error.id(), |(id, ())| id);
                     self.tasks.remove(&id);
@@ -155,18 +156,13 @@ impl Server {
         running.map(|(_, activity)| &**activity).filter(|activity| !activity.is_evicted())
     }
 
-    /// Writes an emergency stop that the acceptor has ordered to the log and the session record, once it is answered.
-    fn record_estop(&mut self, peer: Peer, number: u64) {
+    /// Records an emergency stop of the thread for them, once its device has answered, and answers a client of the network.
+    fn answer_estop(&mut self, asked: Asked) {
         // Beyond the bound it is not recorded: the device does not answer, and the earlier ones are recorded.
-        if self.estops.len() >= self.bounds.estops {
-            return;
+        if self.estops.len() < 2 * estop::MOST {
+            self.engine.names.users.look_up(asked.peer.uid);
+            self.estops.spawn(asked.answer(Arc::clone(&self.engine)));
         }
-        self.engine.names.users.look_up(peer.uid);
-        let engine = Arc::clone(&self.engine);
-        self.estops.spawn(async move {
-            let logged = LoggedRequest::new(&engine, "estop", peer);
-            let _ = logged.result(engine.estop_answer(number).await.map_err(ErrorResponse::from));
-        });
     }
 
     fn report(&mut self) {
