@@ -43,7 +43,8 @@ def _problem(core: Core) -> BaseException | None:
 
     def order(is_api: bool, send: Callable[[Core], None]) -> None:
         try:
-            problems.put((is_api, send(core)))
+            send(core)
+            problems.put((is_api, None))
         except BaseException as problem:
             problems.put((is_api, problem))
 
