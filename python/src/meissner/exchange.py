@@ -1,8 +1,12 @@
-"""TouchSim (Saal, Delhaye, Rayhaun and Bensmaia 2017): stimuli and responses, to and from this project's.
+"""TouchSim (Saal, Delhaye, Rayhaun and Bensmaia 2017): its stimuli on this project's pins, and the other way.
 
-TouchSim is not needed to read its objects, nor to make the arguments of its `Stimulus`: only attributes that it documents are used,
-`trace`, `location`, `fs` and `pin_radius` of a stimulus, `aff` and `spikes` of a response. Both sides measure places in mm, and times
-in seconds. TouchSim's traces are indentations in mm, this project's are displacements in µm.
+    from meissner import exchange
+
+    traces = exchange.from_touchsim(stimulus, m.array)
+    m.play(samples=traces.samples, rate=traces.rate)
+
+TouchSim is not needed: only attributes of a `Stimulus` that it documents are used, `trace`, `location`, `fs` and `pin_radius`. Both
+sides measure places in mm. TouchSim's traces are indentations in mm, this project's are displacements in µm.
 """
 
 from __future__ import annotations
@@ -12,10 +16,13 @@ import math
 from dataclasses import dataclass, field
 from typing import Any
 
-from ..arrays import Array
-from ..motions import RATE
-from ..program import Simulation, as_array
-from ..traces import Displacement
+from ._arguments import hinted
+from .arrays import Array
+from .motions import RATE
+from .program import as_array, find_array
+from .traces import Displacement
+
+_PAPERS = "tula35-6x4"
 
 
 @dataclass(frozen=True)
@@ -30,17 +37,7 @@ class Traces:
     """What the pins cannot do of the stimulus, one sentence each."""
 
 
-@dataclass(frozen=True)
-class Spikes:
-    """Spikes of a population of afferents, in its order."""
-
-    classes: tuple[str, ...]
-    """`SA1`, `RA` or `PC`."""
-    positions_mm: tuple[tuple[float, float], ...]
-    spikes_s: list[Any] = field(repr=False)
-    """The spike times of each afferent, s: arrays with NumPy, else lists."""
-
-
+@hinted
 def to_touchsim(
     displacement: Displacement, array: Array | None = None, *, center_mm: tuple[float, float] = (0.0, 0.0)
 ) -> dict[str, Any]:
@@ -51,7 +48,7 @@ def to_touchsim(
     """
     import numpy
 
-    pins = Array.paper() if array is None else array
+    pins = find_array(_PAPERS) if array is None else array
     trace = numpy.zeros((pins.motors, len(displacement.um)))
     for column, motor in enumerate(displacement.motors):
         trace[motor] = [row[column] / 1000 for row in displacement.um]
@@ -59,16 +56,17 @@ def to_touchsim(
         "trace": trace,
         "location": numpy.array(pins.positions_mm) + numpy.array(center_mm),
         "fs": float(displacement.rate_hz),
-        "pin_radius": float(pins.raw.get("pin_radius_mm", 0.5)),
+        "pin_radius": float(pins.raw["pin_radius_mm"]),
     }
 
 
+@hinted
 def from_touchsim(stimulus: Any, array: Array | None = None, *, center_mm: tuple[float, float] = (0.0, 0.0)) -> Traces:
     """The samples of a TouchSim `Stimulus` for an array's pins: each pin of it moves the nearest pin, at most half a pitch away.
 
     Raises `ValueError` if its rate or indentations are beyond the pins, if no pin is near enough, or if two share one.
     """
-    pins = Array.paper() if array is None else array
+    pins = find_array(_PAPERS) if array is None else array
     rate = float(stimulus.fs)
     if not RATE[0] <= rate <= RATE[1]:
         raise ValueError(f"the stimulus has {rate:g} samples a second: must be {RATE[0]:g} to {RATE[1]:g}")
@@ -108,44 +106,7 @@ def from_touchsim(stimulus: Any, array: Array | None = None, *, center_mm: tuple
         lost.append(
             f"speeds of up to {fastest_um_s / 1000:.3g} mm/s: the motor moves at {speed_um_s / 1000:.3g} mm/s, and the pin lags"
         )
-    radius_mm, own_mm = float(stimulus.pin_radius), float(pins.raw.get("pin_radius_mm", 0.5))
+    radius_mm, own_mm = float(stimulus.pin_radius), float(pins.raw["pin_radius_mm"])
     if abs(radius_mm - own_mm) > 0.001:
         lost.append(f"the pins' radius of {radius_mm:g} mm: those of {pins.name} have {own_mm:g} mm")
     return Traces(samples, rate, tuple(lost))
-
-
-def from_touchsim_response(response: Any) -> Spikes:
-    """The spikes of a TouchSim `Response`; those of several stimuli follow each other, as there."""
-    return Spikes(
-        tuple(str(each) for each in response.aff.affclass),
-        tuple((float(place[0]), float(place[1])) for place in response.aff.location),
-        [as_array([float(time) for time in times]) for times in response.spikes],
-    )
-
-
-def to_touchsim_response(simulation: Simulation, stimulus: Any) -> Any:
-    """A TouchSim `Response` with this project's predicted spikes, for TouchSim's plots and measures. Needs TouchSim.
-
-    `simulation` is `meissner.simulate(..., model="afferents")`, and `stimulus` the `touchsim.Stimulus` that it is the response to.
-    """
-    try:
-        from touchsim.classes import Afferent, AfferentPopulation, Response
-    except ImportError as error:
-        raise ImportError(
-            f"a TouchSim response needs the package touchsim, which its authors publish as source ({error})"
-        ) from error
-    import numpy
-
-    afferents = simulation.raw.get("afferents") or []
-    if (
-        not simulation.spikes_s
-        or len(afferents) != len(simulation.spikes_s)
-        or any("class" not in each for each in afferents)
-    ):
-        raise ValueError(
-            "the simulation has no spikes of SA1, RA and PC afferents: simulate with model='afferents', and not rates_only"
-        )
-    population = AfferentPopulation(
-        *(Afferent(each["class"], location=[each["x_mm"], each["y_mm"]], idx=0) for each in afferents)
-    )
-    return Response(population, [stimulus], [[numpy.asarray(times, dtype=float) for times in simulation.spikes_s]])
