@@ -32,9 +32,21 @@ from .client import Client, Play, Session
 from .clocks import ClientClock, Instant
 from .errors import ApiError, MeissnerError, PlayStopped, Unreachable
 from .live import Live
-from .program import Board, Daemon, Design, Judgement, Rendering, Simulation, design, judge, render, simulate
+from .program import (
+    Board,
+    Daemon,
+    Design,
+    Displacement,
+    Judgement,
+    Rendering,
+    Simulation,
+    design,
+    displacement,
+    judge,
+    render,
+    simulate,
+)
 from .results import Item, LiveResult, PlanCheck, Receipt, Status
-from .traces import Displacement, displacement
 
 __all__ = [
     "ApiError",

@@ -12,7 +12,7 @@ import hashlib
 import os
 from collections.abc import Generator, Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any
 from urllib.parse import quote
 
 from . import _http, motions
@@ -33,6 +33,7 @@ from ._bodies import (
 from ._endpoint import Endpoint
 from ._http import Answer, Request
 from ._text_file import text_of
+from ._transport import BlockingTransport
 from ._unreached import warn_of
 from .arrays import Array
 from .clocks import MAX_SKEW, NS, ClientClock, Instant
@@ -79,23 +80,13 @@ class Owned:
     """Whether it goes on after an error, for the next run of the program."""
 
 
-class Link(Protocol):
-    """What sends requests for one thread, or several."""
-
-    def perform(self, request: Request) -> Answer:
-        """Sends a request, and waits for its answer."""
-
-    def pause(self, seconds: float) -> None:
-        """Waits."""
-
-
 @dataclass
 class Core:
     """What the methods of one client share."""
 
     endpoint: Endpoint
     clock: ClientClock
-    link: Link = field(init=False, repr=False)
+    link: BlockingTransport = field(init=False, repr=False)
     token: str | None = None
     reconnect: float = 10.0
     """For how long to look for a daemon that was there before, s."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import warnings
-from typing import Any
+from typing import Any, Literal
 from urllib.parse import quote
 
 from . import _http, _kept
@@ -25,6 +25,7 @@ def session(
     seed: int | None = None,
     labels: Labels = None,
     resume: bool = False,
+    record: Literal["required", "optional"] = "required",
 ) -> dict[str, Any]:
     """Start a session that this client owns. `exclusive`: others may change nothing but stop.
 
@@ -34,6 +35,8 @@ def session(
     `resume`: go on with the running session of this participant, if a program of this user on this machine has started it and has
     ended without its end. Plays of that program are stopped. `SessionRunning` if that program still runs, or if the session is of
     another participant. After an error in its block the session goes on, for the next run of the program.
+
+    While the daemon cannot record the session, its plays and answers raise `StoreError`; with `record="optional"` plays go on.
     """
     if resume:
         resumed = _resumed(core, participant)
@@ -45,6 +48,7 @@ def session(
         "experiment": experiment,
         "seed": seed,
         "labels": texts(labels),
+        "record": None if record == "required" else record,
     }
     answer = send(core, _http.post("/v1/sessions", body))
     try:
@@ -83,7 +87,7 @@ def _resumed(core: Core, participant: str) -> dict[str, Any] | None:
     # A latched fault refuses the stop, and has stopped already.
     with contextlib.suppress(ApiError):
         stop(core)
-    return {"id": running["id"], "record_problem": None, "resumed": True}
+    return {"id": running["id"], "record_problem": running.get("record_problem"), "resumed": True}
 
 
 def session_leave(core: Core, session_id: str, failed: bool) -> IncompleteSession | None:

@@ -32,7 +32,7 @@ _HED = "Sensory-event, Tactile-presentation, Experimental-stimulus"
 _ANSWERED = "Agent-action, Participant-response"
 _MOST_LEVELS = 40
 """The most different responses that the sidecar lists."""
-_COLUMNS: dict[str, dict[str, Any]] = {
+COLUMNS: dict[str, dict[str, Any]] = {
     "onset": {"Description": "Onset of the stimulus, from the session's first onset or as asked for", "Units": "s"},
     "duration": {"Description": "From the onset to the end of the last pulse", "Units": "s"},
     "trial_type": {"Description": "Name of the vibration pattern"},
@@ -130,7 +130,7 @@ def write(
     if not has_hed:
         left_out.append("the HED tags: the dataset's HEDVersion is not 8")
     events = root / names.folder / "beh" / names.file
-    columns = [*_COLUMNS, *(column.name for column in labels.columns)]
+    columns = [*COLUMNS, *(column.name for column in labels.columns)]
     sources = {"MeissnerParticipant": names.participant, SESSION_SOURCE: names.session_id}
     about = {"TaskName": names.task_name, **sources, **_incomplete(recorded)}
     made: dict[Path, bytes] = {root / "stimuli" / stimuli[sha256]: text.encode() for sha256, text in texts.items()}
@@ -227,7 +227,7 @@ def _event(row: Mapping[str, Any], zero: int, stimuli: Mapping[str, str]) -> dic
 def _sidecar(
     rows: list[dict[str, Any]], labels: Labels, software: tuple[int, str] | None, has_hed: bool
 ) -> dict[str, Any]:
-    columns = {name: dict(meaning) for name, meaning in _COLUMNS.items()}
+    columns = {name: dict(meaning) for name, meaning in COLUMNS.items()}
     for column in labels.columns:
         columns[column.name] = {"LongName": column.key, "Description": column.description}
     kinds = sorted({row["pattern"] for row in rows})

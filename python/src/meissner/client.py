@@ -260,13 +260,15 @@ class Client:
 
     def design(self, target: str, **options: Any) -> program.Design:
         """Find a pattern of the daemon's array for a target shape, and store it in the daemon. `meissner.design` has the options."""
-        found = program.design_for(self.array, target, options)
+        with program.described(self.array, options) as named:
+            found = program.design(target, **named)
         self.store_pattern(found.name, found.toml, replace=True)
         return found
 
     def render(self, object: program.Object, **options: Any) -> program.Rendering:
         """Render an object's touch for the daemon's array, and store it in the daemon. `meissner.render` has the options."""
-        found = program.render_for(self.array, object, options)
+        with program.described(self.array, options) as named:
+            found = program.render(object, **named)
         self.store_pattern(found.name, found.toml, replace=True)
         return found
 

@@ -19,8 +19,7 @@ from typing import Any
 from ._arguments import hinted
 from .arrays import Array
 from .motions import RATE
-from .program import as_array, find_array
-from .traces import Displacement
+from .program import Displacement, as_array, find_array
 
 _PAPERS = "tula35-6x4"
 
