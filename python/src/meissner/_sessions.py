@@ -9,8 +9,8 @@ from urllib.parse import quote
 
 from . import _http, _kept
 from ._arguments import number, table, text
-from ._bodies import Labels, Verdict, texts, verdict, whole
-from ._operations import Accepted, Core, Owned, document, send, status, stop, wait_until_idle
+from ._bodies import Labels, texts, verdict, whole
+from ._operations import Core, Owned, document, send, status, stop, wait_until_idle
 from ._presses import Press
 from .clocks import Instant
 from .errors import ApiError, Exists, IncompleteSession, NotFound, SessionExclusive, SessionOver, SessionRunning
@@ -127,35 +127,27 @@ def _runs(core: Core, session_id: str) -> bool:
     return running is not None and bool(running["id"] == session_id)
 
 
-def answer(
-    core: Core,
-    accepted: Accepted,
-    onset: Instant | None,
-    response: object,
-    correct: Verdict = None,
-    rt_ms: float | None = None,
-    level: float | None = None,
-    factors: Labels = None,
-) -> None:
+def answer(core: Core, play_id: int, onset: Instant | None, response: object, given: dict[str, Any]) -> None:
     """Record what the participant answered to a play of the running session. `response` and the factors are kept as text.
 
-    A `Press` has its time: from the play's `onset`.
+    A `Press` has its time: from the play's `onset`. `given` has `correct`, `rt_ms`, `level` and `factors`.
     """
-    given: dict[str, Any] = {} if factors is None else table("factors", factors, "{'block': 2}")
+    factors = {} if given["factors"] is None else table("factors", given["factors"], "{'block': 2}")
+    rt_ms = given["rt_ms"]
     if isinstance(response, Press) and onset is not None:
         at = response.at(onset)
-        given |= {"response_tick": at.tick, "response_uncertainty_s": f"{at.monotonic_uncertainty:.6f}"}
+        factors |= {"response_tick": at.tick, "response_uncertainty_s": f"{at.monotonic_uncertainty:.6f}"}
         if response.is_early(onset):
-            given["response_early"] = "true"
+            factors["response_early"] = "true"
         rt_ms = response.after(onset) * 1000 if rt_ms is None else rt_ms
     said = response.name if isinstance(response, Press) else response
     numbers = {
         name: None if value is None or _is_unknown(value) else number(name, value)
-        for name, value in (("rt_ms", rt_ms), ("level", level))
+        for name, value in (("rt_ms", rt_ms), ("level", given["level"]))
     }
-    body = {"response": whole(str(said)), "correct": verdict(correct), **numbers}
+    body = {"response": whole(str(said)), "correct": verdict(given["correct"]), **numbers}
     try:
-        document(core, _http.post(f"/v1/plays/{accepted.id}/answer", {**body, "factors": texts(given)}))
+        document(core, _http.post(f"/v1/plays/{play_id}/answer", {**body, "factors": texts(factors)}))
     except Exists as error:
         raise Exists(error.detail, status=error.status, advice="the first one counts") from None
     except SessionOver:
