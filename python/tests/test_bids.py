@@ -91,7 +91,7 @@ def test_a_session_becomes_a_dataset(m: meissner.Client, tmp_path: Path) -> None
     sidecar = json.loads(export.events.with_suffix(".json").read_text())
     assert set(rows[0]) <= set(sidecar)
     assert sidecar["StimulusPresentation"]["SoftwareName"] == "meissner"
-    assert sidecar["response"]["HED"] == {"left": "(Agent-action, Participant-response, Label/left)"}
+    assert sidecar["response"]["Levels"] == {"left": "the answer left"}
     text = stimulus.read_text().replace('"pin-60"', '"copied"')
     m.store_pattern("copied", text, replace=True)
     assert m.pattern("copied")["pattern"]["drive"] == m.pattern("pin-60")["pattern"]["drive"]
@@ -117,7 +117,7 @@ def test_losses_are_told(tmp_path: Path) -> None:
         "unreadable": 1,
     }
     recorded = {"session": session, "plays": [], "problems": ["a line"], **losses}
-    export = bids.write(tmp_path, recorded, {}, task=None, zero_host_ns=None, software=None)
+    export = bids.write(tmp_path, recorded, {})
     bounded = "2 entries of the record about commands and the device, because of its bound"
     assert export.left_out == ("a line", "3 entries", bounded)
     assert bids._cell("a\tb\n") == "a b "
@@ -188,14 +188,7 @@ def test_odd_sessions_are_valid_datasets(m: meissner.Client, tmp_path: Path) -> 
     recorded = m.session_plays(second.id)
     session = {**recorded["session"], "id": "20261231T225959Z-a1b2c3", "participant": "midnight"}
     session |= {"started": "2026-12-31T23:59:59.5+01:00", "ended": "2027-01-01T00:00:02+01:00"}
-    bids.write(
-        tmp_path,
-        {**recorded, "session": session},
-        {},
-        task=None,
-        zero_host_ns=None,
-        software=None,
-    )
+    bids.write(tmp_path, {**recorded, "session": session}, {})
     validated(tmp_path)
     (empty_events,) = tmp_path.glob("sub-empty/*/beh/*_events.tsv")
     assert read(empty_events) == []

@@ -169,7 +169,7 @@ class Design:
     toml: str
     """The pattern file."""
     summary: dict[str, Any] = field(repr=False)
-    """What the search says: rates, and what two rules of thumb reach (`baselines`)."""
+    """What the program says. Of a search: rates, and what two rules of thumb reach (`baselines`)."""
 
 
 @hinted
@@ -216,14 +216,8 @@ def described(array: Array, options: Mapping[str, Any]) -> Iterator[dict[str, An
 
 
 @dataclass(frozen=True)
-class Rendering:
-    """A pattern that gives a finger the response that an object gives."""
-
-    name: str
-    toml: str
-    """The pattern file."""
-    summary: dict[str, Any] = field(repr=False)
-    """What the program says: `duration_s`, `motors`, `highest_um`, `method`, and the times that it took."""
+class Rendering(Design):
+    """A pattern that gives a finger the response that an object gives. `summary`: `duration_s`, `motors`, `highest_um`, `method`, times."""
 
 
 @hinted
