@@ -35,10 +35,6 @@ const OTHERS: &[(&str, &str, &str)] = &[
     ("src/daemon/page/assets/finger.js", "24", "the edge of the drawing"),
     ("python/src/meissner/_live.py", "24", "messages without an answer"),
     ("crates/array/src/samples/wav.rs", "24", "as above"),
-    ("python/src/meissner/arrays.py", "85000", "the paper's array, without a daemon"),
-    ("python/src/meissner/arrays.py", "2.9", "as above"),
-    ("python/src/meissner/arrays.py", "11.5", "as above"),
-    ("python/src/meissner/arrays.py", "4.3", "as above"),
 ];
 
 #[test]

@@ -207,10 +207,10 @@ classdef Meissner < handle
     end
 
     function id = session(self, varargin)
-      % Start a session. Options: participant, exclusive, experiment, seed, labels. Every play of this client belongs to it from now on;
+      % Start a session. Options: participant, exclusive, experiment, seed, labels, record. Every play of this client belongs to it from now on;
       % when it is over without you, plays fail (meissner:session_over) until session_end, or another session. Nothing shows that its
       % owner is there while you call nothing: in a rest break longer than the daemon's session_silence_s call status now and then.
-      body = Meissner.options({'participant', 'exclusive', 'experiment', 'seed', 'labels'}, varargin);
+      body = Meissner.options({'participant', 'exclusive', 'experiment', 'seed', 'labels', 'record'}, varargin);
       started = self.post('/v1/sessions', Meissner.with_texts(body), 10);
       self.session_token = started.token;
       self.session_id = started.id;

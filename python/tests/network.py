@@ -1,4 +1,4 @@
-"""A network for tests: a TCP port that passes bytes on to the daemon's socket, late or not at all.
+"""A network for tests: a TCP port that passes bytes on to the daemon's socket, late or not at all. The port above it takes e-stops.
 
 It counts requests, so that a test can see what was sent twice.
 """
@@ -27,6 +27,8 @@ class Network:
         """How many of the next answers are lost, with their connection."""
         self.requests: list[str] = []
         """The first line of each request."""
+        self.estops: list[str] = []
+        """The token of each order at the port for emergency stops."""
         self.connections = 0
         self._chance = random.Random(1)
         self._writers: set[asyncio.StreamWriter] = set()
@@ -35,13 +37,26 @@ class Network:
 
     def __enter__(self) -> Network:
         self._thread.start()
-        self._server = self._run(asyncio.start_server(self._serve, "127.0.0.1", 0, ssl=self._tls))
-        self.url = f"{'https' if self._tls else 'http'}://127.0.0.1:{self._server.sockets[0].getsockname()[1]}"
+        self._servers = self._run(self._listen())
+        self.url = f"{'https' if self._tls else 'http'}://127.0.0.1:{self._servers[0].sockets[0].getsockname()[1]}"
         return self
+
+    async def _listen(self) -> list[asyncio.Server]:
+        while True:
+            server = await asyncio.start_server(self._serve, "127.0.0.1", 0, ssl=self._tls)
+            with contextlib.suppress(OSError):
+                own = server.sockets[0].getsockname()[1] + 1
+                return [server, await asyncio.start_server(self._serve_estop, "127.0.0.1", own)]
+            server.close()
+
+    def block_estop(self) -> None:
+        """Closes the port for emergency stops, as a firewall does."""
+        self._loop.call_soon_threadsafe(self._servers[1].close)
 
     def __exit__(self, *_: object) -> None:
         async def end() -> None:
-            self._server.close()
+            for server in self._servers:
+                server.close()
             self._cut()
             tasks = asyncio.all_tasks() - {asyncio.current_task()}
             for task in tasks:
@@ -78,6 +93,21 @@ class Network:
             there = await asyncio.open_unix_connection(self.socket)
             self._writers |= {writer, there[1]}
             await asyncio.gather(self._pass(reader, there[1], False), self._pass(there[0], writer, True))
+        writer.close()
+
+    async def _serve_estop(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        with contextlib.suppress(OSError, asyncio.IncompleteReadError):
+            head = (await reader.readuntil(b"\r\n\r\n")).decode().lower()
+            length = next(line for line in head.split("\r\n") if line.startswith("content-length:"))
+            self.estops.append((await reader.readexactly(int(length.split(":")[1]))).decode())
+            there = await asyncio.open_unix_connection(f"{self.socket}.estop")
+            there[1].write(b"!")
+            is_off = (await there[0].readline()).startswith(b"stopped")
+            there[1].close()
+            if self.lose_answers:
+                self.lose_answers -= 1
+            elif is_off:
+                writer.write(b'HTTP/1.1 200 OK\r\nConnection: close\r\n\r\n{"state": "faulted"}')
         writer.close()
 
     async def _pass(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, answers: bool) -> None:

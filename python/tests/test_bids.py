@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 import shutil
 import subprocess
 import time
@@ -37,10 +38,15 @@ def record(m: meissner.Client) -> tuple[str, meissner.Play, meissner.Play]:
 
 
 def forget(m: meissner.Client) -> None:
-    """Removes the text of `mine` as it was played from the session record."""
-    for file in (Path(m.core.endpoint.name).parent / "record" / "patterns").glob("*.toml"):
-        if 'name = "mine"' in file.read_text():
-            file.unlink()
+    """As if the record had no text of the pattern `mine`, such as of one of more than 16 MiB."""
+    for file in (Path(m.core.endpoint.name).parent / "record" / "sessions").glob("*.jsonl"):
+        lines = file.read_text().splitlines(keepends=True)
+        is_of = ['"event":"pattern"' in line and 'name = \\"mine\\"' in line for line in lines]
+        made = [
+            re.sub('"sha256":"[0-9a-f]+"', f'"sha256":"{0:064}"', line) if its else line
+            for line, its in zip(lines, is_of, strict=True)
+        ]
+        file.write_text("".join(made))
 
 
 def read(file: Path) -> list[dict[str, str]]:
@@ -91,7 +97,7 @@ def test_a_session_becomes_a_dataset(m: meissner.Client, tmp_path: Path) -> None
     sidecar = json.loads(export.events.with_suffix(".json").read_text())
     assert set(rows[0]) <= set(sidecar)
     assert sidecar["StimulusPresentation"]["SoftwareName"] == "meissner"
-    assert sidecar["response"]["HED"] == {"left": "(Agent-action, Participant-response, Label/left)"}
+    assert sidecar["response"]["Levels"] == {"left": "the answer left"}
     text = stimulus.read_text().replace('"pin-60"', '"copied"')
     m.store_pattern("copied", text, replace=True)
     assert m.pattern("copied")["pattern"]["drive"] == m.pattern("pin-60")["pattern"]["drive"]
@@ -117,7 +123,7 @@ def test_losses_are_told(tmp_path: Path) -> None:
         "unreadable": 1,
     }
     recorded = {"session": session, "plays": [], "problems": ["a line"], **losses}
-    export = bids.write(tmp_path, recorded, {}, task=None, zero_host_ns=None, software=None)
+    export = bids.write(tmp_path, recorded, {})
     bounded = "2 entries of the record about commands and the device, because of its bound"
     assert export.left_out == ("a line", "3 entries", bounded)
     assert bids._cell("a\tb\n") == "a b "
@@ -188,14 +194,7 @@ def test_odd_sessions_are_valid_datasets(m: meissner.Client, tmp_path: Path) -> 
     recorded = m.session_plays(second.id)
     session = {**recorded["session"], "id": "20261231T225959Z-a1b2c3", "participant": "midnight"}
     session |= {"started": "2026-12-31T23:59:59.5+01:00", "ended": "2027-01-01T00:00:02+01:00"}
-    bids.write(
-        tmp_path,
-        {**recorded, "session": session},
-        {},
-        task=None,
-        zero_host_ns=None,
-        software=None,
-    )
+    bids.write(tmp_path, {**recorded, "session": session}, {})
     validated(tmp_path)
     (empty_events,) = tmp_path.glob("sub-empty/*/beh/*_events.tsv")
     assert read(empty_events) == []

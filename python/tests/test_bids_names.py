@@ -147,19 +147,18 @@ def test_what_is_in_the_dataset_already_counts(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "text", "says"),
+    ("text", "says"),
     [
-        ("participants.tsv", b"participant_id\tage\nsub-P01\t30\tleft\n", "no row longer than the header"),
-        ("participants.tsv", b"participant_id\nsub-\xff\n", "is no text in UTF-8"),
-        ("participants.tsv", b"age\tparticipant_id\n30\tsub-P01\n", "must be `participant_id`"),
-        ("dataset_description.json", b"{", "cannot be read"),
+        (b"participant_id\tage\nsub-P01\t30\tleft\n", "no row longer than the header"),
+        (b"participant_id\nsub-\xff\n", "is no text in UTF-8"),
+        (b"age\tparticipant_id\n30\tsub-P01\n", "must be `participant_id`"),
     ],
 )
-def test_a_dataset_that_cannot_be_read_stays_as_it_is(tmp_path: Path, name: str, text: bytes, says: str) -> None:
-    (tmp_path / name).write_bytes(text)
+def test_a_dataset_that_cannot_be_read_stays_as_it_is(tmp_path: Path, text: bytes, says: str) -> None:
+    (tmp_path / "participants.tsv").write_bytes(text)
     with pytest.raises(errors.BidsConflict, match=says):
         export(tmp_path, recorded("P02", "1"))
-    assert contents(tmp_path) == {name: text}
+    assert contents(tmp_path) == {"participants.tsv": text}
 
 
 def test_every_label_has_a_column(tmp_path: Path) -> None:
@@ -251,20 +250,6 @@ def test_a_dataset_of_others_keeps_its_files(tmp_path: Path, readme: str) -> Non
         ("sub-P01", "30", "n/a"),
         ("sub-P02", "n/a", "P02"),
     ]
-
-
-@pytest.mark.parametrize(
-    ("version", "has_hed"),
-    [("8.0.0", True), (["8.3.0", "sc:score_2.0.0"], True), ("7.2.0", False), (None, False)],
-)
-def test_hed_tags_fit_the_datasets_version(tmp_path: Path, version: Any, has_hed: bool) -> None:
-    description = json.dumps({"Name": "Ours", "BIDSVersion": "1.8.0", "HEDVersion": version}).encode()
-    (tmp_path / "dataset_description.json").write_bytes(description)
-    made = export(tmp_path, recorded())
-    assert (tmp_path / "dataset_description.json").read_bytes() == description
-    sidecar = made.events.with_suffix(".json").read_text()
-    told = any("HEDVersion is not 8" in line for line in made.left_out)
-    assert ('"HED"' in sidecar, told) == (has_hed, not has_hed)
 
 
 EVENTS = "sub-P07/ses-1/beh/sub-P07_ses-1_task-tactile_events"

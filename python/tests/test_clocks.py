@@ -28,7 +28,8 @@ class World:
         self.plays: list[dict[str, Any]] = []
         self.clock = ClientClock(same_machine=same_clock, monotonic_ns=self.client_ns, wall_ns=self.wall_ns)
         self.core = ops.Core(Endpoint("http://pc"), self.clock)
-        self.core.link = self
+        link: Any = self
+        self.core.link = link
 
     def host_ns(self, time: float | None = None) -> int:
         return round((self.time if time is None else time) * NS)

@@ -6,6 +6,7 @@ import json
 import subprocess
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
@@ -49,7 +50,8 @@ def test_an_answer_that_is_no_daemons() -> None:
         Answer(502, b"<html>").json()
     core = ops.Core(Endpoint("http://pc"), ClientClock())
     for body in (b"{}", b"[]"):
-        core.link = SimpleNamespace(perform=lambda request, body=body: Answer(200, body))
+        link: Any = SimpleNamespace(perform=lambda request, body=body: Answer(200, body))
+        core.link = link
         with pytest.raises(errors.UnexpectedAnswer, match="http://pc does not answer as a meissner daemon"):
             ops.status(core)
     with pytest.raises(ApiError, match="HTTP status 500"):

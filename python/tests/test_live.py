@@ -20,6 +20,7 @@ import pytest
 import meissner
 from meissner import _transport, errors
 from meissner._endpoint import endpoints
+from meissner._http import Answer, Request
 from meissner._live import Started
 from meissner.live import Live
 from meissner.program import find_program
@@ -143,7 +144,8 @@ def test_refusals_have_classes(m: meissner.Client) -> None:
 
 def test_an_emergency_stop_latches(m: meissner.Client) -> None:
     play = m.play("pin-60", endless=True)
-    assert m.estop().state == "faulted"
+    m.estop()
+    assert m.status().state == "faulted"
     assert play.wait(check=False).cause == "estop"
     with pytest.raises(errors.Faulted):
         m.arm(assume_rest=True, checked="a test")
@@ -386,9 +388,39 @@ def test_a_command_is_sent_once_and_a_question_again(network: Network) -> None:
         assert [line for line in network.requests if "POST" in line] == ["POST /v1/play HTTP/1.1"]
         m.wait_until_idle()
         network.requests.clear()
-        network.lose_answers = 1
-        assert m.estop().state == "faulted"
-        assert network.requests.count("POST /v1/estop HTTP/1.1") == 2
+        network.lose_answers = 2
+        m.estop()
+        assert m.status().state == "faulted"
+        assert network.requests.count("POST /v1/estop HTTP/1.1") + len(network.estops) >= 3
+
+
+def test_an_emergency_stop_goes_both_ways_and_the_first_good_answer_counts(
+    network: Network, daemon: meissner.Daemon, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def lost(request: Request) -> Answer:
+        raise errors.ConnectionLost("the API is blocked")
+
+    for place in (network.url, daemon.socket):
+        with meissner.connect(place, reconnect=0.0) as m:
+            with monkeypatch.context() as patch:
+                patch.setattr(m.core, "token", "mst_00")
+                patch.setattr(m.core.link, "perform", lost)
+                m.estop()
+            assert m.status().state == "faulted"
+            m.reset(force=True)
+    assert network.estops == ["mst_00"]
+    with meissner.connect(network.url, reconnect=0.0) as m:
+        network.block_estop()
+        m.estop()
+        assert m.reset(force=True).state == "disarmed"
+        monkeypatch.setattr(m.core.link, "perform", lost)
+        with pytest.raises(errors.ConnectionLost, match="the API is blocked"):
+            m.estop()
+    own = int(network.url.rpartition(":")[2]) + 1
+    with pytest.warns(UserWarning, match=f"the port for emergency stops, {own} of 127.0.0.1, does not answer") as told:
+        meissner.connect(network.url).close()
+    assert len(told) == 1
+    assert told[0].filename == __file__
 
 
 def test_with_jitter_and_a_skewed_clock_no_onset_errs_by_more_than_stated(network: Network) -> None:
@@ -562,4 +594,5 @@ def test_over_tcp_with_tokens() -> None:
                         m.core.token = own
                     with meissner.connect(daemon.socket) as other, pytest.raises(errors.SessionExclusive):
                         other.play("pin-60", 0.05)
-                    assert m.estop().state == "faulted"
+                    m.estop()
+                    assert m.status().state == "faulted"

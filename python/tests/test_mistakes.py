@@ -27,8 +27,6 @@ OF_A_CLIENT: list[tuple[str, Call, str]] = [
     ("live", lambda m: m.live("edge", duration=1), r"`live\(\)` has no argument `duration`: did you mean `timeout`?"),
     ("arm", lambda m: m.arm(True), r"`arm\(\)` takes nothing without a name: .* as `assume_rest=`"),
     ("reset", lambda m: m.reset(hard=True), r"`reset\(\)` has no argument `hard`: it has `force`"),
-    ("session", lambda m: m.session(), r"`session\(\)` needs `participant`"),
-    ("export_bids", lambda m: m.export_bids(), r"`export_bids\(\)` needs `session_id` and `root`"),
     # A value of another kind.
     ("play", lambda m: m.play("pin-60", math.nan), "`seconds` is nan: must be a finite number"),
     ("play", lambda m: m.play(5), "`pattern` is 5: must be a pattern's name"),
@@ -65,7 +63,6 @@ OF_A_CLIENT: list[tuple[str, Call, str]] = [
     ),
     ("remove_pattern", lambda m: m.remove_pattern("pin-60"), "removed.*exists: the library stays as it is"),
     ("session_plays", lambda m: m.session_plays(None), "`session_id` is None: must be a text"),
-    ("simulate", lambda m: m.simulate(), r"`simulate\(\)` needs `scene`"),
 ]
 
 
@@ -90,7 +87,6 @@ def test_mistakes_at_plays_and_answers(m: meissner.Client) -> None:
         told: list[tuple[Callable[[], Any], str]] = [
             (lambda: play.wait("5"), "`timeout` is '5': must be a number of seconds"),
             (lambda: play.wait(seconds=1), r"`wait\(\)` has no argument `seconds`: did you mean `timeout`?"),
-            (lambda: play.answer(), r"`answer\(\)` needs `response`"),
             (lambda: play.answer("a", rt=5), "did you mean `rt_ms`?"),
             (lambda: play.answer("a", correct="yes"), "`correct` is 'yes': must be True, False or None"),
             (lambda: play.answer("a", rt_ms="5"), "`rt_ms` is '5': must be a number"),

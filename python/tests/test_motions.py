@@ -101,9 +101,5 @@ def test_items_overlap_and_may_be_blank(m: meissner.Client) -> None:
 
 
 def test_what_is_too_fast_says_how_to_resample_it() -> None:
-    with pytest.raises(
-        ValueError, match=r"must be 1 to 8000; scipy\.signal\.resample_poly\(um, 80, 441, .* to rate=8000"
-    ):
-        motions.pattern({9: [0.0, 1.0]}, 44_100)
-    with pytest.raises(ValueError, match=r"must be 1 to 8000$"):
-        motions.pattern({9: [0.0, 1.0]}, 0.5)
+    with pytest.raises(ValueError, match=r"must be 1 to 8000; scipy\.signal\.resample_poly resamples"):
+        motions.pattern({9: [0.0, 1.0]}, 44_100, motors=24)

@@ -105,7 +105,9 @@ export async function open(browser, daemon, width = 1400, height = 1000, view = 
   // What a selector waits for may follow a rendering, as the first pose of a live play does.
   page.setDefaultTimeout(WAIT.timeout);
   page.complaints = [];
-  page.on("console", (message) => message.type() === "error" && page.complaints.push(`${message.text()} ${message.location().url}`));
+  // The port for emergency stops refuses the question whether it is there.
+  const isExpected = (message) => message.text().includes("405") && message.location().url.endsWith("/v1/estop");
+  page.on("console", (message) => message.type() === "error" && !isExpected(message) && page.complaints.push(`${message.text()} ${message.location().url}`));
   page.on("pageerror", (error) => page.complaints.push(String(error)));
   // The daemon ends a live play of a page that is silent for a second: beside a build, pages are.
   await page.evaluateOnNewDocument(() => {
@@ -198,8 +200,8 @@ export async function proxied(daemon, through, run) {
   }
 }
 
-// A simulated network between browser and daemon. While it is held, requests reach the daemon, but no answer comes back until it is
-// released.
+// A simulated network between browser and daemon. While it is held, requests reach the daemon, but no answer of the API comes back until
+// it is released.
 export async function networked(daemon, run) {
   const { port } = new URL(daemon.url);
   const back = new Set();
@@ -219,7 +221,13 @@ export async function networked(daemon, run) {
     onward.letGo = () => onward.pipe(browser);
     onward.hold = () => onward.unpipe(browser);
   });
-  await new Promise((done) => server.listen(0, "127.0.0.1", done));
+  const estops = createNetwork((browser) => {
+    const onward = connect(Number(port) + 1, "127.0.0.1");
+    for (const socket of [browser, onward]) socket.on("error", () => (browser.destroy(), onward.destroy()));
+    browser.pipe(onward).pipe(browser);
+  });
+  const listens = (server, port) => new Promise((done) => server.once("error", () => done(false)).listen(port, "127.0.0.1", () => done(true)));
+  while (!(await listens(server, 0)) || !(await listens(estops, server.address().port + 1))) await new Promise((done) => server.close(done));
   const network = {
     url: `http://127.0.0.1:${server.address().port}`,
     hold: () => ((held = true), back.forEach((socket) => socket.hold())),
@@ -230,5 +238,6 @@ export async function networked(daemon, run) {
   } finally {
     all.forEach((socket) => socket.destroy());
     server.close();
+    estops.close();
   }
 }

@@ -231,6 +231,8 @@ test("an emergency stop is sent again until the daemon says that the lines are o
   };
   await proxied(daemon, through, async (url) => {
     const page = await open({ url });
+    const port = Number(new URL(url).port);
+    await shows(page, "estop-note", `E-STOP has port ${port} alone: port ${port + 1} of 127.0.0.1, its own, does not answer. Behind a proxy`);
     await arm(page);
     await page.click("#estop");
     const unsure = "NOT CONFIRMED: the answer does not say that the lines are off. Use the switch of the supply.";
@@ -244,6 +246,24 @@ test("an emergency stop is sent again until the daemon says that the lines are o
     const { state, estop: { orders } } = await daemon.status();
     // An order whose answer is late is sent again.
     assert.ok(state === "faulted" && orders >= 1 && orders <= forwarded, `${state}, ${orders}`);
+  });
+});
+
+test("an emergency stop needs no answer of the API: it has a port of its own", async () => {
+  const daemon = await new Daemon('listen_token = "always"\n').start();
+  const token = await daemon.run("token", "create", "--role", "operate", "--name", "page");
+  await networked(daemon, async (network) => {
+    const page = await open(network);
+    await page.evaluate((token) => meissner.token.set(token), token);
+    await arm(page);
+    assert.equal(await text(page, "estop-note"), "");
+    network.hold();
+    await page.click("#estop");
+    // Unless it is confirmed, the page says so as long as the API does not answer.
+    await page.waitForFunction(() => ["", "All lines are off."].includes(document.getElementById("estop-note").textContent), WAIT);
+    assert.equal(JSON.parse(await daemon.run("status", "--json")).state, "faulted");
+    network.letGo();
+    await shows(page, "estop-note", "All lines are off.");
   });
 });
 

@@ -20,6 +20,7 @@ from __future__ import annotations
 import os
 import re
 
+from . import _estop
 from ._arguments import hinted, text
 from ._bodies import SequenceItem
 from ._endpoint import Endpoint, endpoints
@@ -31,9 +32,21 @@ from .client import Client, Play, Session
 from .clocks import ClientClock, Instant
 from .errors import ApiError, MeissnerError, PlayStopped, Unreachable
 from .live import Live
-from .program import Board, Daemon, Design, Judgement, Rendering, Simulation, design, judge, render, simulate
+from .program import (
+    Board,
+    Daemon,
+    Design,
+    Displacement,
+    Judgement,
+    Rendering,
+    Simulation,
+    design,
+    displacement,
+    judge,
+    render,
+    simulate,
+)
 from .results import Item, LiveResult, PlanCheck, Receipt, Status
-from .traces import Displacement, displacement
 
 __all__ = [
     "ApiError",
@@ -102,6 +115,7 @@ def connect(
         client = Client(_core(endpoint, token, 0.0))
         try:
             begin(client.core)
+            _estop.check(endpoint)
         except Unreachable as error:
             client.close()
             errors.append(error)

@@ -86,17 +86,7 @@ def _problem(function: Callable[..., Any], args: tuple[Any, ...], kwargs: Mappin
             return f"`{name}()` takes {' and '.join(f'`{key}`' for key in own) or 'no argument'}, and no more"
         most = f"takes {', '.join(f'`{key}`' for key in positional)} alone" if positional else "takes nothing"
         return f"`{name}()` {most} without a name: give the others by name, as `{by_name}=`"
-    required = [key for key, parameter in own.items() if parameter.default is parameter.empty]
-    required = [
-        key
-        for key in required
-        if own[key].kind not in (inspect.Parameter.VAR_KEYWORD, inspect.Parameter.VAR_POSITIONAL)
-    ]
-    missing = [key for key in required if key not in kwargs and key not in positional[: len(given)]]
-    if missing:
-        return f"`{name}()` needs {' and '.join(f'`{key}`' for key in missing)}"
-    twice = [key for key in positional[: len(given)] if key in kwargs]
-    return f"`{name}()` has `{twice[0]}` twice: give it once" if twice else None
+    return None
 
 
 def _no_path(function: Callable[..., Any], args: tuple[Any, ...], kwargs: Mapping[str, Any]) -> str | None:
@@ -104,7 +94,7 @@ def _no_path(function: Callable[..., Any], args: tuple[Any, ...], kwargs: Mappin
     signature = inspect.signature(function)
     for name, value in signature.bind(*args, **kwargs).arguments.items():
         kind = str(signature.parameters[name].annotation)
-        is_path = name in _PATHS or "PathLike" in kind or "ArrayName" in kind
+        is_path = name in _PATHS or "PathLike" in kind
         if is_path and not isinstance(value, (str, os.PathLike)) and (value is not None or "None" not in kind):
             return f"`{name}` is {value!r}: must be a name, or the path of a file"
     return None

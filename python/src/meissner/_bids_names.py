@@ -67,7 +67,11 @@ class Names:
 
     @staticmethod
     def of(
-        recorded: Mapping[str, Any], task: str | None, subject: str | None, session: str | None, run: int | str | None
+        recorded: Mapping[str, Any],
+        task: str | None = None,
+        subject: str | None = None,
+        session: str | None = None,
+        run: int | str | None = None,
     ) -> Names:
         """The names of a recorded session. What the caller does not give comes from the record."""
         task_name = task or recorded["experiment"] or "tactile"

@@ -74,18 +74,9 @@ def export_bids(
     else:
         seconds = None if zero is None else number("zero", zero, " of seconds, such as `m.now()`, or an instant")
         zero_host_ns = None if seconds is None else core.clock.to_host(round(seconds * NS))[0]
-    return bids.write(
-        Path(root),
-        recorded,
-        found,
-        task=task,
-        zero_host_ns=zero_host_ns,
-        software=core.daemon,
-        subject=subject,
-        session=session,
-        run=run,
-        overwrite=overwrite,
-    )
+    named: dict[str, Any] = {"task": task, "subject": subject, "session": session, "run": run}
+    named |= {"zero_host_ns": zero_host_ns, "software": core.daemon, "overwrite": overwrite}
+    return bids.write(Path(root), recorded, found, **named)
 
 
 def export_nwb(
@@ -114,11 +105,4 @@ def export_nwb(
         )
     }
     recorded, found = _stimuli(core, session_id, incomplete)
-    return nwb.write(
-        Path(file),
-        recorded,
-        found,
-        status=status(core),
-        **about,
-        overwrite=overwrite,
-    )
+    return nwb.write(Path(file), recorded, found, status=status(core), **about, overwrite=overwrite)

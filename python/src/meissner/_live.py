@@ -18,7 +18,7 @@ from urllib.parse import urlsplit
 from . import _http
 from . import _operations as ops
 from ._arguments import drive_list, hints, number, table
-from ._bodies import Labels, Late, Trigger, milliseconds, texts, trial_number, trigger_of
+from ._bodies import Labels, Late, Trigger, milliseconds, trigger_of
 from ._endpoint import Endpoint
 from ._operations import Accepted, Core
 from .arrays import Array
@@ -79,12 +79,7 @@ def start(
         "updates_hz": updates_hz,
         "max_frequency_hz": max_frequency_hz,
         "trigger": trigger_of(trigger),
-        "trial": trial_number(trial),
-        "labels": texts(labels),
-        "late": late,
-        "replace": replace or None,
-        "open_loop": open_loop or None,
-        "session": core.session and core.session.id,
+        **ops.terms(core, trial, labels, late, replace, open_loop),
     }
     answer = ops.send(core, _http.post("/v1/live", body, timeout=20.0))
     raw = core.read(answer)

@@ -12,10 +12,10 @@ import hashlib
 import os
 from collections.abc import Generator, Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, ParamSpec, Protocol, TypeVar
+from typing import Any
 from urllib.parse import quote
 
-from . import _http, motions
+from . import _http, errors, motions
 from ._arguments import number, text
 from ._bodies import (
     At,
@@ -33,32 +33,14 @@ from ._bodies import (
 from ._endpoint import Endpoint
 from ._http import Answer, Request
 from ._text_file import text_of
+from ._transport import BlockingTransport
 from ._unreached import warn_of
 from .arrays import Array
 from .clocks import MAX_SKEW, NS, ClientClock, Instant
-from .errors import (
-    ApiError,
-    ConnectionLost,
-    DaemonRestarted,
-    DeviceTimeout,
-    Exists,
-    Faulted,
-    MeissnerError,
-    NoDevice,
-    NotFound,
-    NotKnownYet,
-    PlayStopped,
-    SessionExclusive,
-    SessionOver,
-    SessionRunning,
-    UnexpectedAnswer,
-    Unreachable,
-)
+from .errors import ApiError, ConnectionLost, MeissnerError, Unreachable
 from .motions import Samples
 from .results import PlanCheck, Receipt, Status
 
-P = ParamSpec("P")
-T = TypeVar("T")
 _LONGEST_WAIT = 50.0
 _COMPILING = 60.0
 """How long the daemon may take to compile a play of long motions, s."""
@@ -81,23 +63,13 @@ class Owned:
     """Whether it goes on after an error, for the next run of the program."""
 
 
-class Link(Protocol):
-    """What sends requests for one thread, or several."""
-
-    def perform(self, request: Request) -> Answer:
-        """Sends a request, and waits for its answer."""
-
-    def pause(self, seconds: float) -> None:
-        """Waits."""
-
-
 @dataclass
 class Core:
     """What the methods of one client share."""
 
     endpoint: Endpoint
     clock: ClientClock
-    link: Link = field(init=False, repr=False)
+    link: BlockingTransport = field(init=False, repr=False)
     token: str | None = None
     reconnect: float = 10.0
     """For how long to look for a daemon that was there before, s."""
@@ -143,10 +115,12 @@ class Core:
         """The document of an answer to what belongs to the client's session. Raises `SessionOver` if that is over."""
         try:
             return answer.json()
-        except (SessionRunning, SessionExclusive) as error:
+        except (errors.SessionRunning, errors.SessionExclusive) as error:
             if self.session is None:
                 raise
-            raise SessionOver(f"session {self.session.id} is over: {error.detail}", status=error.status) from error
+            raise errors.SessionOver(
+                f"session {self.session.id} is over: {error.detail}", status=error.status
+            ) from error
 
     def receipt(self, raw: dict[str, Any]) -> Receipt:
         """A receipt with instants on this client's clocks."""
@@ -194,7 +168,7 @@ def status(core: Core) -> Status:
 def _take_status(core: Core, answer: Answer) -> Status:
     raw = core.read(answer)
     if not isinstance(raw, dict) or "state" not in raw:
-        raise UnexpectedAnswer(f"{core.endpoint.name} does not answer as a meissner daemon: check the address")
+        raise errors.UnexpectedAnswer(f"{core.endpoint.name} does not answer as a meissner daemon: check the address")
     daemon = (raw["daemon"]["pid"], raw["daemon"]["version"])
     if daemon != core.daemon:
         core.daemon, core.array = daemon, None
@@ -264,7 +238,7 @@ def arm(
         return _command(core, "/v1/arm", {**body, **statement})
     except ApiError as error:
         # What the daemon refused has changed nothing; after a timeout the motors may be on.
-        if not isinstance(error, DeviceTimeout):
+        if not isinstance(error, errors.DeviceTimeout):
             core.has_armed, core.silence = before
         raise
 
@@ -279,13 +253,6 @@ def disarm(core: Core) -> Status:
 def stop(core: Core) -> Status:
     """Stop the running play and clear the queue. The motors stay armed."""
     return _command(core, "/v1/stop")
-
-
-def estop(core: Core) -> Status:
-    """Switch all lines off at once and latch the fault. `reset()` clears it."""
-    request = Request("POST", "/v1/estop", b"{}", timeout=5.0, fresh=True, repeatable=True)
-    answer = send(core, request)
-    return _take_status(core, answer)
 
 
 def reset(core: Core, *, force: bool = False, keep: bool = False) -> Status:
@@ -331,7 +298,7 @@ def instant(core: Core, tick: int) -> Instant:
         status(core)
     sample = core.device_clock
     if sample is None:
-        raise NotKnownYet("no device is connected, so its ticks have no times: connect one")
+        raise errors.NotKnownYet("no device is connected, so its ticks have no times: connect one")
     distance_ns = round((tick - sample["tick"]) * NS / sample["tick_hz"])
     return core.clock.instant(
         tick=tick,
@@ -413,33 +380,35 @@ def play(
     body = {
         "pattern": given,
         "seconds": seconds,
-        "strict": strict or None,
-        "hold_ms": milliseconds("hold", hold),
         "scale": scale,
         "trigger": trigger_of(trigger),
-        "trial": trial_number(trial),
-        "labels": texts(labels),
-        "late": late,
         "fit": fit,
-        "replace": replace or None,
         "endless": endless or None,
-        "open_loop": open_loop or None,
+        "strict": strict or None,
+        "hold_ms": milliseconds("hold", hold),
         "stop_on_edge": stop_on_edge or None,
-        "session": core.session and core.session.id,
+        **terms(core, trial, labels, late, replace, open_loop),
         **_onset(core, at, on_edge),
     }
     return _accepted(core, _http.post("/v1/play", body, timeout=_COMPILING), name, given)
 
 
+def terms(core: Core, trial: Any, labels: Labels, late: Late, replace: bool, open_loop: bool) -> dict[str, Any]:
+    """The keys that all plays have in common."""
+    return {
+        "trial": trial_number(trial),
+        "labels": texts(labels),
+        "late": late,
+        "replace": replace or None,
+        "open_loop": open_loop or None,
+        "session": core.session and core.session.id,
+    }
+
+
 def _inline(core: Core, given: Mapping[str, Any]) -> dict[str, Any]:
     """The inline pattern of samples and drives, for the daemon's array."""
     driven = array(core)
-    return motions.pattern(**given, **_limits(driven))
-
-
-def _limits(driven: Array) -> dict[str, Any]:
-    """What the samples of an inline pattern are checked against."""
-    return {"motors": driven.motors, "most_um": driven.motor["travel_um"]}
+    return motions.pattern(**given, motors=driven.motors, most_um=driven.motor["travel_um"])
 
 
 def sequence(
@@ -477,13 +446,8 @@ def sequence(
         "name": name,
         "strict": strict or None,
         "hold_ms": milliseconds("hold", hold),
-        "trial": trial_number(trial),
-        "labels": texts(labels),
-        "late": late,
-        "replace": replace or None,
-        "open_loop": open_loop or None,
         "stop_on_edge": stop_on_edge or None,
-        "session": core.session and core.session.id,
+        **terms(core, trial, labels, late, replace, open_loop),
         **_onset(core, at, on_edge),
     }
     return _accepted(core, _http.post("/v1/play", body, timeout=_COMPILING), name, [item["pattern"] for item in made])
@@ -498,11 +462,10 @@ def items_of(
     scale: float | None,
 ) -> list[dict[str, Any]]:
     """The items of a sequence as the daemon takes them."""
-    driven = array(core)
 
     def inline(item: dict[str, Any]) -> dict[str, Any]:
-        own = {key: item.pop(key) for key in ("samples", "rate", "drives") if key in item}
-        return {**item, "pattern": motions.pattern(**own, **_limits(driven))} if own else item
+        own: dict[str, Any] = {key: item.pop(key) for key in ("samples", "rate", "drives") if key in item}
+        return {**item, "pattern": _inline(core, own)} if own else item
 
     return sequence_items(items, isi, soa, {"seconds": seconds, "scale": scale}, inline)
 
@@ -542,7 +505,7 @@ def withdraw(core: Core, play_id: int) -> Receipt:
 def checked(result: Receipt) -> Receipt:
     """Refuses a play that did not come to its end."""
     if result.state != "done":
-        raise PlayStopped(result)
+        raise errors.PlayStopped(result)
     return result
 
 
@@ -571,7 +534,7 @@ def _same_daemon(core: Core, accepted: Accepted) -> None:
     """Refuses a receipt of another daemon's play of that number. The answer also keeps the clock's estimate fresh."""
     status(core)
     if accepted.daemon is not None and core.daemon != accepted.daemon:
-        raise DaemonRestarted(
+        raise errors.DaemonRestarted(
             f"the daemon was restarted after it took play {accepted.id}: arm again and repeat the trial; "
             "the session record has what was played"
         )
@@ -644,10 +607,10 @@ def _library(advice: str) -> Generator[None]:
     """Advice where the name is one of the library's, which nothing replaces."""
     try:
         yield
-    except Exists as error:
+    except errors.Exists as error:
         if "library" not in error.detail:
             raise
-        raise Exists(error.detail, status=error.status, advice=advice) from None
+        raise errors.Exists(error.detail, status=error.status, advice=advice) from None
 
 
 def leave(core: Core) -> None:
@@ -659,7 +622,7 @@ def leave(core: Core) -> None:
 
 def switch_off(core: Core) -> None:
     """Take back what this client has armed: motors that another one has armed stay armed for that one. A device that is off is fine."""
-    with contextlib.suppress(Faulted, NoDevice):
+    with contextlib.suppress(errors.Faulted, errors.NoDevice):
         _command(core, "/v1/disarm", {"own": True})
 
 
@@ -673,9 +636,9 @@ def heartbeat(core: Core) -> float:
     if owned is not None:
         try:
             raw = document(core, _http.get("/v1/sessions/running"))
-        except NotFound:
+        except errors.NotFound:
             raw = {"id": None}
         if raw["id"] != owned.id:
-            raise SessionOver(f"session {owned.id} is over", status=409)
+            raise errors.SessionOver(f"session {owned.id} is over", status=409)
         pauses.append((raw["release_in_s"] or 120.0) / 4)
     return max(0.05, min(pauses))

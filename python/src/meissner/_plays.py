@@ -104,19 +104,12 @@ class KnownPlay:
         is kept in a file of the user, which the error names.
         """
         session = self._core.session
-        with _kept.answer(
-            session=session and session.id,
-            play=self.id,
-            response=response,
-            correct=correct,
-            rt_ms=rt_ms,
-            level=level,
-            factors=factors,
-        ):
+        given = {"correct": correct, "rt_ms": rt_ms, "level": level, "factors": factors}
+        with _kept.answer(session=session and session.id, play=self.id, response=response, **given):
             if isinstance(response, Press) and (self._receipt is None or self._receipt.onset is None):
                 self.refresh()
             onset = self.onset if isinstance(response, Press) else None
-            _sessions.answer(self._core, self._accepted, onset, response, correct, rt_ms, level, factors)
+            _sessions.answer(self._core, self.id, onset, response, given)
 
     def __repr__(self) -> str:
         state = self._receipt.state if self._receipt else "accepted"

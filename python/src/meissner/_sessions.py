@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import warnings
-from typing import Any
+from typing import Any, Literal
 from urllib.parse import quote
 
 from . import _http, _kept
 from ._arguments import number, table, text
-from ._bodies import Labels, Verdict, texts, verdict, whole
-from ._operations import Accepted, Core, Owned, document, send, status, stop, wait_until_idle
+from ._bodies import Labels, texts, verdict, whole
+from ._operations import Core, Owned, document, send, status, stop, wait_until_idle
 from ._presses import Press
 from .clocks import Instant
 from .errors import ApiError, Exists, IncompleteSession, NotFound, SessionExclusive, SessionOver, SessionRunning
@@ -25,6 +25,7 @@ def session(
     seed: int | None = None,
     labels: Labels = None,
     resume: bool = False,
+    record: Literal["required", "optional"] = "required",
 ) -> dict[str, Any]:
     """Start a session that this client owns. `exclusive`: others may change nothing but stop.
 
@@ -34,6 +35,8 @@ def session(
     `resume`: go on with the running session of this participant, if a program of this user on this machine has started it and has
     ended without its end. Plays of that program are stopped. `SessionRunning` if that program still runs, or if the session is of
     another participant. After an error in its block the session goes on, for the next run of the program.
+
+    While the daemon cannot record the session, its plays and answers raise `StoreError`; with `record="optional"` plays go on.
     """
     if resume:
         resumed = _resumed(core, participant)
@@ -45,6 +48,7 @@ def session(
         "experiment": experiment,
         "seed": seed,
         "labels": texts(labels),
+        "record": None if record == "required" else record,
     }
     answer = send(core, _http.post("/v1/sessions", body))
     try:
@@ -83,7 +87,7 @@ def _resumed(core: Core, participant: str) -> dict[str, Any] | None:
     # A latched fault refuses the stop, and has stopped already.
     with contextlib.suppress(ApiError):
         stop(core)
-    return {"id": running["id"], "record_problem": None, "resumed": True}
+    return {"id": running["id"], "record_problem": running.get("record_problem"), "resumed": True}
 
 
 def session_leave(core: Core, session_id: str, failed: bool) -> IncompleteSession | None:
@@ -123,35 +127,27 @@ def _runs(core: Core, session_id: str) -> bool:
     return running is not None and bool(running["id"] == session_id)
 
 
-def answer(
-    core: Core,
-    accepted: Accepted,
-    onset: Instant | None,
-    response: object,
-    correct: Verdict = None,
-    rt_ms: float | None = None,
-    level: float | None = None,
-    factors: Labels = None,
-) -> None:
+def answer(core: Core, play_id: int, onset: Instant | None, response: object, given: dict[str, Any]) -> None:
     """Record what the participant answered to a play of the running session. `response` and the factors are kept as text.
 
-    A `Press` has its time: from the play's `onset`.
+    A `Press` has its time: from the play's `onset`. `given` has `correct`, `rt_ms`, `level` and `factors`.
     """
-    given: dict[str, Any] = {} if factors is None else table("factors", factors, "{'block': 2}")
+    factors = {} if given["factors"] is None else table("factors", given["factors"], "{'block': 2}")
+    rt_ms = given["rt_ms"]
     if isinstance(response, Press) and onset is not None:
         at = response.at(onset)
-        given |= {"response_tick": at.tick, "response_uncertainty_s": f"{at.monotonic_uncertainty:.6f}"}
+        factors |= {"response_tick": at.tick, "response_uncertainty_s": f"{at.monotonic_uncertainty:.6f}"}
         if response.is_early(onset):
-            given["response_early"] = "true"
+            factors["response_early"] = "true"
         rt_ms = response.after(onset) * 1000 if rt_ms is None else rt_ms
     said = response.name if isinstance(response, Press) else response
     numbers = {
         name: None if value is None or _is_unknown(value) else number(name, value)
-        for name, value in (("rt_ms", rt_ms), ("level", level))
+        for name, value in (("rt_ms", rt_ms), ("level", given["level"]))
     }
-    body = {"response": whole(str(said)), "correct": verdict(correct), **numbers}
+    body = {"response": whole(str(said)), "correct": verdict(given["correct"]), **numbers}
     try:
-        document(core, _http.post(f"/v1/plays/{accepted.id}/answer", {**body, "factors": texts(given)}))
+        document(core, _http.post(f"/v1/plays/{play_id}/answer", {**body, "factors": texts(factors)}))
     except Exists as error:
         raise Exists(error.detail, status=error.status, advice="the first one counts") from None
     except SessionOver:

@@ -40,30 +40,6 @@ def _failure(error: Exception, endpoint: Endpoint) -> MeissnerError:
     )
 
 
-def _options(endpoint: Endpoint) -> dict[str, Any]:
-    # No proxies: a proxy of the environment cannot reach the lab's PC.
-    return {"base_url": endpoint.url, "trust_env": False}
-
-
-def _connections(endpoint: Endpoint, fresh: bool) -> dict[str, Any]:
-    import httpx
-
-    # Idle connections stay: httpx would close them after 5 s, and it notices by itself when the daemon has closed one.
-    kept = 0 if fresh else 8
-    return {
-        "uds": endpoint.socket,
-        # Without TLS, httpx would read the certificates of authorities all the same.
-        "verify": tls() if endpoint.is_secure else False,
-        "limits": httpx.Limits(max_connections=32, max_keepalive_connections=kept, keepalive_expiry=None),
-    }
-
-
-def _streaming() -> httpx.Timeout:
-    import httpx
-
-    return httpx.Timeout(10.0, read=SILENCE)
-
-
 def _closed() -> MeissnerError:
     return MeissnerError("the client is closed: work inside its `with` block, or connect again")
 
@@ -79,8 +55,13 @@ class BlockingTransport:
     def _open(self, fresh: bool = False) -> httpx.Client:
         import httpx
 
-        transport = httpx.HTTPTransport(**_connections(self._endpoint, fresh))
-        return httpx.Client(transport=transport, **_options(self._endpoint))
+        # Idle connections stay: httpx would close them after 5 s, and it notices by itself when the daemon has closed one.
+        kept = httpx.Limits(max_connections=32, max_keepalive_connections=0 if fresh else 8, keepalive_expiry=None)
+        # Without TLS, httpx would read the certificates of authorities all the same.
+        trusted = tls() if self._endpoint.is_secure else False
+        transport = httpx.HTTPTransport(uds=self._endpoint.socket, verify=trusted, limits=kept)
+        # No proxies: a proxy of the environment cannot reach the lab's PC.
+        return httpx.Client(transport=transport, base_url=self._endpoint.url, trust_env=False)
 
     def perform(self, request: Request) -> Answer:
         """Sends one request."""
@@ -116,7 +97,9 @@ class BlockingTransport:
             raise _closed()
         with self._open(fresh=True) as client:
             try:
-                with client.stream("GET", path, headers=self._headers(), timeout=_streaming()) as response:
+                with client.stream(
+                    "GET", path, headers=self._headers(), timeout=httpx.Timeout(10.0, read=SILENCE)
+                ) as response:
                     if response.status_code >= 400:
                         Answer(response.status_code, response.read()).json()
                     opened = response.extensions["network_stream"].get_extra_info("socket")

@@ -16,7 +16,7 @@ _ENOUGH = 0.8
 
 
 def warn_of(receipt: Receipt, told: set[str]) -> None:
-    """Warns where the caller of this package stands. `told` is what nobody is told again."""
+    """Warns of a play, once a pattern. `told` is what nobody is told again."""
     lines = [line for line in receipt.raw["reach"]["warnings"] if not _is_meant(receipt, line)]
     # Of a sequence the daemon says the pattern's name before each line.
     lines = [line if line.startswith("`") else f"`{receipt.pattern}`: {line}" for line in lines]
@@ -25,10 +25,15 @@ def warn_of(receipt: Receipt, told: set[str]) -> None:
         return
     told.update(map(_key, lines))
     more = f" ({len(lines) - 1} more in `receipt.raw['reach']['warnings']`)" if len(lines) > 1 else ""
+    warn(f"{new[0]}{more}")
+
+
+def warn(line: str) -> None:
+    """Warns where the caller of this package stands."""
     level, frame = 1, sys._getframe()
     while frame.f_back is not None and frame.f_globals.get("__name__", "").split(".")[0] == "meissner":
         level, frame = level + 1, frame.f_back
-    warnings.warn(f"{new[0]}{more}", stacklevel=level)
+    warnings.warn(line, stacklevel=level)
 
 
 def _key(line: str) -> str:

@@ -11,9 +11,6 @@ from typing import Any
 
 from ._arguments import hints, number
 
-_PAPER_GRID = (6, 4, 2.9)
-_PAPER_MOTOR = {"speed_mm_s": 11.5, "window_ms": 4.3, "travel_um": 400.0}
-
 
 @hints
 @dataclass(frozen=True)
@@ -45,17 +42,6 @@ class Array:
             raw=raw,
         )
 
-    @staticmethod
-    def paper() -> Array:
-        """The paper's array. `raw` is empty."""
-        rows, columns, pitch = _PAPER_GRID
-        places = tuple(
-            ((column - (columns - 1) / 2) * pitch, ((rows - 1) / 2 - row) * pitch)
-            for row in range(rows)
-            for column in range(columns)
-        )
-        return Array("tula35-6x4", places, (rows, columns), pitch, 85_000, {})
-
     @property
     def motors(self) -> int:
         """How many motors it has."""
@@ -64,7 +50,8 @@ class Array:
     @property
     def motor(self) -> dict[str, float]:
         """Its motors: `speed_mm_s`, `window_ms` (of the mean over which they settle) and `travel_um`."""
-        return {**_PAPER_MOTOR, **self.raw.get("motor", {})}
+        motor: dict[str, float] = self.raw["motor"]
+        return motor
 
     def ticks(self, seconds: float) -> int:
         """The nearest number of ticks to a time."""

@@ -27,12 +27,9 @@ from .errors import BidsConflict, MeissnerError
 from .motions import pattern_toml
 
 VERSION = "1.10.0"
-_HED_VERSION = "8.3.0"
-_HED = "Sensory-event, Tactile-presentation, Experimental-stimulus"
-_ANSWERED = "Agent-action, Participant-response"
 _MOST_LEVELS = 40
 """The most different responses that the sidecar lists."""
-_COLUMNS: dict[str, dict[str, Any]] = {
+COLUMNS: dict[str, dict[str, Any]] = {
     "onset": {"Description": "Onset of the stimulus, from the session's first onset or as asked for", "Units": "s"},
     "duration": {"Description": "From the onset to the end of the last pulse", "Units": "s"},
     "trial_type": {"Description": "Name of the vibration pattern"},
@@ -77,7 +74,6 @@ _COLUMNS: dict[str, dict[str, Any]] = {
     "correct": {
         "Description": "Whether the answer is right",
         "Levels": {"true": "right", "false": "wrong"},
-        "HED": {"true": "Correct-action", "false": "Incorrect-action"},
     },
     "response_time": {
         "Description": "Response time, as the experiment measured it; of keys and button boxes from the onset of the play",
@@ -106,35 +102,31 @@ def write(
     recorded: Mapping[str, Any],
     patterns: Mapping[str, dict[str, Any]],
     *,
-    task: str | None,
-    zero_host_ns: int | None,
-    software: tuple[int, str] | None,
-    subject: str | None = None,
-    session: str | None = None,
-    run: int | str | None = None,
+    zero_host_ns: int | None = None,
+    software: tuple[int, str] | None = None,
     overwrite: bool = False,
+    **named: Any,
 ) -> Export:
-    """Writes a session. `recorded` is as of `session_plays`, `patterns` holds the patterns' keys by SHA-256.
+    """Writes a session. `recorded` is as of `session_plays`, `patterns` holds the patterns' keys by SHA-256, and
+    `named` is as of `Names.of`.
 
     Raises `BidsConflict`, and writes nothing, if a name of it stands for something else in the dataset, or if a file is in the way.
     """
     rows = stimuli_of(recorded["plays"])
     labels = Labels(recorded["session"], rows)
-    names = Names.of(recorded["session"], task, subject, session, run)
+    names = Names.of(recorded["session"], **named)
     names.check(root)
     texts = {sha256: pattern_toml(keys) for sha256, keys in patterns.items()}
     stimuli = {sha256: f"{keys['name']}_{sha256[:8]}.toml" for sha256, keys in patterns.items()}
     zero = zero_host_ns if zero_host_ns is not None else (rows[0]["onset_monotonic_ns"] if rows else 0)
     left_out = losses(recorded) + [f"{line}: its stim_file is n/a" for line in not_kept(rows, patterns)]
-    merged, has_hed = _dataset(root, names)
-    if not has_hed:
-        left_out.append("the HED tags: the dataset's HEDVersion is not 8")
+    merged = _dataset(root, names)
     events = root / names.folder / "beh" / names.file
-    columns = [*_COLUMNS, *(column.name for column in labels.columns)]
+    columns = [*COLUMNS, *(column.name for column in labels.columns)]
     sources = {"MeissnerParticipant": names.participant, SESSION_SOURCE: names.session_id}
     about = {"TaskName": names.task_name, **sources, **_incomplete(recorded)}
     made: dict[Path, bytes] = {root / "stimuli" / stimuli[sha256]: text.encode() for sha256, text in texts.items()}
-    sidecar = {**about, **_sidecar(rows, labels, software, has_hed)}
+    sidecar = {**about, **_sidecar(rows, labels, software)}
     made[events.with_suffix(".json")] = _json(sidecar)
     made[events] = _tsv(columns, [{**_event(row, zero, stimuli), **labels.cells(row)} for row in rows])
     files = {**merged, **made}
@@ -224,21 +216,15 @@ def _event(row: Mapping[str, Any], zero: int, stimuli: Mapping[str, str]) -> dic
     }
 
 
-def _sidecar(
-    rows: list[dict[str, Any]], labels: Labels, software: tuple[int, str] | None, has_hed: bool
-) -> dict[str, Any]:
-    columns = {name: dict(meaning) for name, meaning in _COLUMNS.items()}
+def _sidecar(rows: list[dict[str, Any]], labels: Labels, software: tuple[int, str] | None) -> dict[str, Any]:
+    columns = {name: dict(meaning) for name, meaning in COLUMNS.items()}
     for column in labels.columns:
         columns[column.name] = {"LongName": column.key, "Description": column.description}
     kinds = sorted({row["pattern"] for row in rows})
     columns["trial_type"]["Levels"] = {kind: f"the pattern {kind}" for kind in kinds}
-    columns["trial_type"]["HED"] = {kind: f"{_HED}, Label/{_hed_name(kind)}" for kind in kinds}
     said = {str(row["response"]) for row in rows if row["response"] is not None}
     if 0 < len(said) <= _MOST_LEVELS:
         columns["response"]["Levels"] = {each: f"the answer {each}" for each in sorted(said)}
-        columns["response"]["HED"] = {each: f"({_ANSWERED}, Label/{_hed_name(each)})" for each in sorted(said)}
-    if not has_hed:
-        columns = {name: {key: cell for key, cell in of.items() if key != "HED"} for name, of in columns.items()}
     presentation = {
         "OperatingSystem": platform.platform(),
         "SoftwareName": "meissner",
@@ -248,17 +234,11 @@ def _sidecar(
     return {**columns, "StimulusPresentation": presentation}
 
 
-def _hed_name(text: str) -> str:
-    """A text as a label of HED, which has letters, digits, `-` and `_` alone."""
-    return re.sub(r"[^A-Za-z0-9_-]", "_", text)
-
-
-def _dataset(root: Path, names: Names) -> tuple[dict[Path, bytes], bool]:
-    """What a dataset needs at its top and lacks, the participants, and whether HED tags may follow."""
+def _dataset(root: Path, names: Names) -> dict[Path, bytes]:
+    """What a dataset needs at its top and lacks, and the participants."""
     about = {
         "Name": "Tactile stimulation by meissner",
         "BIDSVersion": VERSION,
-        "HEDVersion": _HED_VERSION,
         "DatasetType": "raw",
         "Authors": ["n/a"],
         "License": "n/a",
@@ -275,12 +255,7 @@ def _dataset(root: Path, names: Names) -> tuple[dict[Path, bytes], bool]:
     }
     made = {root / name: data for name, data in tops.items() if not (root / name).exists()}
     made[root / "participants.tsv"] = with_participant(root, names)
-    try:
-        description = root / "dataset_description.json"
-        versions = json.loads(text_of(description)).get("HEDVersion", "") if description.exists() else _HED_VERSION
-    except (AttributeError, OSError, ValueError) as error:
-        raise BidsConflict(f"{description} cannot be read ({error}): correct it; nothing was written") from error
-    return made, any(str(each).startswith("8.") for each in (versions if isinstance(versions, list) else [versions]))
+    return made
 
 
 def _json(document: Mapping[str, Any]) -> bytes:

@@ -11,7 +11,7 @@ from collections.abc import Callable, Generator, Iterable
 from types import TracebackType
 from typing import Any, Concatenate, ParamSpec, TypeVar
 
-from . import _ending, _exports, _kept, _live, _sessions, bids, nwb, program
+from . import _ending, _estop, _exports, _kept, _live, _sessions, bids, nwb, program
 from . import _operations as ops
 from ._alive import Alive
 from ._arguments import hinted, hints
@@ -219,7 +219,7 @@ class Client:
     arm = _arming(ops.arm)
     disarm = _blocking(ops.disarm)
     stop = _blocking(ops.stop)
-    estop = _blocking(ops.estop)
+    estop = _blocking(_estop.estop)
     reset = _blocking(ops.reset)
     home = _blocking(ops.home)
     edge = _blocking(ops.edge)
@@ -260,13 +260,15 @@ class Client:
 
     def design(self, target: str, **options: Any) -> program.Design:
         """Find a pattern of the daemon's array for a target shape, and store it in the daemon. `meissner.design` has the options."""
-        found = program.design_for(self.array, target, options)
+        with program.described(self.array, options) as named:
+            found = program.design(target, **named)
         self.store_pattern(found.name, found.toml, replace=True)
         return found
 
     def render(self, object: program.Object, **options: Any) -> program.Rendering:
         """Render an object's touch for the daemon's array, and store it in the daemon. `meissner.render` has the options."""
-        found = program.render_for(self.array, object, options)
+        with program.described(self.array, options) as named:
+            found = program.render(object, **named)
         self.store_pattern(found.name, found.toml, replace=True)
         return found
 

@@ -90,10 +90,8 @@ class Bridge:
         """What has ended the bridge."""
         self._markers: Any = self._outlet(client.status(), client.array.name)
         self._listens = threading.Event()
-        self._over = threading.Event()
         self._ended = threading.Event()
-        self._is_waited_for = False
-        self._thread = threading.Thread(target=self._run, name="meissner-lsl", daemon=True)
+        self._is_closing = self._is_waited_for = False
 
     def _outlet(self, status: Status, array: str) -> Any:
         raw = status.raw["device"]
@@ -124,6 +122,15 @@ class Bridge:
         return tuple(self._sent)
 
     def __enter__(self) -> Bridge:
+        from .client import Client
+
+        # The clock is shared; what the experiment's client has armed, the bridge does not disarm.
+        self._client = Client(replace(self._of, has_armed=False))
+        # Plays that were over before have no markers.
+        with contextlib.suppress(MeissnerError):
+            newest = self._client.receipt()
+            self._newest_over = newest.id if newest.is_over else newest.id - 1
+        self._thread = threading.Thread(target=self._run, name="meissner-lsl", daemon=True)
         self._thread.start()
         self._listens.wait()
         if self.failure is not None:
@@ -149,34 +156,21 @@ class Bridge:
 
     def close(self) -> None:
         """End the bridge and its stream."""
-        self._over.set()
+        if self.failure is None:
+            self._send_last()
+        self._is_closing = True
+        # It ends the events, too.
+        self._client.close()
         self._thread.join()
         self._markers = None
 
     def _run(self) -> None:
-        from .client import Client
-
+        """The thread: what ends it before `close` has ended the bridge."""
         try:
-            # The clock is shared; what the experiment's client has armed, the bridge does not disarm.
-            m = Client(replace(self._of, has_armed=False))
-            events = threading.Thread(target=self._until_over, args=(m,), name="meissner-lsl", daemon=True)
-            try:
-                # Plays that were over before have no markers.
-                with contextlib.suppress(MeissnerError):
-                    newest = m.receipt()
-                    self._newest_over = newest.id if newest.is_over else newest.id - 1
-                events.start()
-                self._over.wait()
-                if self.failure is None:
-                    self._send_last(m)
-            finally:
-                self._over.set()
-                # It ends the events, too.
-                m.close()
-                if events.ident is not None:
-                    events.join()
+            self._send_markers(self._client)
         except BaseException as error:
-            self.failure = self.failure or error
+            if not self._is_closing:
+                self.failure = error
         finally:
             # Whoever waits has the error at once.
             if self.failure is not None and self._listens.is_set() and not self._is_waited_for:
@@ -184,19 +178,9 @@ class Bridge:
             self._listens.set()
             self._ended.set()
 
-    def _until_over(self, m: Client) -> None:
-        """A thread: what ends it before the bridge's end has ended the bridge."""
-        try:
-            self._send_markers(m)
-        except BaseException as error:
-            if not self._over.is_set():
-                self.failure = error
-        finally:
-            self._over.set()
-
-    def _send_last(self, m: Client) -> None:
+    def _send_last(self) -> None:
         """Waits for the markers of plays that are over already: their events are on their way."""
-        deadline = time.monotonic() + 1.0
+        m, deadline = self._client, time.monotonic() + 1.0
         with contextlib.suppress(MeissnerError):
             while time.monotonic() < deadline:
                 newest = m.receipt()

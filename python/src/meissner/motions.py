@@ -12,7 +12,6 @@ import base64
 import math
 import sys
 from collections.abc import Iterable, Mapping
-from fractions import Fraction
 from typing import Any, Union
 
 from ._arguments import drive_list, listed, number, whole
@@ -32,16 +31,6 @@ _SUCH_AS = "{9: [0, 20, 20, 0]}, or an array of shape (time, motors)"
 def _row(name: str, um: Any) -> list[Any]:
     """The samples of a motor, or of an instant."""
     return listed(name, um, "[0, 20, 20, 0]")
-
-
-def _columns(samples: Samples) -> int:
-    """How many motors the samples are of."""
-    if isinstance(samples, Mapping):
-        return 1 + max((whole("motor", motor, 0) for motor in samples), default=0)
-    shape = getattr(samples, "shape", None)
-    if shape is not None:
-        return int(shape[-1])
-    return len(list(next(iter(samples), [])))
 
 
 def _by_motor(samples: Samples, motors: int) -> dict[int, Any]:
@@ -91,15 +80,6 @@ def _wave(motor: int, um: Iterable[float], rate: float, start: float, most_um: f
     return {"motor": motor, "rate_hz": rate, "start_s": start, "samples": samples}
 
 
-def _resample(rate: float | None) -> str:
-    """How to resample what is too fast."""
-    if rate is None or not RATE[1] < rate <= 192_000 or not float(rate).is_integer():
-        return ""
-    share = Fraction(int(RATE[1]), int(rate))
-    call = f"scipy.signal.resample_poly(um, {share.numerator}, {share.denominator}, padtype='edge').clip(0)"
-    return f"; {call} resamples to rate={RATE[1]:g}"
-
-
 def pattern(
     samples: Samples | None = None,
     rate: float | None = None,
@@ -107,7 +87,7 @@ def pattern(
     *,
     start: float = 0.0,
     name: str | None = None,
-    motors: int | None = None,
+    motors: int,
     most_um: float = 400.0,
 ) -> dict[str, Any]:
     """An inline pattern: samples of displacement, and drives beside them.
@@ -120,12 +100,13 @@ def pattern(
         if rate is None:
             raise ValueError(f"`samples` need `rate`: how many are a second, {RATE[0]:g} to {RATE[1]:g} Hz")
         if not RATE[0] <= number("rate", rate, ", Hz") <= RATE[1]:
-            raise ValueError(f"`rate` is {rate} Hz: must be {RATE[0]:g} to {RATE[1]:g}{_resample(rate)}")
+            raise ValueError(
+                f"`rate` is {rate} Hz: must be {RATE[0]:g} to {RATE[1]:g}; scipy.signal.resample_poly resamples"
+            )
         if not 0.0 <= start <= 1e8:
             raise ValueError(f"`start` is {start} s: must be 0 or more")
-        count = _columns(samples) if motors is None else motors
-        of = _by_motor(samples, count)
-        keys["wave"] = [_wave(motor, of[motor], float(rate), start, most_um, count) for motor in sorted(of)]
+        of = _by_motor(samples, motors)
+        keys["wave"] = [_wave(motor, of[motor], float(rate), start, most_um, motors) for motor in sorted(of)]
     if drives is not None:
         keys["drive"] = drive_list(drives)
     if not keys.get("wave") and not keys.get("drive"):

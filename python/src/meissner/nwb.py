@@ -19,36 +19,26 @@ from ._labels import Labels
 from ._rows import of_play, stimuli
 from ._rows import rows as rows_of
 from ._text_file import replacing
-from .bids import losses, not_kept
+from .bids import COLUMNS, losses, not_kept
 from .clocks import NS
 from .errors import MeissnerError
 from .motions import pattern_toml
 from .results import Status
 
+
+def _meaning(about: Mapping[str, Any]) -> str:
+    what, mark, none = about["Description"].replace("n/a", "NaN or empty").partition(";")
+    return f"{what}{', ' if 'Units' in about else ''}{about.get('Units', '')}{mark}{none}"
+
+
 _COLUMNS = {
     "pattern": "Name of the vibration pattern",
     "pattern_sha256": "SHA-256 of the pattern's file; empty: not known",
-    "trial": "Number of the trial, as the experiment gave it; NaN: none",
-    "scale": "Factor of the amplitudes",
-    "reached_um": "Largest amplitude that a pin reaches, peak to peak, by the motor model: predicted, not measured, um",
-    "first_pulse": "First pulse of a pin, s; NaN: none, or not recorded",
-    "state": "What became of the stimulus, as the daemon reports it: done, played: played to its end",
-    "late_strokes": "Number of strokes that came late and were left out",
-    "trigger_code": "Code of the trigger output; NaN: one pulse, or nothing",
-    "onset_tick": "Onset on the device's clock, ticks",
-    "onset_uncertainty": "Uncertainty of the onset against the recording PC's clock, s",
-    "play": "Number of the play in the session record",
-    "item": "Number of the item in its sequence, from 0; NaN: a play of one pattern",
-    "array": "Name of the array of pins",
-    "tick_hz": "Ticks of the device's clock a second",
-    "start_edge": "Number of the edge of the trigger input after which the play began; NaN: it waited for none",
-    "start_edge_tick": "When that edge came on the device's clock, ticks; NaN: none",
-    "stop_edge": "Number of the edge of the trigger input that stopped the play; NaN: none did",
-    "stop_edge_tick": "When that edge came on the device's clock, ticks; NaN: none",
-    "response": "What the participant answered; empty: no answer was recorded",
-    "correct": "Whether the answer is right: true, false; empty: not known",
-    "response_time": "Response time, as the experiment measured it, of keys and button boxes from the onset of the play, s; NaN: not known",
-    "level": "Level of the stimulus, as the experiment gave it with the answer; NaN: none",
+    **{
+        name: _meaning(about)
+        for name, about in COLUMNS.items()
+        if name not in ("onset", "duration", "trial_type", "stim_file")
+    },
 }
 
 
@@ -150,10 +140,9 @@ def _cell(value: Any, is_number: bool) -> Any:
 
 def _table(pynwb: Any, rows: list[dict[str, Any]], labels: Labels, zero_ns: int) -> Any:
     """A row per stimulus."""
-    numbers = {
-        *["trial", "scale", "reached_um", "first_pulse", "late_strokes", "trigger_code", "onset_uncertainty", "item"]
-    }
-    numbers |= {*["start_edge", "start_edge_tick", "stop_edge", "stop_edge_tick", "response_time", "level"]}
+    always = ("onset_tick", "play", "tick_hz")
+    texts = ("pattern", "pattern_sha256", "state", "array", "response", "correct")
+    numbers = {"timestamp", "duration", *_COLUMNS} - {*always, *texts}
     meanings = {**_COLUMNS, **{column.name: f"{column.description}; empty: none" for column in labels.columns}}
     columns: dict[str, list[Any]] = {name: [] for name in ("timestamp", "duration", *meanings)}
     for row in rows:

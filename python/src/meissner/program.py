@@ -59,17 +59,17 @@ def _of_wheel() -> str | None:
 
 def _run(arguments: Sequence[str], stdin: str | None = None) -> Any:
     """Runs a command with `--json` and reads its document."""
-    command = [find_program(), *arguments, "--json"]
+    return json.loads(_output([*arguments, "--json"], stdin))
+
+
+def _output(arguments: Sequence[str], stdin: str | None) -> str:
+    """Runs a command."""
+    command = [find_program(), *arguments]
     ended = subprocess.run(command, input=stdin, capture_output=True, text=True, encoding="utf-8", check=False)
     if ended.returncode != 0:
-        raise failure(arguments[0], ended.stderr, ended.returncode)
-    return json.loads(ended.stdout)
-
-
-def failure(command: str, stderr: str, code: int) -> ProgramError:
-    """Why a command has failed."""
-    lines = stderr.strip().splitlines() or [f"exit code {code}"]
-    return ProgramError(f"`meissner {command}` failed: {lines[-1]}")
+        lines = ended.stderr.strip().splitlines() or [f"exit code {ended.returncode}"]
+        raise ProgramError(f"`meissner {arguments[0]}` failed: {lines[-1]}")
+    return ended.stdout
 
 
 def find_array(array: str | os.PathLike[str]) -> Array:
@@ -84,6 +84,45 @@ def as_array(values: Any) -> Any:
     except ImportError:
         return values
     return numpy.asarray(values, dtype=float)
+
+
+@dataclass(frozen=True)
+class Displacement:
+    """How far the pins of a play move, by the motor model."""
+
+    rate_hz: float
+    """Samples a second."""
+    motors: tuple[int, ...]
+    """The motors that move, in order."""
+    um: Any
+    """A row per sample with a column per motor, µm upwards: an array with NumPy, else lists."""
+
+
+@hinted
+def displacement(
+    pattern: str | os.PathLike[str],
+    seconds: float | None = None,
+    *,
+    scale: float = 1.0,
+    fit: Literal["whole", "cover"] = "whole",
+    rate_hz: float = 1000.0,
+    array: str | os.PathLike[str] | None = None,
+) -> Displacement:
+    """Compute how far a play moves each pin by the motor model, from its onset until all pins rest again: as designed, without scatter.
+
+    `pattern` is the name of a shipped pattern, the path of a pattern file, or its text. It runs the installed program `meissner`;
+    no daemon is needed. `array`: the file of the array's description, for a pattern of an array that the program does not ship.
+    """
+    is_text = isinstance(pattern, str) and "\n" in pattern
+    arguments = ["displacement", "-" if is_text else os.fspath(pattern)]
+    arguments += [f"--rate-hz={rate_hz!r}", f"--scale={scale!r}", f"--fit={fit}"]
+    if seconds is not None:
+        arguments.append(f"--seconds={seconds!r}")
+    if array is not None:
+        arguments.append(f"--array={os.fspath(array)}")
+    head, *lines = _output(arguments, str(pattern) if is_text else "").splitlines()
+    motors = tuple(int(name.split("_")[1]) for name in head.split(",")[1:])
+    return Displacement(rate_hz, motors, as_array([[float(cell) for cell in line.split(",")[1:]] for line in lines]))
 
 
 @dataclass(frozen=True)
@@ -130,7 +169,7 @@ class Design:
     toml: str
     """The pattern file."""
     summary: dict[str, Any] = field(repr=False)
-    """What the search says: rates, and what two rules of thumb reach (`baselines`)."""
+    """What the program says. Of a search: rates, and what two rules of thumb reach (`baselines`)."""
 
 
 @hinted
@@ -164,18 +203,9 @@ def design(
         return Design(name, file.read_text(encoding="utf-8"), summary)
 
 
-def design_for(array: Array, target: str, options: Mapping[str, Any]) -> Design:
-    """`design` for a daemon's array, unless `options` name another.
-
-    This machine's program may not know the array by its name, so it reads the description that the daemon has sent.
-    """
-    with _described(array, options) as named:
-        return design(target, **named)
-
-
 @contextlib.contextmanager
-def _described(array: Array, options: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
-    """Options with an `array` that the program can read."""
+def described(array: Array, options: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
+    """Options with an `array`, else with the file of this description: this machine's program may not know the name."""
     if "array" in options:
         yield dict(options)
     else:
@@ -186,14 +216,8 @@ def _described(array: Array, options: Mapping[str, Any]) -> Iterator[dict[str, A
 
 
 @dataclass(frozen=True)
-class Rendering:
-    """A pattern that gives a finger the response that an object gives."""
-
-    name: str
-    toml: str
-    """The pattern file."""
-    summary: dict[str, Any] = field(repr=False)
-    """What the program says: `duration_s`, `motors`, `highest_um`, `method`, and the times that it took."""
+class Rendering(Design):
+    """A pattern that gives a finger the response that an object gives. `summary`: `duration_s`, `motors`, `highest_um`, `method`, times."""
 
 
 @hinted
@@ -276,12 +300,6 @@ def judge(
         ]
         raw = _run(arguments)
     return Judgement({line["name"]: line for line in raw["lines"]}, raw["felt"], raw)
-
-
-def render_for(array: Array, object: Object, options: Mapping[str, Any]) -> Rendering:
-    """`render` for a daemon's array, unless `options` name another."""
-    with _described(array, options) as named:
-        return render(object, **named)
 
 
 def _with_paths(keys: Mapping[str, Any]) -> dict[str, Any]:

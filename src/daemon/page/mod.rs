@@ -13,16 +13,13 @@
 use crate::store;
 use axum::Router;
 use axum::http::header::{
-    CACHE_CONTROL, CONTENT_SECURITY_POLICY, CONTENT_TYPE, ETAG, IF_NONE_MATCH, REFERRER_POLICY,
+    CACHE_CONTROL, CONTENT_SECURITY_POLICY, CONTENT_TYPE, ETAG, HOST, IF_NONE_MATCH, REFERRER_POLICY,
 };
 use axum::http::{HeaderMap, StatusCode};
 use axum::response::{IntoResponse, Response};
 use axum::routing::get;
 use std::sync::LazyLock;
 
-/// The policy: scripts, styles and requests of this daemon alone; no frame around it.
-const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; connect-src 'self'; base-uri 'none'; \
-                      form-action 'none'; frame-ancestors 'none'";
 /// The tag of all files: they come and go together, with the program.
 static TAG: LazyLock<String> = LazyLock::new(|| {
     let all: String = FILES.iter().map(|(.., text)| *text).collect();
@@ -87,11 +84,36 @@ pub(super) fn routes<S: Clone + Send + Sync + 'static>() -> Router<S> {
     })
 }
 
+/// The policy: scripts, styles and requests of this daemon alone, which takes emergency stops at the
+/// port above the one that the browser asks; no frame around it.
+fn policy(request: &HeaderMap) -> String {
+    let host = request.get(HOST).and_then(|host| host.to_str().ok());
+    let estop = host.and_then(estop_source).unwrap_or_default();
+    format!(
+        "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; \
+         connect-src 'self'{estop}; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+    )
+}
+
+/// The port for emergency stops at this host, for the policy.
+fn estop_source(host: &str) -> Option<String> {
+    // Browsers send no port if it is 80.
+    let (name, port) = host.rsplit_once(':').filter(|(_, port)| !port.ends_with(']')).unwrap_or((host, "80"));
+    let port = port.parse::<u16>().ok()?.checked_add(1)?;
+    // A policy cannot name an IPv6 address.
+    if name.starts_with('[') {
+        return Some(format!(" *:{port}"));
+    }
+    let is_name = name.bytes().all(|byte| byte.is_ascii_alphanumeric() || b".-_".contains(&byte));
+    is_name.then(|| format!(" {name}:{port}"))
+}
+
 /// Answers a request for a file.
 fn serve(kind: &'static str, text: &'static str, request: &HeaderMap) -> Response {
+    let policy = policy(request);
     let headers = [
         (CONTENT_TYPE, kind),
-        (CONTENT_SECURITY_POLICY, POLICY),
+        (CONTENT_SECURITY_POLICY, policy.as_str()),
         (REFERRER_POLICY, "no-referrer"),
         (CACHE_CONTROL, "no-cache"),
         (ETAG, TAG.as_str()),
@@ -153,6 +175,25 @@ mod tests {
             !is_file("POST", "/") && !is_file("GET", "/v1/status") && !is_file("GET", "/page/../v1/status")
         );
         assert!(is_file("GET", "/favicon.ico") && !is_file("GET", "/page/"));
+    }
+
+    #[test]
+    fn the_policy_allows_this_daemon_alone_and_its_port_for_emergency_stops() {
+        let allowed = |host: &'static str| {
+            let text = policy(&HeaderMap::from_iter([(HOST, HeaderValue::from_static(host))]));
+            text.split("; ").find_map(|rule| rule.strip_prefix("connect-src ")).unwrap().to_owned()
+        };
+        for (host, sources) in [
+            ("lab-pc.local:8765", "'self' lab-pc.local:8766"),
+            ("10.0.0.7", "'self' 10.0.0.7:81"),
+            ("[::1]:8765", "'self' *:8766"),
+            ("[::1]", "'self' *:81"),
+            ("lab:65535", "'self'"),
+            ("*:8765", "'self'"),
+            ("lab,*; *:8765", "'self'"),
+        ] {
+            assert_eq!(allowed(host), sources, "{host}");
+        }
     }
 
     #[test]

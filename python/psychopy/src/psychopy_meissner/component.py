@@ -27,78 +27,27 @@ class MeissnerComponent(BaseComponent):
     tooltip = "Tactile display: play a pattern on the finger"
     version = "2026.1.0"
 
-    def __init__(
-        self,
-        exp: Any,
-        parentName: str,
-        name: str = "touch",
-        startType: str = "time (s)",
-        startVal: Any = 0.5,
-        stopType: str = "duration (s)",
-        stopVal: Any = "",
-        startEstim: Any = "",
-        durationEstim: Any = "",
-        saveStartStop: bool = True,
-        syncScreenRefresh: bool = True,
-        disabled: bool = False,
-    ) -> None:
-        super().__init__(
-            exp,
-            parentName,
-            name=name,
-            startType=startType,
-            startVal=startVal,
-            stopType=stopType,
-            stopVal=stopVal,
-            startEstim=startEstim,
-            durationEstim=durationEstim,
-            saveStartStop=saveStartStop,
-            syncScreenRefresh=syncScreenRefresh,
-            disabled=disabled,
-        )
+    def __init__(self, exp: Any, parentName: str, **given: Any) -> None:
+        own = {"name": "touch", "startType": "time (s)", "startVal": 0.5, "stopType": "duration (s)", "stopVal": ""}
+        super().__init__(exp, parentName, **{**own, "syncScreenRefresh": True, "saveStartStop": True, **given})
         for what, module, alias in script.IMPORTS:
             exp.requireImport(importName=what, importFrom=module, importAs=alias)
         self.params["stopVal"].hint = "When does the play end? Blank: when the pattern, or its seconds, are over"
         self.params[
             "syncScreenRefresh"
         ].hint = "Plan the onset for the refresh of the screen at which a stimulus with this start appears"
-        stimulus, device = {"categ": "Basic", "allowedTypes": []}, {"categ": "Device", "allowedTypes": []}
-        repeats = {"updates": "set every repeat", "allowedUpdates": REPEATS}
-        self.params["pattern"] = Param(
-            "edge-45",
-            valType="str",
-            label="Pattern",
-            hint="Name of a pattern of the daemon; or a $variable: a dict of `samples` and `rate`, `drives`, or a whole pattern",
-            **stimulus,
-            **repeats,
-        )
+        changing = {"updates": "set every repeat", "allowedUpdates": REPEATS}
+        pattern = "Name of a pattern of the daemon; or a $variable: a dict of `samples` and `rate`, `drives`, or a whole pattern"
+        self._add("Basic", "pattern", "edge-45", "Pattern", pattern, **changing)
         # `code`, not `num`: it takes `$duration` as well as `duration`, and a blank one means no argument.
-        self.params["seconds"] = Param(
-            0.3, valType="code", label="Seconds", hint="Duration, s. Blank: that of the pattern", **stimulus, **repeats
-        )
-        self.params["scale"] = Param(
-            1.0, valType="code", label="Scale", hint="Factor of the amplitudes, 0 to 1. Blank: 1", **stimulus, **repeats
-        )
-        self.params["ahead"] = Param(
-            0.2,
-            valType="code",
-            label="Order ahead (s)",
-            hint="Order this long before the start, so that the onset can be kept. Blank: 0.2",
-            **stimulus,
-        )
-        self.params["deviceName"] = Param(
-            "display", valType="str", label="Device name", hint="Components with one name share a display", **device
-        )
-        self.params["simulated"] = Param(
-            "when piloting",
-            valType="str",
-            inputType="choice",
-            allowedVals=list(SIMULATED),
-            label="Simulated array",
-            hint="Play on a simulated array: no hardware is needed, and nothing moves",
-            **device,
-        )
+        code = {"valType": "code"}
+        self._add("Basic", "seconds", 0.3, "Seconds", "Duration, s. Blank: that of the pattern", **code, **changing)
+        self._add("Basic", "scale", 1.0, "Scale", "Factor of the amplitudes, 0 to 1. Blank: 1", **code, **changing)
+        ahead = "Order this long before the start, so that the onset can be kept. Blank: 0.2"
+        self._add("Basic", "ahead", 0.2, "Order ahead (s)", ahead, **code)
         for key, label, hint in (
+            ("deviceName", "Device name", "Components with one name share a display"),
+            ("simulated", "Simulated array", "Play on a simulated array: no hardware is needed, and nothing moves"),
             ("address", "Address", "URL or Unix socket of the daemon. Blank: $MEISSNER_URL, or the daemon of this PC"),
             ("token", "Access token", "Blank: $MEISSNER_TOKEN. Better blank: experiment and script would contain it"),
             (
@@ -108,10 +57,16 @@ class MeissnerComponent(BaseComponent):
             ),
             ("participant", "Participant", "Pseudonym: starts an exclusive session. Blank: no session"),
         ):
-            self.params[key] = Param("", valType="str", label=label, hint=hint, **device)
+            value = {"deviceName": "display", "simulated": "when piloting"}.get(key, "")
+            choice = {"inputType": "choice", "allowedVals": list(SIMULATED)} if key == "simulated" else {}
+            self._add("Device", key, value, label, hint, **choice)
         for key in ("address", "token"):
             self.params[key].canBePath = False
         self.order += ["pattern", "seconds", "scale", "ahead", "deviceName", "simulated", "address", "token", "checked"]
+
+    def _add(self, categ: str, key: str, value: Any, label: str, hint: str, **more: Any) -> None:
+        kinds = {"valType": "str", "allowedTypes": [], **more}
+        self.params[key] = Param(value, categ=categ, label=label, hint=hint, **kinds)
 
     def _fill(self, text: str) -> str:
         """The lines with this component's parameters."""

@@ -30,7 +30,7 @@ import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping
 from types import TracebackType
-from typing import Any, ClassVar, NamedTuple, Protocol
+from typing import Any, ClassVar, NamedTuple
 
 from .._arguments import hints, number, table
 from .._presses import Press
@@ -136,19 +136,6 @@ class _Presses(ABC):
         self.close()
 
 
-class InputDevice(Protocol):
-    """What `Keys` needs of an `evdev.InputDevice`."""
-
-    def fileno(self) -> int:
-        """What becomes readable with an event."""
-
-    def read(self) -> Iterable[Any]:
-        """The events that wait, with `type`, `code`, `value`, `sec` and `usec`."""
-
-    def close(self) -> None:
-        """Close it."""
-
-
 @hints
 class Keys(_Presses):
     """The keys of a keyboard, with the kernel's times. It may be read while another program has the keyboard, too."""
@@ -157,7 +144,7 @@ class Keys(_Presses):
 
     def __init__(
         self,
-        device: str | os.PathLike[str] | InputDevice | None = None,
+        device: Any = None,
         *,
         keys: Mapping[str, str] | None = None,
         uncertainty: float = 0.008,
@@ -181,7 +168,7 @@ class Keys(_Presses):
             if name not in self._codes.ecodes:
                 raise ValueError(f"`keys` has `{name}`, which is no key: names are as `KEY_LEFT`, `KEY_1`, `KEY_SPACE`")
         try:
-            self._device: InputDevice = (
+            self._device: Any = (
                 self._first(evdev)
                 if device is None
                 else evdev.InputDevice(os.fspath(device))
@@ -201,12 +188,11 @@ class Keys(_Presses):
             fcntl.ioctl(self._device.fileno(), _SET_CLOCK, struct.pack("i", time.CLOCK_MONOTONIC))
         self._thread.start()
 
-    def _first(self, evdev: Any) -> InputDevice:
+    def _first(self, evdev: Any) -> Any:
         for path in evdev.list_devices():
             device = evdev.InputDevice(path)
             if self._codes.KEY_SPACE in device.capabilities().get(self._codes.EV_KEY, ()):
-                found: InputDevice = device
-                return found
+                return device
             device.close()
         raise MeissnerError(
             "this user may read no keyboard: add the user to the group `input`, log in again, or give `device`"

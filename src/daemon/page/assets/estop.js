@@ -17,9 +17,14 @@
   const REFUSED_MS = 5000;
   // The time limit of a poll, and of an attempt at an emergency stop.
   const ANSWER_MS = 1500;
+  // The time limit of the question whether the port for emergency stops answers.
+  const CHECK_MS = 5000;
   // The time to the next attempt, if an emergency stop was not answered, or its answer does not say that the lines are off.
   const AGAIN_MS = 250;
   const ANSWERED_AGAIN_MS = 2000;
+  // The daemon takes emergency stops at the port above the API's, too, where no other request keeps them waiting.
+  const PORT = Number(location.port || (location.protocol === "https:" ? 443 : 80));
+  const OWN = `//${location.hostname}:${PORT + 1}/v1/estop`;
   // Two presses of Escape within this time stop.
   const TWICE_MS = 1000;
   // The shortest time between two sentences for screen readers.
@@ -154,6 +159,12 @@
     if (changed) document.dispatchEvent(new Event("state"));
   }
 
+  // Why E-STOP has the API's port alone.
+  let lacks = "";
+  fetch(OWN, { mode: "no-cors", credentials: "omit", cache: "no-store", signal: AbortSignal.timeout(CHECK_MS) }).catch(() => {
+    lacks = `E-STOP has port ${PORT} alone: port ${PORT + 1} of ${location.hostname}, its own, does not answer. Behind a proxy or a tunnel that is expected; else open it in the firewall.`;
+  });
+
   // The unconfirmed emergency stop: its message, and whether the daemon has refused its token.
   let order = null;
   const button = $("estop");
@@ -163,7 +174,7 @@
 
   function showOrder(status) {
     note.dataset.failed = String(Boolean(order?.failed || cannot));
-    write(note, order ? order.text : cannot ? CANNOT : status?.state === "faulted" && isTold(status) ? "All lines are off." : "");
+    write(note, order ? order.text : cannot ? CANNOT : status?.state === "faulted" && isTold(status) ? "All lines are off." : lacks);
   }
 
   // A browser has six connections to a host for all its windows: the stop needs one of them. Ends the requests and event streams of all
@@ -178,17 +189,22 @@
   // A message of the daemon without its backticks.
   const words = (detail) => detail?.replace(/`([^`]*)`/g, "“$1”");
 
-  // Sends an emergency stop once. Returns nothing if the lines are off, else the reason for doubt.
+  // Sends an emergency stop once, to both ports. Returns nothing if one says that the lines are off, else why the API's leaves a doubt.
   async function attempt(value) {
+    // It has no header of its own, so the browser sends no question ahead of it.
+    const own = send(OWN, { body: value ?? "", credentials: "omit" }, value);
+    const api = send("/v1/estop", { headers: headers(value) }, value);
+    // The second is the first to get a connection that becomes free.
+    windows.postMessage("");
+    free();
+    const confirmed = [own, api].map(async (sending) => (await sending) && Promise.reject());
+    return Promise.any(confirmed).catch(() => api);
+  }
+
+  async function send(url, init, value) {
     const at = instant();
     try {
-      const request = fetch("/v1/estop", {
-        method: "POST", headers: headers(value), keepalive: true, priority: "high", signal: AbortSignal.timeout(ANSWER_MS),
-      });
-      // This request is the first to get a connection that becomes free.
-      windows.postMessage("");
-      free();
-      const response = await request;
+      const response = await fetch(url, { method: "POST", keepalive: true, priority: "high", signal: AbortSignal.timeout(ANSWER_MS), ...init });
       const body = await response.json().catch(() => null);
       const answered = true;
       if (response.status === 401) return { answered, refused: true, why: value ? "the access token is not valid any more" : "the daemon asks for an access token" };

@@ -23,9 +23,9 @@ let rows = null;
 const when = (instant) => instant.slice(0, 19).replace("T", " ");
 
 async function load() {
-  const { sessions: all, unreadable } = await call("GET", "/v1/sessions", undefined, DISK_MS);
+  const { sessions: all, unreadable, problems } = await call("GET", "/v1/sessions", undefined, DISK_MS);
   sessions = all.reverse();
-  write($("sessions-problem"), unreadable ? `${unreadable} lines of the session record cannot be read.` : "");
+  write($("sessions-problem"), unreadable ? `The session record has ${unreadable} problems: ${problems.slice(0, 5).join("; ")}${unreadable > 5 ? "; …" : ""}` : "");
   list();
   await refresh();
 }

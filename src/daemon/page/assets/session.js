@@ -56,7 +56,7 @@ function show() {
   const session = status?.session;
   $("session-form").hidden = !status || Boolean(session);
   $("session-running").hidden = !session;
-  write($("session-note"), !status ? "Whether a session runs is not known." : session ? "" : "No session runs.");
+  write($("session-note"), !status ? "Whether a session runs is not known." : !session ? "No session runs." : session.record_problem ? `The daemon cannot record this session now: ${sentence(session.record_problem)}` : "");
   if (!session) return;
   facts($("session-facts"), describe(session, status.participant));
   const isBusy = Boolean(status.play || status.queued.length);
