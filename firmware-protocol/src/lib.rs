@@ -199,7 +199,7 @@
 //! | `Status`: `reports` | does not shrink; at most `pool` + 32 beyond the last one read, not before it | contradiction `reports` |
 //! | `Status`: `state`, `cause`, `position_known` | arms and leaves faults only after a command; returns for at most 2 s, or longer where motors of a rail with long seeks take turns; learns positions after `arm` or a seek, and forgets them in a seek or with the cause `Output` only; a seek may be under way at the handshake | contradiction `state` |
 //! | `Status`: `outstanding` | at most 65 535 for each motor | contradiction `state` |
-//! | counters of statuses and onsets | do not shrink; at most 2^62; `played` and `pulses` grow by at most a pulse per tick and line, and what is rendered ahead | contradiction `counters` |
+//! | counters of statuses and onsets | do not shrink, but with the cause `Output` by what is played in `HORIZON` ticks, and no more moves than `dropped` grows; at most 2^62; `played` and `pulses` grow by at most a pulse per tick and line, and what is rendered ahead | contradiction `counters` |
 //! | `Report`: `number` | the next one | ignored: the device repeats what is missing |
 //! | `Verdict`, `OnsetRefused` | a frame sent and not judged; moves of that frame, each late or refused; motors it withdraws from; a frame with a mark whose base is before `rendered` | contradiction `report` |
 //! | `Onset`: `tick` | a mark sent and not reported | contradiction `report` |
@@ -254,7 +254,7 @@
 //! | e-stop, own fault | turns lines off after the tick being played; latches; pins stay where they are. `reset` leads to disarmed |
 //! | outputs do not follow (PIO, DMA) | as its own fault, with the cause `Output`: counts nothing from the last block on that was seen to be played, and the position is unknown. Only a restart ends it |
 //! | late move | drops it and reports it; one down, of no stroke and with no newer one begun, lowers the goal at once, and the device reports that, too (`Lowered`, `late`) |
-//! | a pin above rest without a pulse for longer than the play says (`Mark::hold`), at least [`array::Layout::least_hold`] and at most [`array::Layout::longest_hold`] | sets the goal to 0 and reports it (`Lowered`, `held`) |
+//! | a pin above rest without a pulse for longer than the play says whose mark was reached last (`Mark::hold`), at least [`array::Layout::least_hold`] and at most [`array::Layout::longest_hold`] | sets the goal to 0 and reports it (`Lowered`, `held`) |
 //! | no valid frame for `host_timeout` ticks while armed or returning | as if the host had asked for disarm, with the cause `HostTimeout`. `arm` sets the time; the maximum is 10 s |
 //!
 //! # Lower stop

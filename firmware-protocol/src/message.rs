@@ -84,8 +84,8 @@ pub struct Mark {
     pub kind: MarkKind,
     /// What the trigger output does from this tick on.
     pub trigger: Option<Trigger>,
-    /// Of a play: for how many ticks after its last pulse a pin may stay above rest. At most [`Layout::longest_hold`]; 0 is a fifth of
-    /// a second.
+    /// Of a play: for how many ticks after its last pulse a pin may stay above rest, from this tick on. At most
+    /// [`Layout::longest_hold`]; 0 is a fifth of a second.
     pub hold: u32,
 }
 

@@ -229,7 +229,26 @@ fn the_first_frame_of_a_play_has_a_bounded_number_of_moves() {
     }
 }
 
-/// Only the mark of a play says for how long pins may be held, from its frame on.
+/// Its frame comes while a pin is held.
+#[test]
+fn the_hold_of_a_play_counts_until_the_next_one_begins() {
+    let mut bench = Bench::without_stop(Bench::new(FIRMWARE), 10 * TICK_HZ, NO_LIMITS);
+    let at = bench.soon();
+    let next = at + u64::from(TICK_HZ) / 2;
+    for (hold, at, level, until) in [(TICK_HZ, at, 50, next - 8_000), (0, next, 40, next - 100)] {
+        let mut packer = Packer::<BATCH_BYTES>::new(Tick(at));
+        packer.moves(&to(3, at, level)).unwrap();
+        bench.frame(Some(Mark { hold, ..ONSET }), at, packer.bytes());
+        bench.run_to(until);
+    }
+    assert_eq!(bench.net(3), 50);
+    bench.run(17_000);
+    assert_eq!(bench.net(3), 40);
+    bench.run(2_000);
+    assert_eq!(bench.net(3), 0);
+}
+
+/// Only the mark of a play says for how long pins may be held, from its tick on.
 #[test]
 fn the_mark_of_a_play_says_for_how_long_pins_may_be_held() {
     let fifth = u64::from(TICK_HZ) / 5;

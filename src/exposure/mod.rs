@@ -335,8 +335,10 @@ impl Account {
         }
         let passed = |used_s: f64, most_s: f64| used_s > most_s - early_s + ROUNDING_S;
         let ParticipantLimits { max_continuous_s, max_session_s, max_day_s, .. } = self.limits;
+        // The play may not have vibrated yet, and the stretch before it may be over.
+        let continuous_s = self.stretch.used_at(onset_s + played_s, pause_s);
         [
-            (Limit::Continuous, passed(self.stretch.used_s, max_continuous_s)),
+            (Limit::Continuous, passed(continuous_s, max_continuous_s)),
             (Limit::Session, self.session_s.is_some_and(|used_s| passed(used_s, max_session_s))),
             (Limit::Day, passed(self.day_s(now), max_day_s)),
         ]

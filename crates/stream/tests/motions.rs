@@ -2,6 +2,7 @@
 
 use firmware_protocol::array::MotorSet;
 use meissner_array::pattern::Pattern;
+use meissner_array::simulated::SimulatedMotorsConfig;
 use meissner_array::spec::Array;
 use meissner_stream::Line;
 use meissner_stream::queues::{At, Command, End, Play, StreamEvent};
@@ -144,4 +145,22 @@ fn a_pin_that_the_device_has_lowered_is_booked_to_its_play() {
     // The pin is up 0.05 s after the onset. Holds are looked at every 12 ms.
     let held_s = rate.ticks_to_seconds(tick - onset) - 0.05;
     assert!((0.2..0.22).contains(&held_s), "{held_s}");
+}
+
+/// The pin waits for the drivers before it comes down: that teaches position control nothing of its motor.
+#[test]
+fn a_pin_that_the_device_has_lowered_is_controlled_as_before() {
+    let mut rig = Rig::of(&SimulatedMotorsConfig::ideal(), 7);
+    rig.arm();
+    let ramp = pattern("[[ramp]]\nmotor = 9\nto_um = 13.0\nrise_s = 0.1\nhold_s = 0.5\nfall_s = 0.1\n");
+    let hold = Array::paper().layout().least_hold();
+    rig.start_with(&ramp, None, |play| (play.open_loop, play.hold) = (false, hold));
+    rig.run_ms(1_500);
+    let lowered = |event: &StreamEvent| matches!(event, StreamEvent::PinsLowered { .. });
+    assert!(rig.take_events().iter().any(lowered));
+    let drive = pattern("[[drive]]\nmotor = 9\nfrequency_hz = 10.0\namplitude_um = 80.0\n");
+    rig.start_closed(&drive, Some(0.2));
+    rig.run_ms(1_000);
+    let um = rig.mock.position_um(9);
+    assert!(um.abs() < 1.0, "{um}");
 }

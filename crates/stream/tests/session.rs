@@ -1,8 +1,8 @@
 //! The session against the controller over a line that loses frames: every stroke gets one verdict.
 
-use firmware_protocol::controller::{Controller, Identity, newer};
-use firmware_protocol::frame::{MAX_FRAME, encode};
-use firmware_protocol::message::{Cause, DeviceMessage, Op as Command, State};
+use firmware_protocol::controller::{BLOCK, Controller, HORIZON, Identity, newer};
+use firmware_protocol::frame::{self, Decoder, MAX_FRAME, encode};
+use firmware_protocol::message::{Cause, Counters, DeviceMessage, HostMessage, Op as Command, State};
 use firmware_protocol::tick::Tick;
 use meissner_array::spec::Array;
 use meissner_array::strokes::{Step, Stroke};
@@ -38,6 +38,7 @@ fn op() -> impl Strategy<Value = Op> {
 }
 
 /// A session and a controller, and a line between them that loses frames.
+#[derive(Clone)]
 struct Pair {
     session: Session,
     device: Controller,
@@ -75,6 +76,31 @@ impl Pair {
             let _ = self.device.render(left.min(32) as u32);
         }
         self.device.poll(now);
+    }
+
+    /// The device is asked for a status and says what it has to; of that the first `most` messages arrive, changed so.
+    fn hear(&mut self, most: usize, change: impl Fn(&mut DeviceMessage)) {
+        let (now, tick, mut frame) = (self.now(), Tick::BOOT + self.ticks, [0; MAX_FRAME]);
+        let len = encode(&HostMessage::Ping { token: u16::MAX, seen: 0 }, &mut frame).unwrap();
+        self.device.receive(tick, &frame[..len]);
+        for at in 0.. {
+            let len = self.device.transmit(tick, &mut frame);
+            if len == 0 {
+                break;
+            }
+            if at < most {
+                let (mut decoder, mut bytes) = (Decoder::new(), &frame[..len]);
+                let mut message = frame::read(decoder.next(&mut bytes).unwrap()).unwrap();
+                change(&mut message);
+                let len = encode(&message, &mut frame).unwrap();
+                self.session.receive(now, &frame[..len], &mut |event| self.events.push(event));
+            }
+        }
+    }
+
+    fn doubts(&self) -> usize {
+        let doubted = |event: &&Event| matches!(event, Event::Contradiction(_) | Event::Lost(_));
+        self.events.iter().filter(doubted).count()
     }
 
     fn exchange(&mut self, lost_out: u32, lost_back: u32) {
@@ -147,8 +173,105 @@ fn reports_from_within_a_handshake_contradict_nothing() {
         }
         let told = |event: &Event| matches!(event, Event::Cut { cut, .. } if cut.cause == Cause::Starved);
         assert_eq!(pair.events.iter().filter(|event| told(event)).count(), 1, "{:?}", pair.events);
-        let doubted = |event: &Event| matches!(event, Event::Contradiction(_) | Event::Lost(_));
-        assert!(!pair.events.iter().any(doubted), "{lost} lost: {:?}", pair.events);
+        assert_eq!(pair.doubts(), 0, "{lost} lost: {:?}", pair.events);
+    }
+}
+
+/// Armed, a stroke of every motor queued, and the tick of the mark before them.
+fn about_to_play() -> (Pair, u64) {
+    let mut pair = Pair::open();
+    pair.session.command(arm());
+    pair.exchange(0, 0);
+    pair.wait(170);
+    pair.exchange(0, 0);
+    let begin = pair.ticks + 2000;
+    pair.session.begin(Tick::BOOT + begin, None, u32::MAX);
+    for motor in 0..24 {
+        let up = Tick::BOOT + begin + 12 * u64::from(motor);
+        let stroke = Stroke { motor, up, up_pulses: 200, down: up + 300, down_pulses: 200 };
+        assert!(pair.session.push(&stroke.into()));
+    }
+    pair.session.seal();
+    while pair.ticks < begin - 2 {
+        pair.exchange(0, 0);
+        pair.wait((begin - 2 - pair.ticks).min(100));
+    }
+    pair.exchange(0, 0);
+    (pair, begin)
+}
+
+/// The outputs fail at a tick and the device finds that so many ticks later. In between it says once what it counts.
+fn fail(pair: &mut Pair, at: u64, found: u64, told: u64, most: usize) {
+    pair.wait(at + told - pair.ticks);
+    pair.hear(most, |_| {});
+    pair.wait(found - told);
+    pair.device.output_failed(Tick::BOOT + at);
+}
+
+/// What the device has said since its outputs failed counts more than what it says when it has found that; and the report of a mark may
+/// come before that or after.
+#[test]
+fn a_device_that_takes_its_counts_back_when_its_outputs_fail_is_true() {
+    let (ready, begin) = about_to_play();
+    let (mut shrunk, mut early, mut late) = (0, 0, 0);
+    for at in (begin - 1..begin + 20).chain([begin + 250]) {
+        for found in [1, u64::from(BLOCK), u64::from(BLOCK) + 2] {
+            for (told, most, then) in (0..=found).flat_map(|told| {
+                [(64, 64), (1, 64), (64, 1), (1, 1), (0, 1)].map(|(most, then)| (told, most, then))
+            }) {
+                let mut pair = ready.clone();
+                pair.events.clear();
+                fail(&mut pair, at, found, told, most);
+                let onset = |event: &Event| matches!(event, Event::Onset { .. });
+                let is_early = pair.events.iter().any(onset);
+                pair.hear(then, |_| {});
+                for _ in 0..20 {
+                    pair.wait(900);
+                    pair.exchange(0, 0);
+                }
+                let case = format!("{at} after {begin}, + {found}, told {told}, {most}, {then}");
+                assert_eq!(pair.doubts(), 0, "{case}: {:?}", pair.events);
+                let counts = pair.events.iter().filter_map(|event| match event {
+                    Event::Status { status, .. } => Some(status.counters),
+                    _ => None,
+                });
+                let counts: Vec<_> = counts.collect();
+                shrunk += usize::from(counts.windows(2).any(|of| of[1].pulses < of[0].pulses));
+                early += usize::from(is_early);
+                late += usize::from(!is_early && pair.events.iter().any(onset));
+            }
+        }
+    }
+    assert!(shrunk > 100 && early > 100 && late > 100, "{shrunk} {early} {late}");
+}
+
+/// Counts shrink for no other cause, in nothing else, and not by more than is played in the horizon.
+#[test]
+fn a_device_whose_counts_shrink_otherwise_is_doubted() {
+    type Lie = fn(&mut Counters);
+    let lies: [(&str, Lie); 5] = [
+        ("nothing", |_| {}),
+        ("too many pulses", |of| of.pulses -= 24 * u64::from(HORIZON)),
+        ("none dropped", |of| of.dropped = 0),
+        ("bad frames", |of| of.bad_frames -= 1),
+        ("jump", |of| of.pulses += 1 << 40),
+    ];
+    let (ready, begin) = about_to_play();
+    for cause in [Cause::Output, Cause::Panic] {
+        for (name, lie) in lies {
+            let mut pair = ready.clone();
+            pair.device.receive(Tick::BOOT + pair.ticks, &[9, 1, 0]);
+            fail(&mut pair, begin + 250, 16, 12, 64);
+            pair.events.clear();
+            pair.hear(1, |message| {
+                let DeviceMessage::Status(status) = message else { return };
+                (status.cause, status.position_known) = (cause, cause != Cause::Output);
+                lie(&mut status.counters);
+            });
+            let is_true = (cause, name) == (Cause::Output, "nothing");
+            let counters = Event::Contradiction(Contradiction::Counters);
+            assert_eq!(pair.events.contains(&counters), !is_true, "{cause:?}, {name}: {:?}", pair.events);
+        }
     }
 }
 
@@ -200,16 +323,15 @@ fn a_host_that_stalls_in_the_link_probe_does_not_make_the_line_slow() {
     assert!(rate > 10_000, "{rate} bytes/s");
 }
 
+fn arm() -> Command {
+    let limits = Array::paper().layout().no_limits();
+    Command::Arm { assume_rest: true, host_timeout: 850_000, limits, lower_stop: None }
+}
+
 fn run(ops: Vec<Op>) -> Result<(), TestCaseError> {
     let mut pair = Pair::open();
     prop_assert!(pair.session.is_open());
-    let arm = Command::Arm {
-        assume_rest: true,
-        host_timeout: 850_000,
-        limits: Array::paper().layout().no_limits(),
-        lower_stop: None,
-    };
-    pair.session.command(arm);
+    pair.session.command(arm());
     let (mut waiting, mut forgotten) = (VecDeque::new(), Vec::new());
     let (mut last, mut judged) = (Tick(0), 0u64);
     for op in
@@ -242,7 +364,7 @@ fn run(ops: Vec<Op>) -> Result<(), TestCaseError> {
                     1 => Command::Disarm(Cause::Request),
                     2 => Command::EStop,
                     3 => Command::Reset,
-                    _ => arm,
+                    _ => arm(),
                 });
                 forgotten.extend(waiting.drain(..));
                 // No later stroke is the same as one of these.

@@ -1,11 +1,12 @@
 //! The local API of a real daemon: commands, receipts, events, errors, and the end.
 
-use super::bench::{Bench, Client, Events, LOCAL, began, ended, next, problem, refusal};
+use super::bench::{Bench, Client, Events, LOCAL, Machine, began, ended, next, problem, refusal};
 use super::sessions::owner;
 use meissner_api::{DoctorReport, EndCause, Event, Level, MAX_BODY, MAX_CLIENTS, PlayState, Receipt, Status};
 use meissner_test_support::assert_accounts;
 use serde_json::{Value, json};
 use std::io::{Read, Write};
+use std::sync::Arc;
 use std::time::Duration;
 
 fn wait_for(events: &mut Events, wanted: impl Fn(&Event) -> bool) {
@@ -117,6 +118,18 @@ fn an_emergency_stop_is_latched() {
     assert_eq!(problem(client.post("/v1/play", &json!({"pattern": "edge-45"}))).code, "faulted");
     let status: Value = client.post("/v1/reset", &json!({})).unwrap();
     assert_eq!(status["state"], "disarmed");
+}
+
+/// The cable goes while the emergency stop is on its way.
+#[test]
+fn an_emergency_stop_without_a_device_is_latched() {
+    let mut machine = Machine::new(Arc::new(tempfile::tempdir().unwrap()));
+    machine.faults = true;
+    let daemon = Bench::on(&machine, "");
+    let client = daemon.armed();
+    daemon.faults().is_unplugged = true;
+    let status: Status = client.post("/v1/estop", &json!({})).unwrap();
+    assert_eq!((&*status.state, &*status.cause, status.device), ("faulted", "estop", None));
 }
 
 #[test]

@@ -126,6 +126,17 @@ fn what_has_vibrated_counts_for_a_play_at_a_time_of_its_own() {
     assert_eq!(account.status(at(9.0)).continuous_used_s.round(), 9.0);
 }
 
+/// The return of the play before took its stretch beyond the limit.
+#[test]
+fn a_play_that_begins_with_a_gap_is_not_stopped_for_what_was_before_a_pause() {
+    let mut account = account();
+    assert_eq!(run(&mut account, 1, play(Some(10.0)), 100.0, 10.0), None);
+    account.moved(at(110.0).at, 0.1, at(110.1));
+    let later = Vibration::new([(1.0, 2.0)], Some(2.0));
+    assert_eq!(check_next(&mut account, at(120.0), &later), Ok(()));
+    assert_eq!(run(&mut account, 2, later, 120.0, 2.0), None);
+}
+
 /// After a kill the reserved time counts as used, and the stretch without a pause goes on; changing the clock gives no pause.
 #[test]
 fn a_kill_leaves_no_smaller_sum() {

@@ -301,6 +301,12 @@ impl Estimator {
         self.covariance[POSITION][POSITION] += NOWHERE;
     }
 
+    /// The device plays this burst of its own, and begins it up to `later` ticks later. Samples until it is over teach nothing.
+    pub(super) fn plays_of_its_own(&mut self, burst: &Burst, later: u64) {
+        self.lose_position();
+        self.blind_until.0 = self.blind_until.0.max(self.settles_at(burst).0 + 2 * later);
+    }
+
     /// Adds a burst, later than all others. Returns the oldest one if it had to make room.
     pub(super) fn begin(&mut self, burst: Burst) -> Option<Travel> {
         let over = if self.window.is_full() {

@@ -137,14 +137,18 @@ impl Streamer {
         let highest = self.control.highest(Tick(u64::MAX));
         self.control.reckon_to(lost);
         self.plays.close_all(counters, Some((&session, lost)), &self.control, emit);
-        self.operations.disconnected(emit);
-        self.homing.disconnected(emit);
         self.known.closed();
         self.control.cut(lost, None);
         self.control.bound_standing(&highest);
         self.standing_since =
             (self.control.highest_standing() > 0).then(|| self.standing_since.unwrap_or(now));
         self.feed = Feed::default();
+        if self.latch.is_closed() {
+            // Who waits for an emergency stop must see that it is latched when they get the answer.
+            emit.event(StreamEvent::Snapshot(self.snapshot(now)));
+        }
+        self.operations.disconnected(emit);
+        self.homing.disconnected(emit);
         self.operations.close(now, true, emit);
         self.reports.hasten(now);
     }

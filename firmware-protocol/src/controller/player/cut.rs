@@ -239,6 +239,7 @@ impl Player {
         }
         self.changes = super::Changes::none(now);
         self.marks.turn_off();
+        let _ = self.marks.take_hold();
         self.marks.keep_before(at);
         self.drivers.turn_off();
         (self.lines, self.still_from) = (Lines::OFF, now);

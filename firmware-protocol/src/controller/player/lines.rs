@@ -68,6 +68,9 @@ impl Player {
 
     /// Brings down the pins that have been held for too long.
     fn end_holds(&mut self) {
+        if let Some(hold) = self.marks.take_hold() {
+            self.set_hold(hold);
+        }
         let Some(hold) = self.hold else { return };
         for motor in 0..self.layout.loop_end() {
             let Some(of) = self.motors.get(motor) else { break };

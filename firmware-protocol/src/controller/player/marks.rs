@@ -15,6 +15,8 @@ const MAX_MARKS: usize = 8;
 struct QueuedMark {
     at: Tick,
     trigger: Option<Trigger>,
+    /// If it begins a play: for how many ticks a pin may be held from here on.
+    hold: Option<u32>,
     counters: Option<Counters>,
 }
 
@@ -22,13 +24,15 @@ struct QueuedMark {
 pub(super) struct Marks {
     queue: heapless::Deque<QueuedMark, MAX_MARKS>,
     output: TriggerOutput,
+    /// What the last mark said of holds, until it is taken.
+    hold: Option<u32>,
 }
 
 impl Hash for Marks {
     fn hash<H: Hasher>(&self, hasher: &mut H) {
-        let Self { queue, output: TriggerOutput { cells, width, cell_end } } = self;
+        let Self { queue, output: TriggerOutput { cells, width, cell_end }, hold } = self;
         queue.iter().for_each(|mark| mark.hash(hasher));
-        queue.len().hash(hasher);
+        (queue.len(), hold).hash(hasher);
         if *cells != 0 {
             (cells, width, cell_end).hash(hasher);
         }
@@ -36,15 +40,21 @@ impl Hash for Marks {
 }
 
 impl Marks {
-    pub(super) const NONE: Self = Self { queue: heapless::Deque::new(), output: TriggerOutput::LOW };
+    pub(super) const NONE: Self =
+        Self { queue: heapless::Deque::new(), output: TriggerOutput::LOW, hold: None };
 
     pub(super) fn is_full(&self) -> bool {
         self.queue.is_full()
     }
 
     /// Queues a mark. There was room when its frame was read.
-    pub(super) fn push(&mut self, at: Tick, trigger: Option<Trigger>) {
-        let _ = self.queue.push_back(QueuedMark { at, trigger, counters: None });
+    pub(super) fn push(&mut self, at: Tick, trigger: Option<Trigger>, hold: Option<u32>) {
+        let _ = self.queue.push_back(QueuedMark { at, trigger, hold, counters: None });
+    }
+
+    /// For how long pins may be held from now on, once after the mark of a play.
+    pub(super) fn take_hold(&mut self) -> Option<u32> {
+        self.hold.take()
     }
 
     pub(super) fn clear(&mut self) {
@@ -85,6 +95,7 @@ impl Marks {
                 next = next.min(mark.at);
             } else if mark.counters.is_none() {
                 mark.counters = Some(*counters);
+                self.hold = mark.hold.or(self.hold);
                 if let Some(trigger) = mark.trigger {
                     self.output.begin(now, trigger);
                 }

@@ -199,12 +199,13 @@ impl Player {
     }
 
     /// Queues a mark. There was room when its frame was read.
-    pub(super) fn push_mark(&mut self, at: Tick, mark: &Mark) {
-        self.marks.push(at, mark.trigger);
+    pub(super) fn push_mark(&mut self, at: Tick, mark: &Mark, begins_play: bool) {
+        self.marks.push(at, mark.trigger, begins_play.then_some(mark.hold));
     }
 
     /// For how long pins may be held from now on, ticks.
     pub(super) fn set_hold(&mut self, hold: u32) {
+        let _ = self.marks.take_hold();
         self.hold = Some(hold.clamp(self.layout.least_hold(), self.layout.longest_hold()));
     }
 

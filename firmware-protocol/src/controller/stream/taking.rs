@@ -210,7 +210,7 @@ impl Stream {
             // The first frame of a play is taken in one piece, and lines must be rendered in time.
             let fits = !begins_play || self.taking.moves.len() <= MAX_FIRST_BATCH;
             if base >= ready && fits {
-                parts.player.push_mark(base, &mark);
+                parts.player.push_mark(base, &mark, begins_play);
             } else {
                 parts.reporting.report(Report::OnsetRefused { seq, rendered: ready.wire() });
                 if begins_play {
@@ -219,7 +219,6 @@ impl Stream {
             }
             if begins_play {
                 self.kept = MotorSet::EMPTY;
-                parts.player.set_hold(mark.hold);
             }
         }
         let taking = &mut self.taking;

@@ -2,7 +2,7 @@
 
 use super::{Life, World};
 use crate::daemon::tests::bench::{Client, DISK_STALLS};
-use meissner_api::{PlayState, Receipt, Session, SessionList, SessionPlays, Status};
+use meissner_api::{ErrorSource, PlayState, Receipt, Session, SessionList, SessionPlays, Status};
 use serde_json::{Value, json};
 use std::collections::BTreeSet;
 use std::time::Duration;
@@ -12,12 +12,15 @@ use std::time::Duration;
 const CONTINUOUS_OVER_S: f64 = 0.6;
 /// The same in a day.
 const DAY_OVER_S: f64 = 4.0;
-/// A pin lower than this is at rest, µm: bursts are not exact.
-const REST_UM: f64 = 5.0;
-/// The same if telemetry corrects bursts: after an emergency stop and a forced reset a pin stood 20 µm up. Why is not known.
-const CORRECTED_UM: f64 = 60.0;
+/// By how much more than the status says a pin may be off its rest, µm: a pulse.
+const PULSE_UM: f64 = 0.95 / 7.0;
+/// A cut burst that was corrected has moved its pin by up to 30 % more than its level, which is at most `max_amplitude_um`. The status
+/// says so as long as telemetry comes, µm.
+const CORRECTED_UM: f64 = 30.0;
 
-/// What waits for the disk is written within this time, s: the record's thread looks every millisecond.
+/// Reports that do not come within this time close the link, and with it the plays, s.
+const REPORTED_S: f64 = 5.0;
+/// What waits for the disk is written within this time, s: the writer pauses for a millisecond, and the runtime ends pauses at whole ones.
 const WRITTEN_S: f64 = 0.002;
 /// What a kill before that may lose, s. A play waits until its time is on the disk; a reset or arm, with which pins may come down, does
 /// not: 35 ms in which all come down from the top, and half a second before it that counts with it.
@@ -58,14 +61,15 @@ pub(super) fn stops(world: &mut World) {
 }
 
 /// No limit for participants is passed by the lines, and after an emergency stop no line is high until a reset.
-pub(super) fn after_look(world: &World) {
+pub(super) fn after_look(world: &mut World) {
+    let is_alone = world.trouble.lease_is_over(world.now_s());
+    // An array that no longer hears the daemon lowers its pins by itself.
+    assert!(!is_alone || are_down(world), "pins stay up without a host");
     let truth = &world.truth;
     assert!(truth.stretch_s <= 4.0 + CONTINUOUS_OVER_S, "{} s without a pause", truth.stretch_s);
     for (of, day_s) in truth.days.iter().chain(&truth.passed) {
         assert!(*day_s <= 8.0 + DAY_OVER_S, "{day_s} s of {of:?}");
     }
-    // An array that no longer hears the daemon lowers its pins by itself.
-    assert!(!world.trouble.lease_is_over(world.now_s()) || are_down(world), "pins stay up without a host");
     if let Some(stopped_s) = world.life.estopped_s
         && world.trouble.array_is_good(world.now_s())
     {
@@ -83,7 +87,7 @@ pub(super) fn hold(world: &mut World) {
     let (now_s, good) = (world.now_s(), world.trouble.array_is_good(world.now_s()));
     world.state.clone_from(&status.state);
     world.truth.person = status.session.as_ref().map(|session| session.participant.clone());
-    nothing_plays_unarmed(&status);
+    nothing_plays_unarmed(world, &status, now_s);
     silence_disarms(world, &status, now_s);
     trouble_of_the_disk_is_said(world, &status, now_s);
     if good {
@@ -91,11 +95,16 @@ pub(super) fn hold(world: &mut World) {
     }
 }
 
-/// While the motors are off or an emergency stop is latched, nothing plays or waits.
-fn nothing_plays_unarmed(status: &Status) {
-    if status.state == "disarmed" || status.state == "faulted" {
-        assert!(status.play.is_none() && status.queued.is_empty(), "nothing plays: {status:?}");
+/// While the motors are off or an emergency stop is latched, nothing plays or waits. A play ends once the device's reports of it have come:
+/// over a bad line that takes longer.
+fn nothing_plays_unarmed(world: &mut World, status: &Status, now_s: f64) {
+    if status.state != "disarmed" && status.state != "faulted" {
+        world.life.unarmed_s = None;
+        return;
     }
+    let since_s = *world.life.unarmed_s.get_or_insert(now_s);
+    let may_end = !world.trouble.array_is_good(now_s) && now_s < since_s + REPORTED_S;
+    assert!(may_end || status.play.is_none() && status.queued.is_empty(), "nothing plays: {status:?}");
 }
 
 /// Motors do not stay armed when all clients are silent.
@@ -116,11 +125,12 @@ fn no_pin_stays_up(world: &World, status: &Status, now_s: f64) {
     let is_idle = status.play.is_none() && status.queued.is_empty();
     let longest_s = if is_idle { 5.0 } else { 65.0 };
     let cut = ["estop", "output", "panic", "watchdog"].contains(&&*status.cause);
-    let (may_stand, faults) = (status.state == "faulted" && cut, world.daemon.faults());
-    for (motor, &height_um) in faults.heights_um.iter().enumerate() {
+    let may_stand = status.state == "faulted" && cut;
+    for motor in 0..status.motors.len() {
         let rests_s = now_s - world.truth.pulsed_s[motor].max(world.life.began_s);
-        let up = height_um > rest_um(world) && rests_s > longest_s && status.position == "known";
-        assert!(!up || may_stand, "pin {motor} is at {height_um} um since {rests_s} s");
+        let is_due = rests_s > longest_s && status.position == "known" && !may_stand;
+        let off_um = off_um(world, status, motor).filter(|_| is_due);
+        assert_eq!(off_um, None, "pin {motor} since {rests_s} s, said: {:?}", status.motors[motor]);
     }
 }
 
@@ -176,7 +186,7 @@ fn each_play_is_recorded_or_lost(before: &Before, life: &Life, lines: &[u64], lo
     );
 }
 
-/// A kill makes no sum of vibration smaller, but by a return whose order is younger than two milliseconds.
+/// A kill makes no sum of vibration smaller, but by a return whose order is younger than [`WRITTEN_S`].
 fn sums_survive(world: &mut World, before: &Before) {
     let after = world.status().participant;
     if let Some(used_s) = before.day_used_s {
@@ -224,13 +234,20 @@ fn sessions_are_whole_or_not_complete(world: &mut World, before: &Before, life: 
     assert_eq!(ids.len(), list.sessions.len(), "each session is listed once");
 }
 
-fn rest_um(world: &World) -> f64 {
-    if world.telemetry { CORRECTED_UM } else { REST_UM }
+/// How far a pin is off its rest, µm, if that is more than the status says. It says nothing while pins stand, and before telemetry or dead
+/// reckoning.
+fn off_um(world: &World, status: &Status, motor: usize) -> Option<f64> {
+    let (of, height_um) = (&status.motors[motor], world.daemon.faults().heights_um[motor].abs());
+    let says = of.source != ErrorSource::None && status.standing.is_none();
+    let most_um = if world.telemetry { CORRECTED_UM } else { 0.0 };
+    let said_um = if says { f64::from(of.rest_error_um).abs() } else { most_um };
+    (height_um > said_um.min(most_um) + PULSE_UM).then_some(height_um)
 }
 
-/// Whether every pin is at rest.
-pub(super) fn are_down(world: &World) -> bool {
-    world.daemon.faults().heights_um.iter().all(|height_um| height_um.abs() < rest_um(world))
+/// Whether every pin is at rest, as far as the status says.
+pub(super) fn are_down(world: &mut World) -> bool {
+    let status = world.status();
+    (0..status.motors.len()).all(|motor| off_um(world, &status, motor).is_none())
 }
 
 /// When all faults are over, the accounts of all plays close, pins are down, and the motors can be armed.

@@ -21,6 +21,8 @@ pub(crate) struct Times {
     finalise_early: u64,
     /// The controller neither uses nor waits for telemetry older than this.
     pub(crate) longest_age: u64,
+    /// A burst that the device decides on may wait so long for the drivers.
+    pub(super) drivers: u64,
 }
 
 impl Times {
@@ -29,7 +31,8 @@ impl Times {
         let one_and_a_half_ms = rate.of_ms(3) / 2;
         let (send_by, finalise_at) = (one_and_a_half_ms, 2 * one_and_a_half_ms);
         let finalise_early = finalise_at + rate.of_ms(2);
-        Self { send_by, finalise_at, finalise_early, longest_age: rate.per_s() * 5 / 4 }
+        let drivers = array.layout().driver_lead().into();
+        Self { send_by, finalise_at, finalise_early, longest_age: rate.per_s() * 5 / 4, drivers }
     }
 }
 

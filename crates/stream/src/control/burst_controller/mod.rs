@@ -204,6 +204,7 @@ impl BurstController {
         {
             self.open(at);
             (self.queue[at].burst.start, self.queue[at].accepted) = (rendered, true);
+            self.estimator.plays_of_its_own(&self.queue[at].burst, self.times.drivers);
         } else {
             self.withdrawn(begin);
         }
@@ -224,7 +225,7 @@ impl BurstController {
             self.queue.insert(at, down);
             self.replan(at + 1);
             // Samples may have shown the way down before the report of it.
-            self.estimator.lose_position();
+            self.estimator.plays_of_its_own(&burst, self.times.drivers);
         }
     }
 

@@ -14,7 +14,7 @@ use crate::link::session::contradiction::Contradiction;
 use crate::time::HostInstant;
 use firmware_protocol::array::{ArrayId, Layout};
 use firmware_protocol::board::{Board, Output, Outputs, SelfTestState};
-use firmware_protocol::controller::{REORDER_WINDOW, REPORTS};
+use firmware_protocol::controller::{HORIZON, REORDER_WINDOW, REPORTS};
 use firmware_protocol::limits::{PowerLimits, Refusal};
 use firmware_protocol::message::{Cause, Counters, Cut, DeviceHello, Op, Report, State, Status};
 use firmware_protocol::tick::{Tick, WireTick};
@@ -94,6 +94,8 @@ pub(super) struct DeviceKnowledge {
     epoch: u16,
     /// The last report with counters: later ones are not below these.
     reported: Counters,
+    /// The first status after the outputs have failed. Counts that were reported before it may be above it.
+    failed: Option<Tick>,
     /// The device's clock was not beyond this when the last report was read.
     report_read_by: Tick,
     ordered: Ordered,
@@ -157,6 +159,7 @@ impl DeviceKnowledge {
             status: None,
             epoch: 0,
             reported: Counters::NONE,
+            failed: None,
             report_read_by: Tick(0),
             // A seek that another session began may be under way.
             ordered: Ordered { arms: false, resets: false, seeks: true },
@@ -214,6 +217,10 @@ impl DeviceKnowledge {
 
     /// Takes over the newest status; `current`: the epoch that the session has begun last.
     pub(super) fn status(&mut self, status: Status, tick: Tick, current: u16) {
+        if self.fails(&status) {
+            self.failed = Some(tick);
+            self.reported = self.after_failure(&self.reported, &status.counters);
+        }
         let before = self.status.replace((status, tick)).map_or(tick, |(_, before)| before);
         self.returning = match status.state {
             State::Returning => self.returning + (tick - before).min(self.array.rate().of_ms(RETURN_SEEN_MS)),
@@ -234,8 +241,18 @@ impl DeviceKnowledge {
         if let Report::Onset { counters, .. } = report {
             let at = self.marks.iter().position(|&sent| sent == tick);
             at.and_then(|at| self.marks.remove(at));
-            self.reported = *counters;
+            self.reported = match &self.status {
+                Some((status, _)) if self.failed.is_some_and(|failed| tick < failed) => {
+                    self.after_failure(counters, &status.counters)
+                }
+                _ => *counters,
+            };
         }
+    }
+
+    /// Whether this status is the first one that says that the outputs have failed.
+    fn fails(&self, now: &Status) -> bool {
+        now.cause == Cause::Output && self.status.is_none_or(|(before, _)| before.cause != Cause::Output)
     }
 
     /// Whether a board report may follow the last one of this session.
@@ -352,7 +369,7 @@ impl DeviceKnowledge {
         {
             return Err(Contradiction::State);
         }
-        self.check_counters(&status.counters, tick)
+        self.check_counters(status, tick)
     }
 
     /// Whether the epoch of a status was begun, and is answered as its command may be.
@@ -392,13 +409,30 @@ impl DeviceKnowledge {
     }
 
     /// Whether a status may have these counters at `tick`.
-    fn check_counters(&self, now: &Counters, tick: Tick) -> Result<(), Contradiction> {
+    fn check_counters(&self, now: &Status, tick: Tick) -> Result<(), Contradiction> {
         let before = self.status.map_or(Counters::NONE, |(status, _)| status.counters);
-        let after_report = tick <= self.report_read_by || grows(&self.reported, now);
-        if grows(&before, now) && after_report {
-            self.check_pace(now, tick)
+        let fails = self.fails(now);
+        let follows = |earlier: &Counters| {
+            grows(&if fails { self.after_failure(earlier, &now.counters) } else { *earlier }, &now.counters)
+        };
+        if follows(&before) && (tick <= self.report_read_by || follows(&self.reported)) {
+            self.check_pace(&now.counters, tick)
         } else {
             Err(Contradiction::Counters)
+        }
+    }
+
+    /// The least that `earlier` may become when the outputs have failed: what was counted since they were last seen to work is taken
+    /// back, and its moves are `now` dropped.
+    fn after_failure(&self, earlier: &Counters, now: &Counters) -> Counters {
+        let most = self.motors() as u64 * u64::from(HORIZON);
+        let moves = now.dropped.saturating_sub(earlier.dropped).min(most);
+        Counters {
+            pulses: earlier.pulses.saturating_sub(most),
+            played: earlier.played.saturating_sub(moves),
+            amended: earlier.amended.saturating_sub(moves),
+            shortened: earlier.shortened.saturating_sub(moves),
+            ..*earlier
         }
     }
 
