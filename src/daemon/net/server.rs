@@ -376,6 +376,9 @@ mod tests {
                 slow.write_all(part).await.unwrap();
                 sleep(Duration::from_secs(2)).await;
                 assert!(ask(&mut connect()).await.starts_with("HTTP/1.1 200 "), "{part:?}");
+                // The server notices that both are gone.
+                drop(slow);
+                sleep(Duration::from_secs(2)).await;
             }
             let mut fourth = connect();
             fourth.write_all(WAIT).await.unwrap();
