@@ -289,8 +289,8 @@ fn no_type_has_methods_in_more_than_three_files() {
 /// The way of `POST /v1/play` from the client's bytes to the device's: each file that has the play in hand, with the function that takes it
 /// and passes it on. What is only asked about it (gate, rights, limits, receipts, record, patterns) is not on the way.
 const WALK: &[(&str, &str)] = &[
-    ("src/daemon/net/connection.rs", "poll_read"),
     ("src/daemon/net/server.rs", "serve_client"),
+    ("src/daemon/net/client.rs", "poll_frame"),
     ("src/daemon/net/admission.rs", "layer"),
     ("src/daemon/net/admission.rs", "guard"),
     ("src/daemon/plays/handlers.rs", "play"),

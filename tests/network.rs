@@ -85,8 +85,8 @@ fn without_the_key_nothing_listens() {
     for (daemon, listeners) in [(&daemon, 0), (&listens, 2)] {
         let status: Status = daemon.client().get("/v1/status").unwrap();
         assert_eq!(
-            (tcp_listeners(status.daemon.pid), usize::from(status.daemon.network.is_some())),
-            (listeners, listeners)
+            (tcp_listeners(status.daemon.pid), status.daemon.network.is_some()),
+            (listeners, listeners > 0)
         );
     }
     // With a port that is taken the socket works.

@@ -1,7 +1,8 @@
 //! Requests to the daemon's routes: none makes it panic or answer 500, and an e-stop is always answered.
 //!
 //! A daemon with a simulated array runs in this process; requests enter where its server would hand them over. An input is up to
-//! four requests, each a line with method and address, headers, an empty line, and a body. The daemon keeps its state between
+//! four requests, each a line with method and address, headers, an empty line, and a body; or, behind a byte 255, what the port for
+//! emergency stops gets. The daemon keeps its state between
 //! two inputs: a finding may need those before it.
 
 use arbitrary::Unstructured;
@@ -51,13 +52,11 @@ pub fn run(data: &[u8]) {
     SERVED.with(|served| {
         let Served { runtime, daemon } = served.get_or_init(serve);
         let mut input = Unstructured::new(data);
-        let from = match crate::input::byte(&mut input) % 5 {
-            // The port for emergency stops.
-            4 => {
-                let sent = input.take_rest();
-                assert!(estop_token(sent).is_none_or(|token| sent.len() >= token.len()));
-                return;
-            }
+        let first = crate::input::byte(&mut input);
+        if first == u8::MAX {
+            return on_estop_port(input.take_rest());
+        }
+        let from = match first % 4 {
             1 => Some(IpAddr::V4(Ipv4Addr::LOCALHOST)),
             2 => Some(IpAddr::V4(Ipv4Addr::new(192, 0, 2, 7))),
             _ => None,
@@ -68,6 +67,15 @@ pub fn run(data: &[u8]) {
             }
         }
     });
+}
+
+/// A request on the port for emergency stops that is complete stays what it is when more bytes come.
+fn on_estop_port(sent: &[u8]) {
+    for cut in (0..sent.len()).step_by(sent.len() / 8 + 1) {
+        if let Some(token) = estop_token(&sent[..cut]) {
+            assert_eq!(estop_token(sent), Some(token));
+        }
+    }
 }
 
 /// The parts of bytes between separators.

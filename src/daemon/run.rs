@@ -129,8 +129,12 @@ impl Daemon {
     async fn work(self, mut signals: Signals) -> Result<(), DaemonError> {
         let Self { bound, tcp, engine, store, events, streamer, connector, .. } = self;
         let unix = bound.listener.try_clone().and_then(UnixListener::from_std).map_err(system("socket"))?;
-        let estop =
-            bound.estop.as_ref().map(|socket| socket.try_clone()).transpose().map_err(system("socket"))?;
+        let estop = bound
+            .estop
+            .as_ref()
+            .map(std::os::unix::net::UnixListener::try_clone)
+            .transpose()
+            .map_err(system("socket"))?;
         let (tcp, tcp_estop) = tcp.map_or((None, None), |[api, estop]| (Some(api), Some(estop)));
         let tcp = tcp.map(TcpListener::from_std).transpose().map_err(system("socket"))?;
         let (bounds, counts) = (Bounds::of_process(), Arc::new(Counts::default()));

@@ -82,12 +82,13 @@ impl Client {
 
     /// Since when the daemon waits for the client; how long it does so if another client needs the place, and how long at most.
     pub(in crate::daemon) fn due(&self) -> Option<(Instant, Duration, Duration)> {
-        let State { waits, since, blocked, .. } = *self.state();
+        let State { waits, since, blocked, is_known } = *self.state();
+        let idle = if is_known { IDLE } else { Duration::ZERO };
         match (blocked, waits) {
             (Some(since), _) => Some((since, BLOCKED, UNREAD)),
             (None, Waits::Head) => Some((since, Duration::ZERO, HEAD)),
             (None, Waits::Body) => Some((since, Duration::ZERO, Duration::MAX)),
-            (None, Waits::Next) => Some((since, IDLE, KEPT)),
+            (None, Waits::Next) => Some((since, idle, KEPT)),
             (None, Waits::Nothing) => None,
         }
     }

@@ -84,7 +84,9 @@ impl Asked {
                 answer.map(|()| Json(report::status(&engine, Some(&by))))
             }
             Err(refusal) => {
-                engine.gate.count_denied();
+                if matches!(refusal.0, Code::Unauthorized | Code::Forbidden) {
+                    engine.gate.count_denied();
+                }
                 Err(refusal.into())
             }
         };

@@ -5,7 +5,7 @@
 //! Then the request needs a token whose role allows it, unless it comes from this machine and the configuration asks for none. A
 //! token that the client shows must always be valid, and its role applies, even on this machine.
 //!
-//! Invariant: [`Gate::check`] never waits and uses no heap, because the acceptor's real-time thread calls it.
+//! Invariant: a check never waits and uses no heap, because the real-time thread for emergency stops calls it.
 
 use crate::config::Listen;
 use crate::daemon::net::head::{Head, Shown};
@@ -157,8 +157,7 @@ impl Gate {
         check_site(head, &[])?;
         let Some(needs) = needs(head) else { return Ok(Checked::default()) };
         if Route::find(head.method, head.path) == Some(Route::EStop) {
-            // Every client of the socket may order an emergency stop, and the acceptor has already done so before it read any
-            // header.
+            // Every client of the socket may order an emergency stop, whatever token it shows.
             let shown = head.shown().unwrap_or_default();
             return Ok(Checked { access: None, shown });
         }

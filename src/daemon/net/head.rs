@@ -5,7 +5,7 @@
 //! for all routes and sockets.
 //!
 //! Invariant: a value that has none of these forms is refused, and never ignored. Nothing here uses the heap, because the
-//! acceptor's real-time thread reads heads.
+//! real-time thread for emergency stops reads heads.
 
 use crate::daemon::net::refusal::{MALFORMED, Refusal};
 use meissner_api::{CLIENT_HEADER, Code, SESSION_HEADER, TOKEN_PREFIX};

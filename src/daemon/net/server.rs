@@ -35,7 +35,7 @@ use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite};
 use tokio::net::{TcpListener, TcpStream, UnixListener};
 use tokio::sync::{mpsc, watch};
 use tokio::task::{AbortHandle, Id, JoinSet, yield_now};
-use tokio::time::{Instant, interval, sleep, timeout};
+use tokio::time::{Instant, MissedTickBehavior, interval, sleep, timeout};
 use tower::ServiceExt;
 use tracing::{debug, warn};
 
@@ -98,6 +98,7 @@ impl Server {
         mut closing: watch::Receiver<bool>,
     ) {
         let mut look = interval(LOOK_EVERY);
+        look.set_missed_tick_behavior(MissedTickBehavior::Delay);
         loop {
             tokio::select! {
                 Some(asked) = asked.recv() => {
@@ -128,7 +129,7 @@ impl Server {
                     self.clients.remove(&id);
                 }
                 Some(_) = self.others.join_next() => {}
-                _ = look.tick() => self.end_late(),
+                _ = look.tick(), if !self.clients.is_empty() => self.end_late(),
                 () = closed(&mut closing) => break,
             }
             self.report();
@@ -376,6 +377,9 @@ mod tests {
                 slow.write_all(part).await.unwrap();
                 sleep(Duration::from_secs(2)).await;
                 assert!(ask(&mut connect()).await.starts_with("HTTP/1.1 200 "), "{part:?}");
+                // The server notices that both are gone.
+                drop(slow);
+                sleep(Duration::from_secs(2)).await;
             }
             let mut fourth = connect();
             fourth.write_all(WAIT).await.unwrap();

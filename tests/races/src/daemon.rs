@@ -35,13 +35,13 @@ fn guard_reset() {
 fn guard_first() {
     let (mut thread, commands, _events) = queues().expect("a model needs no descriptors");
     let estops = Arc::new(EStops::new(commands.estop_switch()));
-    let of_acceptor = Arc::clone(&estops);
-    let acceptor = spawn(move || of_acceptor.request(Origin::of(STRANGER)));
+    let of_listener = Arc::clone(&estops);
+    let listener = spawn(move || of_listener.request(Origin::of(STRANGER)));
     if let Some(request) = thread.pop() {
         assert!(matches!(request.command, Command::EStop));
         assert!(estops.guard().has_another(Origin::of(STRANGER)), "the guard came later");
     }
-    acceptor.join().expect("it ends");
+    listener.join().expect("it ends");
 }
 
 fn last_stop() {

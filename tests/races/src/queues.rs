@@ -1,6 +1,6 @@
 //! Models of the queues between the streamer and the rest: requests, events, emergency stops.
 //!
-//! The streamer's side loops as in `thread.rs`, and the listener's as in the daemon's event loop and acceptor.
+//! The streamer's side loops as in `thread.rs`, and the listeners' as in the daemon's event loop and thread for e-stops.
 
 use crate::explore::Model;
 use loom::thread::{spawn, yield_now};
@@ -92,13 +92,13 @@ fn estops() {
     });
     let other = commands.estop_switch();
     let other = spawn(move || _ = other.request());
-    // The acceptor: answers wake it, and nobody else looks at them.
-    let acceptor = commands.estop_switch();
-    let number = acceptor.request();
+    // The thread for e-stops: answers wake it, and nobody else looks at them.
+    let listener = commands.estop_switch();
+    let number = listener.request();
     let answer = loop {
-        acceptor.wait();
-        acceptor.clear_answers();
-        if let Some(answer) = acceptor.answer(number) {
+        listener.wait();
+        listener.clear_answers();
+        if let Some(answer) = listener.answer(number) {
             break answer;
         }
     };
