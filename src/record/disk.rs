@@ -12,6 +12,13 @@ use std::io::{self, Read, Seek, SeekFrom, Write};
 use std::os::unix::fs::{DirBuilderExt, MetadataExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 
+/// The file of what belongs to no session.
+pub(super) const DAEMON: &str = "daemon.jsonl";
+/// Older files of it that are kept.
+pub(super) const OLD: u32 = 7;
+/// The directory of the sessions' files.
+pub(super) const SESSIONS: &str = "sessions";
+
 /// A failed operation, and the file.
 #[derive(Debug, thiserror::Error)]
 #[error("{}: {source}", .path.display())]
@@ -201,4 +208,10 @@ fn whole_lines(file: &mut File) -> io::Result<u64> {
         end = start;
     }
     Ok(0)
+}
+
+/// Whether a file is called as those of sessions are.
+pub(super) fn is_name(name: &str) -> bool {
+    let is_of_id = |c: char| c.is_ascii_alphanumeric() || c == '-';
+    name.strip_suffix(".jsonl").is_some_and(|id| id.starts_with("20") && id.chars().all(is_of_id))
 }

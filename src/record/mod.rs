@@ -6,14 +6,15 @@
 //! while its disk takes nothing, or stands still for [`STALL`]: [`Record::problem`] says so at once,
 //! and what was lost is counted here until a line in the file says it. [`reader`] reads the files.
 //!
-//! Bounds: [`WAITING`] entries wait for the disk; entries that are not about plays fill a
-//! [`Bucket`] per file; texts of patterns have [`MAX_TEXT`].
+//! Bounds: 1024 entries wait for the disk; entries that are not about plays fill a
+//! bucket per file; texts of patterns have 16 MiB.
 //!
 //! Invariants: nothing waits for the disk; an entry has a line, or is counted as lost or left out.
 
 mod disk;
 mod entry;
 pub(crate) mod json;
+mod queue;
 pub mod reader;
 #[cfg(any(test, feature = "bench"))]
 pub(crate) mod simulated_disk;
@@ -21,279 +22,23 @@ mod users;
 mod writer;
 
 pub use entry::{CommandEntry, Entry, NetworkPeer, Peer, TokenId};
+pub use queue::{Known, Location, STALL};
 pub use users::Users;
 pub use writer::Recorder;
 
-use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, bounded, unbounded};
+use crossbeam_channel::{RecvTimeoutError, Sender, bounded, unbounded};
 use disk::{Disk, RealDisk};
-use entry::{Kind, LeftOut};
-use jiff::Timestamp;
-use meissner_api::{Losses, Session};
+use meissner_api::Losses;
 use meissner_stream::time::HostInstant;
+use queue::{Bucket, Inner, MAX_TEXT, Message, Shared, WAITING};
 use std::collections::{BTreeMap, HashSet};
 use std::io;
 use std::path::PathBuf;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::thread;
 use std::time::{Duration, Instant};
 use tokio::sync::{Notify, oneshot};
 use tracing::warn;
-
-/// Entries that may wait for the disk: more than a session has in a minute.
-const WAITING: u64 = 1024;
-/// The record fails when its disk has done nothing for so long, and something waits.
-pub const STALL: Duration = Duration::from_secs(1);
-/// How long left-out entries are counted before a line reports them.
-const REPORT_AFTER: Duration = Duration::from_secs(60);
-/// The most rows of a line about left-out entries. All beyond are counted together.
-const ROWS: usize = 32;
-/// Bytes of a pattern's text, and of all texts that wait for the disk, at most.
-const MAX_TEXT: usize = 16 << 20;
-/// Sessions whose losses are kept in memory: only what the disk has not yet taken is needed.
-const KNOWN: usize = 64;
-
-/// Where the record is kept.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Location {
-    /// The directory. It is made if it is missing.
-    pub dir: PathBuf,
-    /// Whether to make the directories above it, too.
-    pub make_parents: bool,
-}
-
-/// When an entry was added, by both clocks.
-#[derive(Clone, Copy, Debug)]
-struct Stamp {
-    wall: Timestamp,
-    monotonic: HostInstant,
-}
-
-impl Stamp {
-    fn now() -> Self {
-        let (monotonic, wall) = crate::clock::now();
-        Self { wall, monotonic }
-    }
-}
-
-/// An entry on its way to the disk.
-#[derive(Debug)]
-struct Added {
-    stamp: Stamp,
-    /// The session in whose file it stands; none: `daemon.jsonl`.
-    session: Option<Arc<str>>,
-    entry: Entry,
-    /// Hears that the entry has a line; dropped if it has none. If nobody listens any more, the line
-    /// is taken back.
-    told: Option<oneshot::Sender<()>>,
-}
-
-/// A message to the thread.
-#[derive(Debug)]
-enum Message {
-    Entry(Box<Added>),
-    /// Replace the exposure file, and report whether that succeeded.
-    Exposure(String, oneshot::Sender<bool>),
-    /// Drop this sender when all messages before it are done.
-    Written(oneshot::Sender<()>),
-    /// Something is due at another time than before.
-    Look,
-    /// The last one.
-    Close,
-}
-
-/// Bounds entries that clients and devices make in a loop.
-#[derive(Debug)]
-struct Bucket {
-    left: f64,
-    at: HostInstant,
-}
-
-impl Bucket {
-    /// Entries at once.
-    const BURST: f64 = 20_000.0;
-    /// Entries a second after that.
-    const PER_S: f64 = 2.0;
-
-    fn takes(&mut self, now: HostInstant) -> bool {
-        let new = Self::PER_S * now.since(self.at).as_secs_f64();
-        (self.left, self.at) = ((self.left + new).min(Self::BURST), now);
-        let takes = self.left >= 1.0;
-        self.left -= f64::from(u8::from(takes));
-        takes
-    }
-}
-
-/// A session of this daemon.
-#[derive(Clone, Debug)]
-pub struct Known {
-    /// At its start, or at its end.
-    pub session: Session,
-    /// What the disk did not take of it.
-    pub lost: Losses,
-    /// What a line in its file says of that.
-    said: Losses,
-    /// Whether its file has its end.
-    is_written: bool,
-}
-
-/// What the thread and the callers share.
-#[derive(Debug)]
-struct Shared {
-    is_closed: bool,
-    /// Messages that were sent, and those that are done.
-    sent: u64,
-    done: u64,
-    /// When the thread was done with a message last, or got one when it had none.
-    since: HostInstant,
-    /// Why the disk has refused what it was given last.
-    failure: Option<String>,
-    /// What a reader has found missing.
-    found: Option<String>,
-    running: Option<Arc<str>>,
-    known: Vec<Known>,
-    /// Entries lost in all, and of `daemon.jsonl` those of which no line says so.
-    lost: u64,
-    unsaid: u64,
-    /// Of the running session's file, of `daemon.jsonl`, and for emergency stops.
-    buckets: [Bucket; 3],
-    /// What was left out, by session, user, and command or event.
-    left_out: BTreeMap<(Option<Arc<str>>, Option<u32>, &'static str), u64>,
-    left_out_since: Option<HostInstant>,
-    /// Texts that the running session's file has, by SHA-256, and bytes of texts that wait.
-    texts: HashSet<String>,
-    text_bytes: usize,
-}
-
-impl Shared {
-    fn known(&mut self, id: &str) -> Option<&mut Known> {
-        self.known.iter_mut().rev().find(|known| known.session.id == id)
-    }
-
-    /// Counts an entry that has no line.
-    fn lose(&mut self, session: Option<&str>, entry: &Entry) {
-        self.lost += 1;
-        self.no_longer_waits(entry);
-        if let Entry::Pattern { sha256, .. } = entry {
-            self.texts.remove(sha256);
-        }
-        let plays = u64::from(entry.ends_play());
-        match session.filter(|_| entry.counts()).and_then(|id| self.known(id)) {
-            Some(known) => {
-                known.lost.entries += 1;
-                known.lost.plays += plays;
-            }
-            None => self.unsaid += 1,
-        }
-    }
-
-    fn no_longer_waits(&mut self, entry: &Entry) {
-        if let Entry::Pattern { text, .. } = entry {
-            self.text_bytes -= text.len();
-        }
-    }
-
-    /// Takes the line about what was left out of this file.
-    fn left_out(&mut self, session: Option<&str>) -> Option<Entry> {
-        let mut rows = Vec::<LeftOut>::new();
-        let mut entries = 0;
-        self.left_out.retain(|(of, uid, what), count| {
-            let is_of = of.as_deref() == session;
-            if is_of {
-                entries += *count;
-                let is_full = rows.len() == ROWS;
-                match rows.last_mut().filter(|_| is_full) {
-                    Some(last) => {
-                        (last.uid, last.what, last.entries) = (None, "others", last.entries + *count);
-                    }
-                    None => rows.push(LeftOut { uid: *uid, user: None, what, entries: *count }),
-                }
-            }
-            !is_of
-        });
-        (entries > 0).then_some(Entry::LeftOut { entries, of: rows })
-    }
-
-    /// When the disk stands still for too long, unless it does something before.
-    fn stalls_at(&self) -> Option<HostInstant> {
-        (self.sent > self.done).then(|| self.since + STALL)
-    }
-}
-
-#[derive(Debug)]
-struct Inner {
-    dir: PathBuf,
-    messages: Sender<Message>,
-    shared: Mutex<Shared>,
-    changed: Arc<Notify>,
-    /// Disconnected when the thread has ended.
-    ended: Receiver<()>,
-}
-
-impl Inner {
-    fn lock(&self) -> MutexGuard<'_, Shared> {
-        self.shared.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    /// Sends a message, in the order in which callers hold the lock.
-    fn send(&self, shared: &mut Shared, message: Message) {
-        if shared.is_closed {
-            return;
-        }
-        if shared.sent == shared.done {
-            shared.since = HostInstant::now();
-            // From now on the disk may stand still.
-            self.changed.notify_one();
-        }
-        shared.sent += 1;
-        // The thread takes messages until the last one.
-        let _ = self.messages.send(message);
-    }
-
-    fn add(&self, entry: Entry, told: Option<oneshot::Sender<()>>) {
-        let (mut shared, stamp) = (self.lock(), Stamp::now());
-        if let Entry::SessionStarted { session, .. } = &entry {
-            if shared.known.len() == KNOWN {
-                let at = shared.known.iter().position(|known| known.is_written).unwrap_or(0);
-                shared.known.remove(at);
-            }
-            let (lost, said) = Default::default();
-            let session = (**session).clone();
-            shared.running = Some(session.id.as_str().into());
-            shared.known.push(Known { session, lost, said, is_written: false });
-            shared.texts.clear();
-        }
-        let session = shared.running.clone().filter(|running| entry.is_of(running));
-        if let Entry::SessionEnded { session, .. } = &entry {
-            if let Some(known) = shared.known(&session.id) {
-                known.session.clone_from(session);
-            }
-            shared.running = None;
-        }
-        let (kind, uid, what) = entry.kind();
-        let takes = match (kind, &session) {
-            (Kind::Play, _) => true,
-            (Kind::EStop, _) => shared.buckets[2].takes(stamp.monotonic),
-            (_, Some(_)) => shared.buckets[0].takes(stamp.monotonic),
-            (_, None) => shared.buckets[1].takes(stamp.monotonic),
-        };
-        if !takes {
-            *shared.left_out.entry((session, uid, what)).or_default() += 1;
-            if shared.left_out_since.is_none() {
-                shared.left_out_since = Some(stamp.monotonic);
-                self.send(&mut shared, Message::Look);
-            }
-            return;
-        }
-        // Others leave room for plays.
-        let room = if kind == Kind::Play { WAITING } else { WAITING / 2 };
-        if shared.sent - shared.done >= room && !matches!(entry, Entry::SessionEnded { .. }) {
-            shared.lose(session.as_deref(), &entry);
-            self.changed.notify_one();
-            return;
-        }
-        self.send(&mut shared, Message::Entry(Box::new(Added { stamp, session, entry, told })));
-    }
-}
 
 /// A handle to the record. Clones share one record; none: nothing is recorded.
 #[derive(Clone, Debug)]
@@ -373,12 +118,16 @@ impl Record {
         answer
     }
 
-    /// Counts an entry that nobody could make.
-    pub fn lose(&self, entry: &Entry) {
+    /// Counts entries that the daemon was too slow to make.
+    pub fn lose(&self, entries: u64) {
         if let Some(inner) = &self.0 {
             let mut shared = inner.lock();
+            shared.lost += entries;
             let running = shared.running.clone();
-            shared.lose(running.as_deref(), entry);
+            match running.and_then(|id| shared.known(&id)) {
+                Some(known) => known.lost.entries += entries,
+                None => shared.unsaid += entries,
+            }
             inner.changed.notify_one();
         }
     }

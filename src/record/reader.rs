@@ -6,8 +6,8 @@
 //!
 //! Bounds: [`MAX_LINE`]; [`MAX_LISTED`] named problems.
 
-use super::Known;
-use super::writer::{DAEMON, OLD, SESSIONS, is_name};
+use super::disk::{DAEMON, OLD, SESSIONS, is_name};
+use super::queue::Known;
 use crate::file::open_regular;
 use jiff::Timestamp;
 use jiff::civil::Date;
@@ -353,6 +353,9 @@ impl Scan {
         match event {
             "session-started" | "session-ended" => {
                 let Whole { session, lines } = serde_json::from_slice(line).ok()?;
+                if session.id != self.session.id {
+                    return None;
+                }
                 self.is_started |= event == "session-started";
                 self.lines = lines;
                 let (lost, release_in_s) = (Losses::default(), None);

@@ -1,6 +1,7 @@
+use super::queue::Stamp;
 use super::*;
 use crate::clock;
-use meissner_api::{EdgeEffect, EdgeRecord, Event, PlayAnswer, Receipt, Terms};
+use meissner_api::{EdgeEffect, EdgeRecord, Event, PlayAnswer, Receipt, Session, Terms};
 use serde_json::{Value, json};
 use std::fs;
 use std::path::Path;

@@ -7,8 +7,11 @@
 //! Invariants: after each message each file ends with a whole line; the numbers of the lines of a
 //! session's file are 1, 2, 3 and so on, and its last line says how many there are.
 
-use super::disk::{Disk, Failure, Left, Open, at, lock, make_dir};
-use super::{Added, Entry, Inner, Location, Message, REPORT_AFTER, STALL, Stamp, Users, json};
+use super::disk::{DAEMON, Disk, Failure, Left, OLD, Open, SESSIONS, at, is_name, lock, make_dir};
+use super::entry::Entry;
+use super::queue::{Added, Inner, Known, Location, Message, REPORT_AFTER, STALL, Stamp};
+use super::users::Users;
+use super::{json, reader};
 use crate::clock;
 use crate::exposure;
 use crossbeam_channel::{Receiver, RecvTimeoutError};
@@ -33,13 +36,8 @@ const RETRY_AFTER: Duration = Duration::from_secs(1);
 /// How long an entry waits for its user's name. After a look-up took longer, entries no longer wait,
 /// because the directory service may hang.
 const NAME_TIMEOUT: Duration = Duration::from_millis(200);
-/// The file of what belongs to no session, and its size when it is renamed.
-pub(super) const DAEMON: &str = "daemon.jsonl";
+/// The size of `daemon.jsonl` when it is renamed.
 const MAX_DAEMON: u64 = 16 << 20;
-/// Older files of it that are kept.
-pub(super) const OLD: u32 = 7;
-/// The directory of the sessions' files.
-pub(super) const SESSIONS: &str = "sessions";
 
 /// A line of a file.
 #[derive(Serialize)]
@@ -355,7 +353,7 @@ impl Recorder {
             let (open, _) = self.disk.open(&path)?;
             if of.left.is_some_and(|left| left != open.left) {
                 // What is left of it is not known: at least one line is gone.
-                let last = super::reader::last_number(&path).unwrap_or(0);
+                let last = reader::last_number(&path).unwrap_or(0);
                 let gone = of.number.saturating_sub(last).max(1);
                 of.number = last;
                 let mut shared = self.inner.lock();
@@ -388,7 +386,7 @@ impl Recorder {
 
     /// Writes what a session's file has lost and does not say.
     fn say_lost(&mut self, place: usize, id: &str) -> Result<(), Failure> {
-        let unsaid = |known: &mut super::Known| {
+        let unsaid = |known: &mut Known| {
             let (lost, said) = (known.lost, known.said);
             (lost != said).then(|| (lost, lost.entries - said.entries, lost.plays - said.plays))
         };
@@ -562,12 +560,6 @@ pub(super) fn line(zone: &TimeZone, stamp: Stamp, number: Option<u64>, entry: &E
     json::write(&mut line, &Line { time, monotonic_ns: stamp.monotonic.as_ns(), number, entry })?;
     line.push(b'\n');
     Ok(line)
-}
-
-/// Whether a file is called as those of sessions are.
-pub(super) fn is_name(name: &str) -> bool {
-    let is_of_id = |c: char| c.is_ascii_alphanumeric() || c == '-';
-    name.strip_suffix(".jsonl").is_some_and(|id| id.starts_with("20") && id.chars().all(is_of_id))
 }
 
 fn ends_with_line(path: &Path) -> io::Result<bool> {

@@ -93,8 +93,7 @@ pub struct SessionStarted {
 #[schema(examples(json!({
     "id": "20261122T083000Z-9f3c", "participant": "P07", "experiment": "edges", "labels": {"block": "2"}, "seed": 42,
     "exclusive": true, "owner": "ada", "started": "2026-11-22T09:30:00.123456+01:00", "ended": null, "reason": null,
-    "plays": 12, "vibration_s": 24.0, "released": false, "release_in_s": 97.5, "lost": {"entries": 0, "plays": 0},
-    "record_problem": null
+    "plays": 12, "vibration_s": 24.0, "released": false, "release_in_s": 97.5, "lost": {"entries": 0, "plays": 0}
 })))]
 pub struct Session {
     /// The session's id.
@@ -127,10 +126,6 @@ pub struct Session {
     pub release_in_s: Option<f64>,
     /// What the record is known to have lost of it.
     pub lost: Losses,
-    /// While it runs: why the daemon cannot record it at present, so that it takes no plays unless its record is optional. Null: it
-    /// can, or it keeps no record.
-    #[serde(default)]
-    pub record_problem: Option<String>,
     /// In the status: whether the client that asks shows the token of this session. Missing elsewhere.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub mine: Option<bool>,

@@ -40,6 +40,9 @@ impl Publisher {
         if let Some(entry) = Entry::of(event, client) {
             self.record.add(entry);
         }
+        if let Event::Lost { events } = event {
+            self.record.lose(*events);
+        }
         self.announce(event);
     }
 

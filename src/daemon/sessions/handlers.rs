@@ -89,7 +89,11 @@ pub(in crate::daemon) async fn end(
         let record = app.engine.record();
         // Wait for the disk: only then it is known which entries it did not take.
         let _ = record.written(WRITTEN_AT_END).await;
-        (ended.lost, ended.record_problem) = (record.lost_of(&ended.id), record.problem());
+        ended.lost = record.lost_of(&ended.id);
+        if record.problem().is_some() {
+            // At least its end has no line now.
+            ended.lost.entries = ended.lost.entries.max(1);
+        }
         Ok(Json(ended))
     }
     .await;

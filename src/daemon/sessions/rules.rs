@@ -145,7 +145,7 @@ impl State {
         let mut session = self.session()?;
         session.vibration_s = self.exposure.end_session();
         (session.ended, session.reason) = (Some(clock::local_text()), Some(reason.to_owned()));
-        (session.release_in_s, session.record_problem) = (None, None);
+        session.release_in_s = None;
         self.sessions.running = None;
         self.rights_changed();
         self.publish(&Event::SessionEnded { session: Box::new(session.clone()) });
@@ -230,7 +230,6 @@ impl State {
         let lost = self.publisher.record.lost_of(&session.id);
         Some(Session {
             lost,
-            record_problem: self.publisher.record.problem(),
             vibration_s: self.exposure.session_s(),
             release_in_s: left.map(|left| left.as_secs_f64()),
             ..session.clone()
