@@ -12,7 +12,7 @@ import queue
 import socket
 import threading
 from collections.abc import Callable
-from contextlib import closing
+from contextlib import closing, suppress
 from urllib.parse import urlsplit
 
 from ._endpoint import Endpoint
@@ -24,6 +24,8 @@ from .errors import ApiError, MeissnerError, UnexpectedAnswer
 
 _TIMEOUT = 5.0
 """How long an answer may take, s."""
+_OTHER = 0.25
+"""How long an answer waits for that to the other order, s."""
 _CHECK_TIMEOUT = 2.0
 """How long a connection to the own port may take when the client connects, s."""
 
@@ -54,9 +56,12 @@ def _problem(core: Core) -> BaseException | None:
         except RuntimeError:  # At its end Python starts no threads.
             order(*way)
     found = {}
-    for _ in range(2):
+    for left in (1, 0):
         is_api, problem = problems.get()
         if problem is None:
+            # The other order must not arrive after a `reset()` that follows this one.
+            with suppress(queue.Empty):
+                problems.get(timeout=left * _OTHER)
             return None
         found[is_api] = problem
     return found[True]

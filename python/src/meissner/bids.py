@@ -22,7 +22,7 @@ from ._bids_names import SESSION_SOURCE, SOURCE, Names, source, with_participant
 from ._bids_names import label as label
 from ._labels import Labels
 from ._rows import stimuli as stimuli_of
-from ._text_file import replacing, text_of
+from ._text_file import replacing
 from .errors import BidsConflict, MeissnerError
 from .motions import pattern_toml
 
