@@ -126,7 +126,7 @@ impl Pin {
 #[derive(Clone, Debug)]
 struct Pins<'a> {
     moves: &'a [Live],
-    holds: &'a [(usize, u32)],
+    holds: &'a [(Tick, u32)],
     pins: [Pin; MOTORS],
     /// The queued moves of each motor, and how many have passed.
     queues: [(Vec<usize>, usize); MOTORS],
@@ -216,7 +216,7 @@ impl<'a> Pins<'a> {
         let late = late
             .filter(|live| usize::from(live.to.motor) == motor && live.to.tick > begun && live.to.tick < now);
         let level = late.map(|live| live.to.level).filter(|&level| level < goal).min().filter(|_| by_late);
-        if level.is_none() && (by_late || now - still_since <= self.hold(order)) {
+        if level.is_none() && (by_late || now - still_since <= self.hold(now)) {
             self.wrong(now, &format!("motor {motor} is lowered without a reason"));
         }
         let pin = &mut self.pins[motor];
@@ -225,9 +225,9 @@ impl<'a> Pins<'a> {
         pin.set_goal(level.unwrap_or(0).min(pin.height));
     }
 
-    /// For how long pins may be held, by what was sent before an event.
-    fn hold(&self, order: usize) -> u64 {
-        let last = self.holds.iter().rev().find(|&&(said, _)| said < order);
+    /// For how long pins may be held at a tick, by the last play that has begun.
+    fn hold(&self, now: Tick) -> u64 {
+        let last = self.holds.iter().rev().find(|&&(from, _)| from <= now);
         last.map_or(Array::paper().layout().least_hold(), |&(_, hold)| hold).into()
     }
 
@@ -450,7 +450,7 @@ impl<'a> Pins<'a> {
     fn check_held(&mut self, motor: usize, now: Tick) {
         let Pin { height, goal, burst, still_since, told, .. } = self.pins[motor];
         let holds = self.holds.iter().map(|&(_, hold)| u64::from(hold));
-        let longest = holds.max().unwrap_or(0).max(self.hold(0)) + HOLD_SLACK;
+        let longest = holds.max().unwrap_or(0).max(self.hold(Tick(0))) + HOLD_SLACK;
         // One that waits for its turn is held no longer.
         let until = if goal < height { told } else { now };
         if height > 0 && burst.is_none() && until - still_since > longest {

@@ -69,8 +69,8 @@ pub(super) struct Plan {
     pub(super) moves: Vec<Live>,
     /// In order of time.
     pub(super) steps: Vec<(Tick, Step)>,
-    /// The ticks for which plays say that pins may be held, with the events that said so.
-    pub(super) holds: Vec<(usize, u32)>,
+    /// For how many ticks plays let pins be held, and from when on.
+    pub(super) holds: Vec<(Tick, u32)>,
     pub(super) out: Expected,
     /// Pulses of the seek that the last command asks for.
     seek: u16,
@@ -159,7 +159,7 @@ impl Plan {
         if let Some(mark) = play {
             let array = Array::paper();
             let (least, longest) = (array.layout().least_hold(), array.layout().longest_hold());
-            self.holds.push((order, mark.hold.clamp(least, longest)));
+            self.holds.push((batch.base, mark.hold.clamp(least, longest)));
         } else if let Some(withdraw) = batch.withdraw {
             let from = |live: &&mut Live| live.frame.0 == batch.epoch && live.since >= batch.base;
             for live in self.moves.iter_mut().filter(from) {
