@@ -110,6 +110,9 @@ pub struct Known {
     pub(super) is_written: bool,
 }
 
+/// A session, a user, and a command or event.
+type LeftOutOf = (Option<Arc<str>>, Option<u32>, &'static str);
+
 /// What the thread and the callers share.
 #[derive(Debug)]
 pub(super) struct Shared {
@@ -130,8 +133,8 @@ pub(super) struct Shared {
     pub(super) unsaid: u64,
     /// Of the running session's file, of `daemon.jsonl`, and for emergency stops.
     pub(super) buckets: [Bucket; 3],
-    /// What was left out, by session, user, and command or event.
-    pub(super) left_out: BTreeMap<(Option<Arc<str>>, Option<u32>, &'static str), u64>,
+    /// What was left out.
+    pub(super) left_out: BTreeMap<LeftOutOf, u64>,
     pub(super) left_out_since: Option<HostInstant>,
     /// Texts that the running session's file has, by SHA-256, and bytes of texts that wait.
     pub(super) texts: HashSet<String>,

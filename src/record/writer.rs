@@ -262,12 +262,12 @@ impl Recorder {
     }
 
     fn try_write(&mut self, id: Option<&str>, stamp: Stamp, entry: &Entry) -> Result<(), Failure> {
-        let Some(at) = self.place(id) else { return self.to_daemon(stamp, entry) };
+        let Some(at) = self.place(id) else { return self.write_to_daemon(stamp, entry) };
         match entry {
             Entry::SessionStarted { .. } | Entry::SessionEnded { .. } => self.complete(at),
             entry => {
                 self.complete(at)?;
-                self.to_session(at, stamp, entry)
+                self.write_to_session(at, stamp, entry)
             }
         }
     }
@@ -366,17 +366,17 @@ impl Recorder {
         }
         if of.number == 0 {
             let (stamp, start) = of.start.clone();
-            self.to_session(place, stamp, &start)?;
+            self.write_to_session(place, stamp, &start)?;
             self.note(&id, false)?;
         }
         self.say_lost(place, &id)?;
         let Some((stamp, end)) = self.sessions[place].end.clone() else { return Ok(()) };
         if let Some(left_out) = self.left_out(Some(&id)) {
-            self.to_session(place, stamp, &left_out)?;
+            self.write_to_session(place, stamp, &left_out)?;
         }
         let lines = self.sessions[place].number + 1;
         let Entry::SessionEnded { session, .. } = end else { return Ok(()) };
-        self.to_session(place, stamp, &Entry::SessionEnded { session, lines })?;
+        self.write_to_session(place, stamp, &Entry::SessionEnded { session, lines })?;
         self.sessions[place].is_over = true;
         if let Some(known) = self.inner.lock().known(&id) {
             known.is_written = true;
@@ -392,7 +392,7 @@ impl Recorder {
         };
         let unsaid = self.inner.lock().known(id).and_then(unsaid);
         let Some((lost, entries, plays)) = unsaid else { return Ok(()) };
-        self.to_session(place, Stamp::now(), &Entry::Lost { entries, plays })?;
+        self.write_to_session(place, Stamp::now(), &Entry::Lost { entries, plays })?;
         if let Some(known) = self.inner.lock().known(id) {
             known.said = lost;
         }
@@ -402,11 +402,11 @@ impl Recorder {
     /// Notes in `daemon.jsonl` that a session has begun or ended, so that a missing file is noticed.
     fn note(&mut self, id: &str, ended: bool) -> Result<(), Failure> {
         let entry = Entry::Session { id: id.to_owned(), ended };
-        let noted = self.to_daemon(Stamp::now(), &entry);
+        let noted = self.write_to_daemon(Stamp::now(), &entry);
         noted.inspect_err(|_| self.inner.lock().lose(None, &entry))
     }
 
-    fn to_session(&mut self, place: usize, stamp: Stamp, entry: &Entry) -> Result<(), Failure> {
+    fn write_to_session(&mut self, place: usize, stamp: Stamp, entry: &Entry) -> Result<(), Failure> {
         let Some(of) = self.sessions.get_mut(place) else { return Ok(()) };
         let Some(open) = &mut of.open else {
             return Err(at(Path::new(&*of.id))(io::Error::other("the file is not open")));
@@ -450,7 +450,7 @@ impl Recorder {
         Ok(())
     }
 
-    fn to_daemon(&mut self, stamp: Stamp, entry: &Entry) -> Result<(), Failure> {
+    fn write_to_daemon(&mut self, stamp: Stamp, entry: &Entry) -> Result<(), Failure> {
         self.open_daemon()?;
         self.append_daemon(stamp, entry)
     }

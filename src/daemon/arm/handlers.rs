@@ -32,7 +32,7 @@ async fn simple_command(
     command: Command,
     timeout: Duration,
 ) -> Answer<Json<Status>> {
-    let logged = LoggedRequest::of(&app.engine, name, &by);
+    let logged = LoggedRequest::of(&app.engine, name, by);
     let result = async {
         parse_empty(&body::read_command(body).await?)?;
         carry_out(app, by, command, timeout).await

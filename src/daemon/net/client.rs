@@ -20,7 +20,7 @@ const HEAD: Duration = Duration::from_secs(5);
 /// How long a client may be idle between two requests: as long as a break between two blocks of an experiment. Then, how long if
 /// others need its place: its answer is written until then.
 const KEPT: Duration = Duration::from_secs(600);
-const IDLE: Duration = Duration::from_millis(100);
+pub(in crate::daemon) const IDLE: Duration = Duration::from_millis(100);
 /// How long a client may leave its answers unread. Then, how long if others need its place.
 const UNREAD: Duration = Duration::from_secs(10);
 const BLOCKED: Duration = Duration::from_secs(1);

@@ -10,7 +10,7 @@
 use crate::daemon::core::engine::Engine;
 use crate::daemon::net::answer::{ErrorResponse, answer_alone};
 use crate::daemon::net::bounds::Bounds;
-use crate::daemon::net::client::{Arriving, Client, Waits, Watched};
+use crate::daemon::net::client::{Arriving, Client, IDLE, Waits, Watched};
 use crate::daemon::net::estop::Asked;
 use crate::record::{NetworkPeer, Peer};
 use axum::Router;
@@ -35,7 +35,7 @@ use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite};
 use tokio::net::{TcpListener, TcpStream, UnixListener};
 use tokio::sync::{mpsc, watch};
 use tokio::task::{AbortHandle, Id, JoinSet, yield_now};
-use tokio::time::{Instant, MissedTickBehavior, interval, sleep, timeout};
+use tokio::time::{Instant, MissedTickBehavior, interval, sleep, sleep_until, timeout};
 use tower::ServiceExt;
 use tracing::{debug, warn};
 
@@ -100,6 +100,7 @@ impl Server {
         let mut look = interval(LOOK_EVERY);
         look.set_missed_tick_behavior(MissedTickBehavior::Delay);
         loop {
+            let full = [false, true].map(|is_network| self.full_until(is_network));
             tokio::select! {
                 Some(asked) = asked.recv() => {
                     // Beyond the bound it is not recorded: the device does not answer, and the earlier ones are recorded.
@@ -108,7 +109,7 @@ impl Server {
                         self.others.spawn(asked.answer(Arc::clone(&self.engine)));
                     }
                 }
-                accepted = unix.accept() => match accepted {
+                accepted = unix.accept(), if full[0].is_none() => match accepted {
                     Ok((stream, _)) => {
                         let peer = stream.peer_cred().ok().and_then(|peer| Some((peer.pid()?, peer.uid())));
                         let peer = peer.map_or(Peer::UNKNOWN, |(pid, uid)| Peer::local(pid, uid));
@@ -116,7 +117,7 @@ impl Server {
                     }
                     Err(_) => self.make_room(false).await,
                 },
-                Some(accepted) = accept(tcp.as_ref()) => match accepted {
+                Some(accepted) = accept(tcp.as_ref()), if full[1].is_none() => match accepted {
                     Ok((stream, address)) => {
                         let network = NetworkPeer { address: address.ip().to_canonical(), token: None };
                         set_options(&stream);
@@ -124,6 +125,7 @@ impl Server {
                     }
                     Err(_) => self.make_room(true).await,
                 },
+                () = sleep_until(full[0].or(full[1]).unwrap_or_else(Instant::now)), if full != [None; 2] => {}
                 Some(ended) = self.tasks.join_next_with_id() => {
                     let id = ended.map_or_else(|error| error.id(), |(id, ())| id);
                     self.clients.remove(&id);
@@ -145,11 +147,7 @@ impl Server {
         S: AsyncRead + AsyncWrite + Send + Unpin + 'static,
     {
         let is_network = peer.network.is_some();
-        let of_network = self.clients.values().filter(|(_, client)| client.peer.network.is_some()).count();
-        // A network client displaces only network clients.
-        let is_full =
-            self.clients.len() >= self.bounds.clients || is_network && of_network >= self.bounds.network;
-        if is_full && !self.evict(is_network) {
+        if self.is_full(is_network) && !self.evict(is_network) {
             self.counts.refused.fetch_add(1, Ordering::Relaxed);
             if self.others.len() < 2 * self.bounds.estops {
                 self.others.spawn(refuse(stream, self.bounds.clients));
@@ -165,16 +163,39 @@ impl Server {
         yield_now().await;
     }
 
-    /// Ends the connection of a client for which the server waits, with `network_only` of a network client; returns whether there was
-    /// one.
-    fn evict(&mut self, network_only: bool) -> bool {
-        let clients =
-            self.clients.iter().filter(|(_, (_, client))| client.peer.network.is_some() || !network_only);
-        let waited = clients.filter_map(|(id, (_, client))| {
+    /// Whether a further client has no place.
+    fn is_full(&self, is_network: bool) -> bool {
+        let is_of_network = |(_, client): &&(AbortHandle, Arc<Client>)| client.peer.network.is_some();
+        let of_network = || self.clients.values().filter(is_of_network).count();
+        self.clients.len() >= self.bounds.clients || is_network && of_network() >= self.bounds.network
+    }
+
+    /// Until when the next client is not accepted: another has had its answer just now, and then leaves its place.
+    fn full_until(&self, is_network: bool) -> Option<Instant> {
+        let due =
+            self.is_full(is_network).then(|| self.waited(is_network).map(|(_, due, ..)| due).min())??;
+        let now = Instant::now();
+        (now < due && due <= now + IDLE).then_some(due)
+    }
+
+    /// The clients for which the server waits: whether the gate knows each, from when on another may displace it, and since when it
+    /// waits. A network client displaces only network clients.
+    fn waited(&self, network_only: bool) -> impl Iterator<Item = (bool, Instant, Instant, Id)> {
+        let clients = self.clients.iter();
+        let clients = clients.filter(move |(_, (_, it))| it.peer.network.is_some() || !network_only);
+        clients.filter_map(|(id, (_, client))| {
             let (since, patience, _) = client.due()?;
-            (since.elapsed() >= patience).then_some((client.is_known(), since, *id))
-        });
-        let Some((.., id)) = waited.min() else { return false };
+            Some((client.is_known(), since + patience, since, *id))
+        })
+    }
+
+    /// Ends the connection of a client for which the server waits; returns whether there was one.
+    fn evict(&mut self, network_only: bool) -> bool {
+        let now = Instant::now();
+        let due = self.waited(network_only).filter(|(_, due, ..)| *due <= now);
+        let Some((.., id)) = due.min_by_key(|(is_known, _, since, _)| (*is_known, *since)) else {
+            return false;
+        };
         if let Some((handle, _)) = self.clients.remove(&id) {
             handle.abort();
         }

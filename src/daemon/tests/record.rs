@@ -225,7 +225,7 @@ fn whatever_somebody_does_to_the_files_is_said_by_name() {
     const OTHER: &str = "20200101T000000Z-000000.jsonl";
     let found: [Found; 15] = [
         (|_, file| drop(File::create(file).unwrap()), "is empty", false),
-        (|_, file| fs::write(file, &lines(file)[..4].concat()).unwrap(), "is cut", false),
+        (|_, file| fs::write(file, lines(file)[..4].concat()).unwrap(), "is cut", false),
         (
             |_, file| fs::write(file, &fs::read(file).unwrap()[..1000]).unwrap(),
             "not a line of a session",
