@@ -2,8 +2,7 @@
 //!
 //! A daemon with a simulated array runs in this process; requests enter where its server would hand them over. An input is up to
 //! four requests, each a line with method and address, headers, an empty line, and a body; or, behind a byte 255, what the port for
-//! emergency stops gets. The daemon keeps its state between
-//! two inputs: a finding may need those before it.
+//! emergency stops gets. The daemon keeps its state between two inputs: a finding may need those before it.
 
 use arbitrary::Unstructured;
 use axum::body::Body;

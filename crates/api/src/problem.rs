@@ -120,8 +120,6 @@ codes! {
     Empty = ("empty", 422, "Nothing would be played"),
     /// The queue holds 16 plays.
     QueueFull = ("queue-full", 429, "Too many plays are queued"),
-    /// The session record has no room for more plays at this rate.
-    TooManyPlays = ("too-many-plays", 429, "Too many plays for the session record"),
     /// The daemon cannot read or write its files.
     Store = ("store", 500, "The daemon cannot use its files"),
     /// No device is connected.

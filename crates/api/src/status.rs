@@ -228,7 +228,7 @@ pub struct ArmedStatus {
 /// The emergency stops.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct EStopStatus {
-    /// How many were ordered since the daemon began.
+    /// How many orders have come since the daemon began. Clients send one by two ways at once, and both count.
     pub orders: u64,
     /// By when the device had confirmed the last one, ms after its order: all lines were off by then. Null: it has confirmed none.
     pub off_ms: Option<f64>,

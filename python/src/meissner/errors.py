@@ -265,10 +265,6 @@ class OtherArray(ApiError, code="other-array", advice="find a pattern for this o
     """The pattern is for another array than the daemon's."""
 
 
-class TooManyPlays(ApiError, code="too-many-plays", advice="put many short plays into one `sequence()`"):
-    """The session record has no room for more plays at this rate."""
-
-
 class StoreError(ApiError, code="store", advice="look at the disk of the daemon's PC"):
     """The daemon cannot use its files."""
 

@@ -310,7 +310,7 @@ impl Estimator {
     /// Adds a burst, later than all others. Returns the oldest one if it had to make room.
     pub(super) fn begin(&mut self, burst: Burst) -> Option<Travel> {
         let over = if self.window.is_full() {
-            self.blind_until = self.settles_at(&self.window[0].burst);
+            self.blind_until.0 = self.blind_until.0.max(self.settles_at(&self.window[0].burst).0);
             Some(self.merge(0))
         } else {
             None
