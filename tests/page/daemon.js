@@ -105,8 +105,9 @@ export async function open(browser, daemon, width = 1400, height = 1000, view = 
   // What a selector waits for may follow a rendering, as the first pose of a live play does.
   page.setDefaultTimeout(WAIT.timeout);
   page.complaints = [];
-  // The port for emergency stops refuses the question whether it is there.
-  const isExpected = (message) => message.text().includes("405") && message.location().url.endsWith("/v1/estop");
+  // The port for emergency stops refuses the question whether it is there, and a proxy has none.
+  const isExpected = (message) =>
+    `${message.text()} ${message.location().url}`.includes("/v1/estop") && /405|Content Security Policy|ERR_CONNECTION_REFUSED/.test(message.text());
   page.on("console", (message) => message.type() === "error" && !isExpected(message) && page.complaints.push(`${message.text()} ${message.location().url}`));
   page.on("pageerror", (error) => page.complaints.push(String(error)));
   // The daemon ends a live play of a page that is silent for a second: beside a build, pages are.
