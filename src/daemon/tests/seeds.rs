@@ -86,8 +86,6 @@ struct Life {
     ordered_s: f64,
     /// What the wall clock was set by when the daemon began, ns.
     wall_set: i64,
-    /// How many entries the last event about the record has said to be lost.
-    losses_said: u64,
     /// Whether the disk has taken all so far.
     disk_was_good: bool,
     /// Whether the array and its line were good so far.
@@ -274,7 +272,6 @@ impl World {
             let now_s = self.now_s();
             match serde_json::from_str(data).unwrap() {
                 Event::Began { id, .. } => assert!(self.life.began.insert(id), "play {id} begins twice"),
-                Event::RecordProblem { lost, .. } => self.life.losses_said = lost,
                 Event::Ended { receipt } => {
                     let before = self.life.ended.insert(receipt.id, now_s);
                     assert!(before.is_none(), "play {} ends twice", receipt.id);

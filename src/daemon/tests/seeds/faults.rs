@@ -39,10 +39,14 @@ pub(super) struct Trouble {
     dead_since_s: Option<f64>,
     /// Since when it takes nothing, s.
     nothing_since_s: Option<f64>,
+    /// When it stood still last, s.
+    stalled_s: Option<f64>,
 }
 
 /// The array's lease, and a return of all pins, s.
 const LEASE_OVER_S: f64 = 0.5;
+/// How long a disk that works again takes for what has waited, s.
+const DRAINED_S: f64 = 0.1;
 /// How long the effects of a fault last, s: the link needs some seconds to trust a device again.
 const AFTER_S: f64 = 8.0;
 
@@ -63,6 +67,11 @@ impl Trouble {
         let since_s = self.nothing_since_s.unwrap_or(now_s);
         self.nothing_since_s = takes_nothing.then_some(since_s);
         self.nothing_since_s
+    }
+
+    /// Whether entries may wait for a disk that stands still, or did until just now.
+    pub(super) fn disk_stalls(&self, now_s: f64) -> bool {
+        DISK_STALLS.get() || self.stalled_s.is_some_and(|at_s| now_s < at_s + DRAINED_S)
     }
 
     /// Whether the array has heard nothing for so long that its lease is over and all pins are down.
@@ -209,7 +218,10 @@ pub(super) fn end_due(world: &mut World) {
             Fault::Hangs => shared.hangs = false,
             Fault::Lies => shared.liar = None,
             Fault::Disk => heal_disk(),
-            Fault::Stall => DISK_STALLS.set(false),
+            Fault::Stall => {
+                DISK_STALLS.set(false);
+                world.trouble.stalled_s = Some(now_s);
+            }
         }
     }
 }

@@ -1,7 +1,7 @@
 //! The rules that hold whatever happens, each in a sentence.
 
 use super::{Life, World};
-use crate::daemon::tests::bench::{Client, DISK_STALLS};
+use crate::daemon::tests::bench::Client;
 use meissner_api::{ErrorSource, PlayState, Receipt, Session, SessionList, SessionPlays, Status};
 use serde_json::{Value, json};
 use std::collections::BTreeSet;
@@ -35,6 +35,8 @@ pub(super) struct Before {
     /// Whether an order is so young that what it has written may still wait for the disk.
     is_young: bool,
     stalls: bool,
+    /// Entries that the status says are lost.
+    lost: u64,
 }
 
 /// Who shows the token of a session that is over may change nothing, and during an exclusive session only its owner may.
@@ -141,7 +143,8 @@ pub(super) fn before_kill(world: &mut World) -> Before {
     let known = status.session.is_none() && world.trouble.disk_is_good(at_s) && !is_set;
     let day_used_s = known.then_some(status.participant.day_used_s);
     let is_young = at_s <= world.life.ordered_s + WRITTEN_S;
-    Before { at_s, day_used_s, is_young, stalls: DISK_STALLS.get() }
+    let lost = status.daemon.logbook_lost;
+    Before { at_s, day_used_s, is_young, stalls: world.trouble.disk_stalls(at_s), lost }
 }
 
 /// What must be true after a kill.
@@ -181,9 +184,9 @@ fn each_play_is_recorded_or_lost(before: &Before, life: &Life, lines: &[u64], lo
     let due = |at_s: f64| !before.stalls && at_s < before.at_s - 0.1;
     let missing = life.ended.iter().filter(|&(id, &at_s)| due(at_s) && !kept.contains(id)).count() as u64;
     assert!(
-        missing <= lost.max(life.losses_said),
-        "{missing} plays are missing, {lost} entries are said to be, and {} by an event",
-        life.losses_said
+        missing <= lost.max(before.lost),
+        "{missing} plays are missing, {lost} entries are said to be, and {} by the status",
+        before.lost
     );
 }
 
