@@ -22,15 +22,12 @@ const CORRECTED_UM: f64 = 30.0;
 const REPORTED_S: f64 = 5.0;
 /// What waits for the disk is written within this time, s: the writer pauses for a millisecond, and the runtime ends pauses at whole ones.
 const WRITTEN_S: f64 = 0.002;
-/// What a kill before that may lose, s. A play waits until its time is on the disk; a reset or arm, with which pins may come down, does
-/// not: 35 ms in which all come down from the top, and half a second before it that counts with it.
-const UNWRITTEN_S: f64 = 0.54;
 
 /// What was known before a kill.
 #[derive(Debug)]
 pub(super) struct Before {
     at_s: f64,
-    /// Vibration of the day, of whom and when, if the disk had it.
+    /// Vibration of the day, of whom and when, if the disk has it.
     day_used_s: Option<f64>,
     /// Whether an order is so young that what it has written may still wait for the disk.
     is_young: bool,
@@ -140,9 +137,10 @@ fn no_pin_stays_up(world: &World, status: &Status, now_s: f64) {
 pub(super) fn before_kill(world: &mut World) -> Before {
     let (status, at_s) = (world.status(), world.now_s());
     let is_set = world.machine.wall_set != world.life.wall_set;
-    let known = status.session.is_none() && world.trouble.disk_is_good(at_s) && !is_set;
-    let day_used_s = known.then_some(status.participant.day_used_s);
     let is_young = at_s <= world.life.ordered_s + WRITTEN_S;
+    // The sum of a young order counts what it has reserved, and a play begins when that is on the disk.
+    let known = status.session.is_none() && world.trouble.disk_is_good(at_s) && !is_set && !is_young;
+    let day_used_s = known.then_some(status.participant.day_used_s);
     let lost = status.daemon.logbook_lost;
     Before { at_s, day_used_s, is_young, stalls: world.trouble.disk_stalls(at_s), lost }
 }
@@ -190,13 +188,12 @@ fn each_play_is_recorded_or_lost(before: &Before, life: &Life, lines: &[u64], lo
     );
 }
 
-/// A kill makes no sum of vibration smaller, but by a return whose order is younger than [`WRITTEN_S`].
+/// A kill makes no sum of vibration smaller.
 fn sums_survive(world: &mut World, before: &Before) {
     let after = world.status().participant;
     if let Some(used_s) = before.day_used_s {
         let same_day = world.now_s() < before.at_s + 60.0;
-        let loses_s = if before.is_young { UNWRITTEN_S } else { 1e-6 };
-        assert!(!same_day || after.day_used_s >= used_s - loses_s, "{used_s} s were {} s", after.day_used_s);
+        assert!(!same_day || after.day_used_s >= used_s - 1e-6, "{used_s} s were {} s", after.day_used_s);
     }
 }
 
