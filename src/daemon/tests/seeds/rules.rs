@@ -124,7 +124,8 @@ fn no_pin_stays_up(world: &World, status: &Status, now_s: f64) {
     let is_idle = status.play.is_none() && status.queued.is_empty();
     let longest_s = if is_idle { 5.0 } else { 65.0 };
     let cut = ["estop", "output", "panic", "watchdog"].contains(&&*status.cause);
-    let may_stand = status.state == "faulted" && cut;
+    // A pin that stood while its place was not known comes down after the next `arm`.
+    let may_stand = status.state == "faulted" && cut || status.state == "returning";
     for motor in 0..status.motors.len() {
         let rests_s = now_s - world.truth.pulsed_s[motor].max(world.life.began_s);
         let is_due = rests_s > longest_s && status.position == "known" && !may_stand;
