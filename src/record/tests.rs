@@ -1,3 +1,5 @@
+//! The record on a simulated disk: what its lines say, its bounds, and its lock.
+
 use super::queue::Stamp;
 use super::*;
 use crate::clock;

@@ -226,7 +226,7 @@ impl Recorder {
             return;
         }
         match self.try_write(id, stamp, &entry) {
-            // Whoever waited for it has been told that it has no line.
+            // Its client has the answer that there is no line.
             Ok(()) if told.is_some_and(|told| told.send(()).is_err()) => self.take_back(id),
             Ok(()) => self.inner.lock().no_longer_waits(&entry),
             Err(failure) => {
