@@ -24,9 +24,9 @@ fn a_device_without_telemetry_plays_a_plan_for_a_laser_and_takes_its_gains() {
         let line = complains(arguments);
         assert!(line.contains(says), "{line}");
     }
-    let arguments = "calibrate --plan --motor 5 --pulses 7,70,140 --repetitions 1 -o plan.json".split(' ');
+    let arguments = "calibrate --plan --motor 5 --pulses 7,70 --repetitions 1 -o plan.json".split(' ');
     let text = printed(daemon.meissner().args(arguments));
-    assert!(text.contains("60 of motor 5 in 8 s, all played") && text.contains("`meissner.laser`"), "{text}");
+    assert!(text.contains("40 of motor 5 in 5 s, all played") && text.contains("`meissner.laser`"), "{text}");
     let plan: Value = serde_json::from_str(&fs::read_to_string(daemon.path("plan.json")).unwrap()).unwrap();
     let status: Value = daemon.client().get("/v1/status").unwrap();
     assert_eq!((&plan["identity"], &plan["motor"]), (&status["link"]["identity"], &5.into()));
@@ -38,13 +38,13 @@ fn a_device_without_telemetry_plays_a_plan_for_a_laser_and_takes_its_gains() {
         let slope = gain * plan["um_per_pulse"].as_f64().unwrap();
         format!(
             "gain = {gain:?}\nslope_um_per_pulse = {slope:?}\nslope_se_um_per_pulse = 0.001\noffset_um = 0.0\n\
-             relative_sd = 0.1\nblocks = 27\n"
+             relative_sd = 0.1\nblocks = 18\n"
         )
     };
     let text = |key: &str| plan[key].as_str().unwrap().to_owned();
     let calibration = format!(
         "format = 2\narray = {:?}\narray_hash = {:?}\n[[motor]]\nmotor = 5\n[motor.up]\n{}[motor.down]\n{}[provenance]\n\
-         device = {:?}\nfirmware = {:?}\nidentity = {:?}\ntelemetry = \"laser\"\npulses = {}\nrepetitions = {}\ngroups = 3\n\
+         device = {:?}\nfirmware = {:?}\nidentity = {:?}\ntelemetry = \"laser\"\npulses = {}\nrepetitions = {}\ngroups = 2\n\
          um_per_pulse = {}\ndate = {:?}\n",
         text("array"),
         text("array_hash"),

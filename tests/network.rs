@@ -216,7 +216,7 @@ fn clients_of_the_network_leave_places_to_those_of_the_socket_and_to_emergency_s
         }
         // A panic here must end the flood, too.
         let result = catch_unwind(|| {
-            for _ in 0..50 {
+            for _ in 0..20 {
                 assert_answers(&ask(&beside(&address), "POST /v1/estop", ""), 200, "");
                 // Use a new client of the socket each time.
                 daemon.client().get::<Value>("/v1/status").unwrap();
@@ -227,7 +227,7 @@ fn clients_of_the_network_leave_places_to_those_of_the_socket_and_to_emergency_s
     });
     result.unwrap();
     drop((held, silent, slow));
-    assert_eq!(daemon.client().get::<Status>("/v1/status").unwrap().estop.orders - before, 50);
+    assert_eq!(daemon.client().get::<Status>("/v1/status").unwrap().estop.orders - before, 20);
 }
 
 fn clients_without_a_token_are_displaced_first(daemon: &Daemon) {

@@ -24,7 +24,7 @@ fn a_command_that_waits_keeps_the_motors_armed_until_it_is_killed() {
     let daemon = Daemon::start();
     let mut events = daemon.client().events().unwrap();
     command(&daemon, &["arm", "--assume-rest", "--silence", "2"]);
-    let played = command(&daemon, &["play", "pin-60", "--seconds", "5", "--wait"]);
+    let played = command(&daemon, &["play", "pin-60", "--seconds", "3", "--wait"]);
     assert_eq!(played["state"], "done", "{played}");
     assert_eq!(ended(&mut events).state, PlayState::Done);
     let mut child = Command::new(crate::harness::PROGRAM)

@@ -76,11 +76,7 @@ impl Daemon {
         let (commands, events, realtime, streamer) =
             meissner_stream::spawn(config.settings).map_err(system("streamer's thread"))?;
         if !(realtime.fifo && realtime.mlock) {
-            warn!(
-                fifo = realtime.fifo,
-                mlock = realtime.mlock,
-                "without real-time rights strokes may come late: see `meissner doctor`"
-            );
+            warn!("without real-time rights strokes may come late: see `meissner doctor`");
         }
         let users = Arc::default();
         let record = Record::start(config.logbook.clone(), Arc::clone(&users))

@@ -20,7 +20,8 @@ impl Kept {
         let kept = Self::default();
         let writer = kept.clone();
         let layers = Targets::new().with_default(Level::INFO);
-        let log = tracing_subscriber::registry().with(layers).with(lines(move || writer.clone(), false));
+        let log =
+            tracing_subscriber::registry().with(layers).with(lines(move || writer.clone(), false, false));
         (kept, tracing::subscriber::set_default(log))
     }
 

@@ -15,41 +15,39 @@ pub(in crate::daemon) fn log(engine: &Engine, event: &Event) {
     match event {
         Event::Connected { device } => {
             let (kind, firmware, boot) = (&*device.kind, &*device.firmware, device.boot);
-            info!(kind, firmware, boot, "device connected: {kind}, firmware {firmware}, boot {boot}");
+            info!("device connected: {kind}, firmware {firmware}, boot {boot}");
             if device.simulated && device.telemetry {
                 info!("telemetry: {ON_NO_BOARD}");
             }
         }
         Event::Disconnected { reason } if *reason == EndCause::AnotherDevice => info!("{reason}"),
         Event::Disconnected { reason } => {
-            warn!(cause = reason.text(), "device disconnected: {reason}");
+            warn!("device disconnected: {reason}");
         }
         Event::Ended { receipt } => log_play(engine, receipt),
         Event::SensorFault { motor, fault } => {
             let cause = fault.text();
-            warn!(motor, cause, "motor {motor}: {cause}; it plays in open loop until the next `arm`");
+            warn!("motor {motor}: {cause}; it plays in open loop until the next `arm`");
         }
         Event::Contradiction { kind } => {
             warn!(
-                cause = kind,
                 "the device contradicts itself ({kind}): the daemon ignores the message, and turns the device off if \
                  it goes on; `meissner_contradictions_total` counts on"
             );
         }
         Event::Drifted { um } => {
             warn!(
-                um,
                 "without telemetry pins may be {um:.0} um off: `meissner home` between plays, or level them by hand"
             );
         }
         Event::Calibrated { id, motors, problem: None } => {
-            info!(play_id = id, "{} motors calibrated by play {id} and stored", motors.len());
+            info!("{} motors calibrated by play {id} and stored", motors.len());
         }
         Event::Calibrated { id, problem: Some(problem), .. } => {
-            warn!(play_id = id, cause = problem, "play {id} calibrated nothing: {problem}");
+            warn!("play {id} calibrated nothing: {problem}");
         }
         Event::Lost { events } => {
-            warn!(notices = events, "the daemon was too slow for the streamer: {events} events are missing");
+            warn!("the daemon was too slow for the streamer: {events} events are missing");
         }
         _ => {}
     }
@@ -59,13 +57,11 @@ pub(in crate::daemon) fn log(engine: &Engine, event: &Event) {
 fn log_play(engine: &Engine, receipt: &Receipt) {
     let client = engine.take_client(receipt.id);
     let user = client.map_or_else(|| "the daemon".to_owned(), |client| engine.names.user(client.uid));
-    let (id, pattern, cause) = (receipt.id, &*receipt.name, receipt.cause.as_ref().map(EndCause::text));
-    let (uid, tick) = (client.map(|client| client.uid), receipt.onset.map(|onset| onset.actual_tick));
+    let (id, pattern) = (receipt.id, &*receipt.name);
     let wall = clock::now().1.to_zoned(engine.names.zone.clone());
     let outcome = outcome(receipt, HostInstant::now(), &wall);
     // Plays take time on the device, which bounds the number of their lines.
-    let always = true;
-    info!(always, play_id = id, pattern, tick, cause, uid, "play {id} {pattern} by {user}: {outcome}");
+    info!(always = true, "play {id} {pattern} by {user}: {outcome}");
 }
 
 /// The outcome of a play that has just ended, in words.

@@ -72,7 +72,6 @@ impl LoggedRequest {
 
 impl Drop for LoggedRequest {
     fn drop(&mut self) {
-        let Peer { pid, uid, .. } = self.client;
         let (title, client) = (&self.title, self.engine.names.client(self.client));
         let answer = match (self.entry.detail(), &*self.entry.answer) {
             (Some(detail), code) => format!("refused ({code}): {detail}"),
@@ -83,12 +82,12 @@ impl Drop for LoggedRequest {
         let kind = self.entry.command;
         match (kind, &*self.entry.answer) {
             ("play" | "answer", _) => {
-                debug!(pid, uid, play_id = self.entry.play, "{title} by {client}: {answer}");
+                debug!("{title} by {client}: {answer}");
             }
-            ("estop", _) => info!(pid, uid, always = true, "{title} by {client}: {answer}"),
+            ("estop", _) => info!(always = true, "{title} by {client}: {answer}"),
             // Refusals are bounded separately, so that they do not displace lines about carried-out commands.
-            (_, "ok") => info!(pid, uid, kind, "{title} by {client}: {answer}"),
-            _ => info!(pid, uid, kind, "{title} by {client}: {answer}"),
+            (_, "ok") => info!(kind, "{title} by {client}: {answer}"),
+            _ => info!(kind, "{title} by {client}: {answer}"),
         }
         let state = self.engine.lock();
         self.entry.is_of_owner = state.sessions.is_owner(self.token.as_deref());

@@ -15,7 +15,7 @@ use meissner_stream::{Settings, find_longest_hold};
 use meissner_test_support::at_length;
 
 /// Sequences of a run.
-const CASES: u64 = 20_000;
+const CASES: u64 = 5_000;
 /// The time that a stop takes, s.
 const STOP_S: f64 = 0.02;
 /// How long the board plays on after a kill, s: its host watchdog by default.
