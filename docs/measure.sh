@@ -39,9 +39,9 @@ demos() { # LABEL
     sum=$(for _ in $(seq 20); do "$meissner" demo --seconds 5 --json || true; done | python3 -c '
 import json, sys
 runs = [json.loads(line) for line in sys.stdin]
-bursts = {key: sum(run["bursts"][key] for run in runs) for key in ("planned", "played", "late")}
-with_late = sum(run["bursts"]["late"] > 0 for run in runs)
-onset = max(run["onset_latency_ms"] or 0 for run in runs)
+bursts = {key: sum(run["receipt"]["counts"]["bursts"][key] for run in runs) for key in ("planned", "played", "late")}
+with_late = sum(run["receipt"]["counts"]["bursts"]["late"] > 0 for run in runs)
+onset = max(run["receipt"]["onset"]["latency_ms"] for run in runs if run["receipt"]["onset"])
 rest = max(run["rest_error_um"]["closed_loop_rms"] or 0 for run in runs)
 print(len(runs), "demos:", bursts, "with late bursts:", with_late, "longest onset: %.1f ms" % onset,
       "rest error at most %.1f um rms" % rest)')

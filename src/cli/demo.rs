@@ -15,21 +15,19 @@ use super::pattern_file;
 use super::progress::Progress;
 use super::{control, text};
 use crate::config::{Config, Listen, MAX_LEASE_MS, PatternsDir};
-use crate::daemon::{Daemon, Hosted};
+use crate::daemon::Daemon;
 use crate::doctor::device::ON_NO_BOARD;
 use crate::exposure::ParticipantLimits;
-use crate::receipts::end_text;
 use crate::store::Store;
 use anyhow::{Context, Result, bail};
 use firmware_protocol::stroke::Direction;
 use meissner_api::{
-    ArmRequest, BurstCounts, DurationRecord, EndCause, Item, LinkTraffic, Order, OrderedCounts,
-    PatternChoice, PlayAccepted, PulseCounts, Realtime, Receipt, Status, Terms,
+    ArmRequest, Item, LinkTraffic, Order, PatternChoice, PlayAccepted, Realtime, Receipt, Status, Terms,
 };
 use meissner_array::motor::Ramp;
 use meissner_array::pattern::{Drive, Pattern};
 use meissner_array::per_motor::PerMotor;
-use meissner_array::simulated::{LowerStop, SimulatedMotorsConfig};
+use meissner_array::simulated::{LowerStop, RestStats, SimulatedMotorsConfig};
 use meissner_array::spec::Array;
 use meissner_array::strokes::{StrokeOptions, Surplus};
 use meissner_client::{Client, Events};
@@ -60,13 +58,10 @@ const TIMEOUT: Duration = Duration::from_secs(5);
 
 #[derive(Debug, Serialize)]
 struct Report {
-    pattern: String,
-    seconds: f64,
     device: String,
-    #[serde(flatten)]
-    played: PlayedReport,
-    wire: WireReport,
-    onset_latency_ms: Option<f64>,
+    /// Of the pattern that vibrates.
+    receipt: Receipt,
+    bytes_per_burst_open_loop: Option<f64>,
     lead_ms: f64,
     /// Whether the array had a lower stop and no telemetry.
     sensorless: bool,
@@ -82,49 +77,14 @@ struct Report {
     duration_s: f64,
 }
 
-/// What came of the play.
-#[derive(Debug, Serialize)]
-struct PlayedReport {
-    state: &'static str,
-    cause: Option<EndCause>,
-    cut_after_ms: Option<f64>,
-    duration_ms: DurationRecord,
-    ordered: Option<OrderedCounts>,
-    bursts: BurstCounts,
-    pulses: PulseCounts,
-}
-
-impl PlayedReport {
-    fn of(receipt: &Receipt) -> Self {
-        Self {
-            state: receipt.state.name(),
-            cause: receipt.cause.clone(),
-            cut_after_ms: receipt.duration_ms.cut_after,
-            duration_ms: receipt.duration_ms,
-            ordered: receipt.counts.ordered,
-            bursts: receipt.counts.bursts.unwrap_or_default(),
-            pulses: receipt.counts.pulses.unwrap_or_default(),
-        }
-    }
-}
-
 /// The error of what a finger feels, of SA1 and of RA afferents: the size of the difference from its response to the real edge, blurred over the
 /// skin and in windows of 36 ms, over the size of that response.
 #[derive(Debug, Serialize)]
 struct RenderedReport {
-    pattern: &'static str,
-    state: &'static str,
-    all_played: bool,
+    receipt: Receipt,
     errors: [f64; 2],
     /// Of the pattern that vibrates.
     vibrating_errors: [f64; 2],
-}
-
-#[derive(Debug, Serialize)]
-struct WireReport {
-    #[serde(flatten)]
-    traffic: LinkTraffic,
-    bytes_per_burst_open_loop: Option<f64>,
 }
 
 #[derive(Debug, Serialize)]
@@ -207,11 +167,14 @@ pub(super) fn run(asked: &Asked) -> Result<ExitCode> {
     let _: Status =
         client.post("/v1/arm", &ArmRequest { assume_rest: !sensorless, ..ArmRequest::default() })?;
     let receipt = play(&mut client, &mut events, &request, json)?;
-    let mut report = report(&config, &hosted, &mut client, &request, &receipt, &edges, begun)?;
+    let truth = hosted.true_positions().context("internal error: the mock has no pins")?.rest();
+    let status: Status = client.get("/v1/status")?;
     let pressed = Order::new(Item::of(edges.pressed.choice()?), terms);
     let pressed = play(&mut client, &mut events, &pressed, json)?;
-    (report.rendered.state, report.rendered.all_played) = (pressed.state.name(), pressed.all_played());
-    report.duration_s = begun.elapsed().as_secs_f64();
+    let all_played = receipt.all_played() && pressed.all_played();
+    let rendered = rendered(&edges, pressed)?;
+    let played = Played { receipt, truth, status, rendered, realtime: hosted.realtime() };
+    let report = report(&config, &request, played, &edges.vibrating.pattern, begun)?;
     give(json, &report, || summary(&report))?;
     if let Some(signal) = signal {
         say("the page goes on until Ctrl-C")?;
@@ -219,7 +182,6 @@ pub(super) fn run(asked: &Asked) -> Result<ExitCode> {
         let _ = signal.recv();
     }
     hosted.stop()?;
-    let all_played = receipt.all_played() && report.rendered.all_played;
     Ok(if all_played { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }
 
@@ -301,7 +263,7 @@ impl Edges {
 }
 
 /// What a finger feels of both patterns, against the real edge.
-fn rendered(edges: &Edges) -> Result<RenderedReport> {
+fn rendered(edges: &Edges, receipt: Receipt) -> Result<RenderedReport> {
     let Edges { edge: Edge { object, contact }, vibrating, pressed } = edges;
     let touch = object.touch();
     let finger = Finger::new(FINGER);
@@ -313,7 +275,7 @@ fn rendered(edges: &Edges) -> Result<RenderedReport> {
         Ok([sa1, ra])
     };
     let (errors, vibrating_errors) = (errors(pressed)?, errors(vibrating)?);
-    Ok(RenderedReport { pattern: RENDERED, state: "", all_played: false, errors, vibrating_errors })
+    Ok(RenderedReport { receipt, errors, vibrating_errors })
 }
 
 /// Waits until the mock has answered.
@@ -383,18 +345,25 @@ fn response(pattern: &Pattern, played: SimulatedPlay) -> Option<PredictedRespons
     predict_response(&play, ramps).ok()
 }
 
+/// What came of both plays.
+struct Played {
+    receipt: Receipt,
+    /// Where the pins really were after the first, and what the daemon said then.
+    truth: RestStats,
+    status: Status,
+    rendered: RenderedReport,
+    realtime: Realtime,
+}
+
 fn report(
     config: &Config,
-    hosted: &Hosted,
-    client: &mut Client,
     request: &Order,
-    receipt: &Receipt,
-    edges: &Edges,
+    played: Played,
+    pattern: &Pattern,
     begun: Instant,
 ) -> Result<Report> {
-    let truth = hosted.true_positions().context("internal error: the mock has no pins")?.rest();
+    let Played { receipt, truth, status, rendered, realtime } = played;
     let array = config.settings.array;
-    let pattern = &edges.vibrating.pattern;
     let sensorless = config.settings.lower_stop.is_some();
     let open = compare(config, request, pattern, false, true)?;
     // As it was played, if that differs.
@@ -404,20 +373,15 @@ fn report(
     };
     let designed = same.as_ref().unwrap_or(&open).response.as_ref();
     let hz = designed.map(|response| response.played_hz);
-    let status: Status = client.get("/v1/status")?;
-    let traffic = receipt.device.wire.unwrap_or(LinkTraffic::new(0, 0));
     let surplus = config.settings.surplus(&PerMotor::all(array, Gains::default()));
     let drives = pattern.drives().iter();
     let expected = status.motors.iter().filter(|motor| motor.rest_error_um > 0.0);
     let squares: Vec<f64> = expected.map(|motor| f64::from(motor.rest_error_um).powi(2)).collect();
     let mean = squares.iter().sum::<f64>() / squares.len().max(1) as f64;
     Ok(Report {
-        pattern: receipt.name.clone(),
-        seconds: request.items[0].seconds.unwrap_or_default(),
         device: status.device.as_ref().map(|device| device.kind.clone()).unwrap_or_default(),
-        played: PlayedReport::of(receipt),
-        wire: WireReport { traffic, bytes_per_burst_open_loop: open.bytes_per_burst },
-        onset_latency_ms: receipt.onset.map(|onset| onset.latency_ms),
+        receipt,
+        bytes_per_burst_open_loop: open.bytes_per_burst,
         lead_ms: status.daemon.lead_ms,
         sensorless,
         surplus_um: drives.map(|drive| surplus.um(drive.motor, drive.amplitude_um)).fold(0.0, f64::max),
@@ -438,67 +402,30 @@ fn report(
             open_loop_hz: open.response.as_ref().map(|response| response.played_hz),
             unknown: sensorless.then_some("the device has no telemetry"),
         },
-        rendered: rendered(edges)?,
-        realtime: hosted.realtime(),
+        rendered,
+        realtime,
         duration_s: begun.elapsed().as_secs_f64(),
     })
 }
 
 fn summary(report: &Report) -> String {
-    let Report { played, wire, rest_error_um, response, rendered, realtime, .. } = report;
+    let Report { receipt, rest_error_um, response, rendered, realtime, .. } = report;
     let contrast = |rates: Option<Rates>| text::number(rates.and_then(|rates| rates.contrast), 1);
     let yes = |granted| if granted { "yes" } else { "no" };
-    text::pairs(&[
-        (
-            "pattern",
-            format!(
-                "{}, {} s on the {}: {}",
-                report.pattern,
-                report.seconds,
-                report.device,
-                end_text(played.state, played.cause.as_ref(), played.cut_after_ms)
-            ),
+    let bytes = text::number(report.bytes_per_burst_open_loop, 2);
+    let without = format!("{:.2} um", rest_error_um.open_loop_rms);
+    let of_pins = match (rest_error_um.lower_stop_rms, rest_error_um.expected_rms) {
+        (Some(really), Some(expected)) => format!(
+            "{really:.2} um RMS (expected without a sensor: {expected:.2}), {without} without the stop; surplus {:.1} um",
+            report.surplus_um
         ),
-        ("duration", text::duration(&played.duration_ms)),
-        ("bursts", text::burst_counts(played.ordered.as_ref(), &played.bursts)),
-        ("pulses", text::pulse_counts(played.ordered.as_ref(), &played.pulses)),
-        (
-            "wire",
-            format!(
-                "{} bytes, {} per burst; {} without feedback",
-                wire.traffic.bytes_to_device,
-                text::number(wire.traffic.bytes_per_burst, 2),
-                text::number(wire.bytes_per_burst_open_loop, 2)
-            ),
-        ),
-        (
-            "onset",
-            format!(
-                "{} ms after the request, lead {} ms",
-                text::number(report.onset_latency_ms, 2),
-                report.lead_ms
-            ),
-        ),
-        (
-            "rest error",
-            match (rest_error_um.lower_stop_rms, rest_error_um.expected_rms) {
-                (Some(really), Some(expected)) => format!(
-                    "{really:.2} um RMS of the simulated pins (expected without a sensor: {expected:.2}), {:.0} um without the \
-                     stop; {} {:.2} um; surplus {:.1} um",
-                    rest_error_um.open_loop_rms,
-                    text::LARGEST_OFFSET,
-                    rest_error_um.max,
-                    report.surplus_um
-                ),
-                _ => format!(
-                    "{} um RMS, {:.2} um without feedback; {} {:.2} um",
-                    text::number(rest_error_um.closed_loop_rms, 2),
-                    rest_error_um.open_loop_rms,
-                    text::LARGEST_OFFSET,
-                    rest_error_um.max
-                ),
-            },
-        ),
+        _ => format!("{} um RMS, {without} without feedback", text::number(rest_error_um.closed_loop_rms, 2)),
+    };
+    let ([sa1, ra], [vibrating_sa1, vibrating_ra]) = (rendered.errors, rendered.vibrating_errors);
+    let mut lines = text::receipt_lines(receipt);
+    lines.extend([
+        ("without feedback", format!("{bytes} bytes per burst")),
+        ("simulated pins", format!("{of_pins}; {} {:.2} um", text::LARGEST_OFFSET, rest_error_um.max)),
         (
             "predicted RA response",
             format!(
@@ -512,16 +439,14 @@ fn summary(report: &Report) -> String {
         (
             "rendered",
             format!(
-                "{}: {}; a finger's error from the real edge is {:.2} (SA1) and {:.2} (RA), {:.2} and {:.2} with vibration",
-                rendered.pattern,
-                rendered.state,
-                rendered.errors[0],
-                rendered.errors[1],
-                rendered.vibrating_errors[0],
-                rendered.vibrating_errors[1]
+                "{}: {}; a finger's error from the real edge is {sa1:.2} (SA1) and {ra:.2} (RA), {vibrating_sa1:.2} and \
+                 {vibrating_ra:.2} with vibration",
+                rendered.receipt.name,
+                rendered.receipt.state.name()
             ),
         ),
         ("telemetry", if report.sensorless { "none, as on a board" } else { ON_NO_BOARD }.to_owned()),
         ("real time", format!("SCHED_FIFO {}, memory locked {}", yes(realtime.fifo), yes(realtime.mlock))),
-    ])
+    ]);
+    text::pairs(&lines)
 }

@@ -6,7 +6,7 @@ mod motions;
 mod receipt;
 
 pub(super) use motions::motions;
-pub(super) use receipt::{LARGEST_OFFSET, accepted, burst_counts, duration, pulse_counts, receipt};
+pub(super) use receipt::{LARGEST_OFFSET, accepted, receipt, receipt_lines};
 
 use crate::doctor::device::{NO_TELEMETRY, ON_NO_BOARD, SHORT_PLAYS};
 use crate::doctor::rights::SLOW_ESTOP;

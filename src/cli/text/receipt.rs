@@ -10,6 +10,11 @@ use meissner_api::{
 };
 
 pub(in crate::cli) fn receipt(receipt: &Receipt) -> String {
+    pairs(&receipt_lines(receipt))
+}
+
+/// Labels and values.
+pub(in crate::cli) fn receipt_lines(receipt: &Receipt) -> Vec<(&'static str, String)> {
     let mut lines = vec![
         ("play", format!("{} of {}", receipt.id, receipt.name)),
         ("state", end_text(receipt.state.name(), receipt.cause.as_ref(), receipt.duration_ms.cut_after)),
@@ -80,7 +85,7 @@ pub(in crate::cli) fn receipt(receipt: &Receipt) -> String {
         lines.extend(rest_error(&pins.rest_errors).map(|text| ("rest error", text)));
     }
     lines.extend(receipt.reach.warnings.iter().map(|warning| ("warning", warning.clone())));
-    pairs(&lines)
+    lines
 }
 
 /// The device's counters during the play, if it measures any or something failed.
@@ -117,7 +122,7 @@ fn rest_error(errors: &[MotorRestError]) -> Option<String> {
 }
 
 /// A duration as ordered, in whole strokes, and as played.
-pub(in crate::cli) fn duration(duration: &DurationRecord) -> String {
+fn duration(duration: &DurationRecord) -> String {
     let ms = |ms: Option<f64>| ms.map_or_else(|| "endless".to_owned(), |ms| format!("{ms:.1} ms"));
     let DurationRecord { ordered, compiled, played, .. } = duration;
     let played = played.map_or_else(String::new, |played| format!(", {played:.1} ms played"));
@@ -149,7 +154,7 @@ const KINDS: usize = 4;
 
 pub(in crate::cli) const LARGEST_OFFSET: &str = "largest offset from rest, driven pins:";
 
-pub(in crate::cli) fn burst_counts(ordered: Option<&OrderedCounts>, bursts: &BurstCounts) -> String {
+fn burst_counts(ordered: Option<&OrderedCounts>, bursts: &BurstCounts) -> String {
     let BurstCounts { planned, played, late, dropped, refused, replaced, amended, shortened } = bursts;
     let replaced = if *replaced > 0 { format!(", {replaced} replaced") } else { String::new() };
     let shortened =
@@ -161,7 +166,7 @@ pub(in crate::cli) fn burst_counts(ordered: Option<&OrderedCounts>, bursts: &Bur
     )
 }
 
-pub(in crate::cli) fn pulse_counts(ordered: Option<&OrderedCounts>, pulses: &PulseCounts) -> String {
+fn pulse_counts(ordered: Option<&OrderedCounts>, pulses: &PulseCounts) -> String {
     let ordered = ordered.and_then(|ordered| ordered.pulses);
     let ordered = ordered.map_or_else(String::new, |ordered| format!("{ordered} ordered, "));
     format!("{ordered}{} planned, {} played", pulses.planned, pulses.played)
