@@ -101,7 +101,6 @@ pub(crate) fn choose_within<'a>(
 ///
 /// # Panics
 /// If the array has no such motor.
-#[must_use]
 pub fn beginning(array: Array, motor: u8, whole: &Waveform, grid: Grid, ns: u64) -> (Vec<Move>, Reached) {
     let waveform = whole.first(ns);
     let mut moves: Vec<_> = Moves::new(array, motor, &waveform, grid).collect();
@@ -116,8 +115,6 @@ pub fn beginning(array: Array, motor: u8, whole: &Waveform, grid: Grid, ns: u64)
 
 impl Grid {
     /// The multiples of so many milliseconds, rounded up to ticks.
-    #[must_use]
-    #[expect(clippy::cast_possible_truncation, reason = "a few ms")]
     pub fn of_ms(array: Array, ms: u64) -> Self {
         Self { step_ticks: array.rate().of_ms(ms) as u32 }
     }
@@ -166,7 +163,6 @@ impl Rule {
     }
 
     /// The level to go to for a wanted one.
-    #[expect(clippy::cast_possible_truncation, reason = "0 to most_pulses")]
     fn level_for(&self, level: u16, wanted: f64) -> u16 {
         let (least, most) = (i32::from(self.spec.least_pulses), i32::from(self.spec.most_pulses));
         let level = i32::from(level);
@@ -206,7 +202,6 @@ impl<'a> Moves<'a> {
     ///
     /// # Panics
     /// If the grid's step is 0, or the array has no such motor.
-    #[must_use]
     pub fn new(array: Array, motor: u8, waveform: &'a Waveform, grid: Grid) -> Self {
         assert!(array.has(motor), "motors {}", array.motor_range());
         let (rate, step) = (array.rate(), grid.step_ticks);
@@ -240,8 +235,8 @@ impl Iterator for Moves<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::motion::generate::tests::{noise, tone};
-    use crate::motion::{Envelope, RampHold, Shape, Strength};
+    use crate::motion::Envelope;
+    use crate::motion::tests::{noise, ramp, tone};
     use crate::spec::names;
     use proptest::prelude::*;
 
@@ -250,14 +245,9 @@ mod tests {
         Moves::new(Array::paper(), 9, waveform, grid).map(|of| (of.tick.0, of.level)).collect()
     }
 
-    fn ramp() -> RampHold {
-        let (start_s, to_um, rise_s, hold_s, fall_s) = (0.1, 200.0, 0.05, 0.2, 0.05);
-        RampHold { start_s, to_um, rise_s, hold_s, fall_s, shape: Shape::Linear }
-    }
-
     #[test]
     fn a_ramp_is_even_steps_and_its_hold_has_no_moves() {
-        let moves = paper(&ramp().waveform().unwrap(), 2);
+        let moves = paper(&ramp(200.0, 0.05).waveform().unwrap(), 2);
         // 1473.7 pulses in 25 steps: 58.9 each, but for the first, which begins in the middle, and the last.
         assert_eq!((moves.len(), moves[0].0, moves[25]), (52, 8500, (12_750, 1474)));
         assert!(moves[1..25].windows(2).all(|two| (58..=60).contains(&(two[1].1 - two[0].1))), "{moves:?}");
@@ -266,7 +256,7 @@ mod tests {
 
     #[test]
     fn a_jump_on_the_grid_begins_at_its_tick_and_goes_at_full_speed() {
-        let jump = RampHold { rise_s: 0.0, fall_s: 0.0, to_um: 190.0 * 0.95 / 7.0, ..ramp() };
+        let jump = ramp(190.0 * 0.95 / 7.0, 0.0);
         let expected = [(8500, 170), (8670, 190), (25_500, 20), (25_670, 0)];
         assert_eq!(paper(&jump.waveform().unwrap(), 2), expected);
     }
@@ -296,8 +286,10 @@ mod tests {
     #[test]
     fn the_coarsest_grid_within_the_error_is_taken() {
         let array = Array::paper();
-        let (slow, fast) =
-            (ramp().waveform().unwrap(), tone(40.0, 40.0, 80.0, Envelope::Hann).waveform().unwrap());
+        let (slow, fast) = (
+            ramp(200.0, 0.05).waveform().unwrap(),
+            tone(40.0, 40.0, 80.0, Some(Envelope::HANN)).waveform().unwrap(),
+        );
         let all_within = |motors: &[(u8, &Waveform)], grid, error_um| {
             motors.iter().all(|(motor, waveform)| {
                 let moves: Vec<_> = Moves::new(array, *motor, waveform, grid).collect();
@@ -315,7 +307,7 @@ mod tests {
             (1, 4)
         );
         // Noise that is too fast at places: no grid is within so little.
-        let rough = noise(5.0, 150.0, Strength::RmsUm(15.0), 1).waveform().unwrap();
+        let rough = noise(5.0, 150.0, 15.0, 1).waveform().unwrap();
         let rough = [(0, &rough)];
         let finest = choose(array, rough.into_iter(), Some(0.1)).unwrap();
         assert!(finest.step_ticks == 85 && !all_within(&rough, finest, 0.1));

@@ -89,38 +89,31 @@ pub struct Groups {
 
 impl ArraySpec {
     /// The text of its file.
-    #[must_use]
     pub fn text(&self) -> &str {
         &self.text
     }
 
     /// The name: 1 to 32 of a-z, 0-9 and -.
-    #[must_use]
     pub fn name(&self) -> &str {
         &self.name
     }
 
     /// The number of pins, and of motors: 1 to [`MAX_MOTORS`].
-    #[must_use]
     pub fn motors(&self) -> usize {
         self.positions_mm.len()
     }
 
     /// The motors' numbers.
-    #[must_use]
-    #[expect(clippy::cast_possible_truncation, reason = "at most 64")]
     pub fn numbers(&self) -> Range<u8> {
         0..self.positions_mm.len() as u8
     }
 
     /// Whether there is a motor of this number.
-    #[must_use]
     pub fn has(&self, motor: u8) -> bool {
         usize::from(motor) < self.motors()
     }
 
     /// The motors' numbers in words: `0 to 23`.
-    #[must_use]
     pub fn motor_range(&self) -> String {
         format!("0 to {}", self.motors() - 1)
     }
@@ -129,25 +122,21 @@ impl ArraySpec {
     ///
     /// # Panics
     /// If there is no such motor.
-    #[must_use]
     pub fn position_mm(&self, motor: u8) -> [f64; 2] {
         self.positions_mm[usize::from(motor)]
     }
 
     /// Where all pins stand, in the order of the motors.
-    #[must_use]
     pub fn positions_mm(&self) -> &[[f64; 2]] {
         &self.positions_mm
     }
 
     /// The rows and columns, if the pins stand in such.
-    #[must_use]
     pub const fn grid(&self) -> Option<Grid> {
         self.grid
     }
 
     /// The smallest distance of two pins, mm; of one pin, its diameter.
-    #[must_use]
     pub fn pitch_mm(&self) -> f64 {
         self.grid.map_or_else(
             || self.nearest_pins().map_or(2.0 * self.pin_radius_mm, |near| near.2),
@@ -170,7 +159,6 @@ impl ArraySpec {
     ///
     /// # Panics
     /// It does not: an array has a pin.
-    #[must_use]
     pub fn nearest_to(&self, [x, y]: [f64; 2]) -> (u8, f64) {
         let distances = self.numbers().map(|motor| {
             let [px, py] = self.position_mm(motor);
@@ -180,49 +168,41 @@ impl ArraySpec {
     }
 
     /// Radius of a pin's tip, mm.
-    #[must_use]
     pub const fn pin_radius_mm(&self) -> f64 {
         self.pin_radius_mm
     }
 
     /// Ticks per second: the rate of the pulses.
-    #[must_use]
     pub const fn rate(&self) -> TickRate {
         self.rate
     }
 
     /// The pulses' duty.
-    #[must_use]
     pub const fn duty(&self) -> Duty {
         self.duty
     }
 
     /// The supplies.
-    #[must_use]
     pub const fn rails(&self) -> &Groups {
         &self.rails
     }
 
     /// The driver chips.
-    #[must_use]
     pub const fn chips(&self) -> &Groups {
         &self.chips
     }
 
     /// What its motors do.
-    #[must_use]
     pub const fn motor(&self) -> &MotorSpec {
         &self.motor
     }
 
     /// A hash of everything in the description, for devices and records to compare. Comments and the order of keys do not matter.
-    #[must_use]
     pub const fn hash(&self) -> u64 {
         self.layout.id().hash
     }
 
     /// The array as the controller and the link know it.
-    #[must_use]
     pub const fn layout(&self) -> &Layout {
         &self.layout
     }
@@ -230,28 +210,23 @@ impl ArraySpec {
 
 impl MotorSpec {
     /// The window in ticks, for equations.
-    #[must_use]
-    #[expect(clippy::cast_precision_loss, reason = "at most half a second: 200 000")]
     pub const fn window_ticks(&self) -> f64 {
         self.window_half_ticks as f64 / 2.0
     }
 
     /// Whole ticks after which a shaft has followed its commanded position.
-    #[must_use]
     pub const fn settled_ticks(&self) -> u64 {
         self.window_half_ticks.div_ceil(2)
     }
 
     /// Whether a burst that begins at `start` is a transient: the motor has rested since `last_end`, the end of its last burst
     /// (none: there was none). A motor without transients never rests for long enough.
-    #[must_use]
     pub fn is_rested(&self, last_end: Option<Tick>, start: Tick) -> bool {
         let rest_ticks = self.transient_rest_ticks;
         last_end.map_or(rest_ticks < u64::MAX, |end| start - end >= rest_ticks)
     }
 
     /// `um` in pulses, not rounded.
-    #[must_use]
     pub const fn pulses(&self, um: f64) -> f64 {
         um / self.um_per_pulse
     }
@@ -270,13 +245,11 @@ impl Groups {
     }
 
     /// The motors of each group.
-    #[must_use]
     pub fn members(&self) -> &[Vec<u8>] {
         &self.members
     }
 
     /// How many there are.
-    #[must_use]
     pub fn count(&self) -> usize {
         self.members.len()
     }
@@ -285,13 +258,11 @@ impl Groups {
     ///
     /// # Panics
     /// If there is no such motor.
-    #[must_use]
     pub fn of(&self, motor: u8) -> usize {
         self.of[usize::from(motor)].into()
     }
 
     /// Motors of the largest group.
-    #[must_use]
     pub fn largest(&self) -> usize {
         self.members.iter().map(Vec::len).max().unwrap_or(0)
     }

@@ -29,7 +29,6 @@ pub struct Followed {
 impl Strokes {
     /// How each motor with motions follows them in one run, in order of motors. Of long motions the errors are those of the beginning:
     /// of [`StrokeOptions::tried_s`](super::StrokeOptions) at most, shared among the motors. Takes about 1 ms for each second of a motor.
-    #[must_use]
     pub fn followed(&self) -> Vec<Followed> {
         self.runs.iter().flat_map(Run::followed).collect()
     }
@@ -37,7 +36,6 @@ impl Strokes {
 
 impl Sequence {
     /// How each motor of a compiled pattern follows its motions; see [`Strokes::followed`].
-    #[must_use]
     pub fn followed(&self, compiled: CompiledItem) -> Vec<Followed> {
         self.run(compiled).followed()
     }
@@ -45,7 +43,6 @@ impl Sequence {
 
 impl Run {
     fn followed(&self) -> Vec<Followed> {
-        #[expect(clippy::cast_precision_loss, reason = "some motors")]
         let sharing = self.motions().count() as f64;
         self.motions().map(|lane| of_lane(lane, lane.tried_s() / sharing)).collect()
     }

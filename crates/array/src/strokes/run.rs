@@ -132,13 +132,6 @@ impl Run {
         motor < 64 && (self.motors >> motor) & 1 == 1
     }
 
-    pub(super) fn changes_are_apart(&self, ticks: u64) -> bool {
-        self.lanes.iter().all(|lane| match lane {
-            AnyLane::Drives(lane) => lane.changes_are_apart(ticks),
-            AnyLane::Motions(_) => false,
-        })
-    }
-
     /// When the next step of `motor` begins, in pattern time.
     pub(super) fn next_up(&self, motor: u8) -> Option<u64> {
         let own = self.lanes.iter().zip(&self.begins).filter(|(lane, _)| lane.motor() == motor);

@@ -121,7 +121,6 @@ struct Chosen {
 
 impl Sequence {
     /// No items, for this array.
-    #[must_use]
     pub fn new(array: Array) -> Self {
         let (runs, lasting, items) = (Vec::new(), Vec::new(), Vec::new());
         let busy = PerMotor::all(array, (0, 0));
@@ -247,7 +246,6 @@ impl Sequence {
     }
 
     /// The strokes of all items; `None` without items.
-    #[must_use]
     pub fn strokes(self) -> Option<Strokes> {
         let end = Some(self.end).filter(|end| *end < NEVER);
         (!self.items.is_empty()).then(|| Strokes::of(self.array, self.runs, self.items.into(), end))
@@ -255,21 +253,18 @@ impl Sequence {
 }
 
 /// A time in whole nanoseconds.
-#[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "checked")]
 fn ns(ms: f64) -> Result<u64, SequenceError> {
     let good = (0.0..=MAX_SECONDS * 1e3).contains(&ms);
     if good { Ok((ms * 1e6).round() as u64) } else { Err(SequenceError::Time { ms }) }
 }
 
 /// The tick nearest to a time from the onset, halves up: `floor(ns * tick_hz / 10^9 + 1/2)`, in whole numbers.
-#[expect(clippy::cast_possible_truncation, reason = "2^64 ticks are far beyond the longest sequence")]
 fn ticks(rate: TickRate, ns: u64) -> u64 {
     let (billion, hz) = (u128::from(NS_PER_S), u128::from(rate.hz()));
     ((u128::from(ns) * hz + billion / 2) / billion) as u64
 }
 
 /// The first nanosecond whose nearest tick is not before this one.
-#[expect(clippy::cast_possible_truncation, reason = "as above")]
 fn first_ns(rate: TickRate, tick: u64) -> u64 {
     let (billion, hz) = (u128::from(NS_PER_S), u128::from(rate.hz()));
     (u128::from(tick) * billion).saturating_sub(billion / 2).div_ceil(hz) as u64
