@@ -133,12 +133,12 @@ pub fn motions(followed: &[Followed]) -> Vec<FollowedMotion> {
     let rounded = |number: f64| (number * 1000.0).round() / 1000.0;
     let motion = |found: &Followed| FollowedMotion {
         motor: found.motor,
-        highest_um: rounded(found.highest_um),
-        error_um: rounded(found.error.rms_um),
-        error_share: rounded(found.error.share),
-        step_error_um: rounded(found.step_error_um),
+        highest_um: rounded(found.waveform.extremes_um()[1]),
+        error_um: rounded(found.reached.from_asked.rms_um),
+        error_share: rounded(found.reached.from_asked.share),
+        step_error_um: rounded(found.reached.step_error_um),
         too_slow_from_s: found.too_slow_from_s.map(rounded),
-        moves_per_s: rounded(found.moves_per_s),
+        moves_per_s: rounded(found.reached.moves_per_s),
         measured_s: rounded(found.measured_s),
     };
     followed.iter().map(motion).collect()

@@ -106,14 +106,4 @@ mod tests {
             assert_eq!(uniform(key).map(f64::to_bits), bits, "{key:?}: {:?}", uniform(key));
         }
     }
-
-    #[test]
-    fn mean_sd_and_neighbouring_keys() {
-        const N: u32 = 40_000;
-        let draws: Vec<f64> = (0..u64::from(N)).map(|i| normal([7, i % 24, i / 24, 1])).collect();
-        assert_standard(&draws);
-        let n = f64::from(N);
-        let covariance = draws.windows(2).map(|w| w[0] * w[1]).sum::<f64>() / n;
-        assert!(covariance.abs() < 4.0 / n.sqrt(), "{covariance}");
-    }
 }

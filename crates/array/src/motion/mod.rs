@@ -1,16 +1,15 @@
 //! Pins that follow any motion: waveforms of displacement, and the moves that follow them.
 //!
 //! A [`Waveform`] says how high a pin should be at each instant: recorded samples, a [`RampHold`], a [`Tone`], [`Noise`], or a sum of
-//! these. [`Moves`] compiles it to moves at exact ticks on a [`Grid`] that all motors of a play share. [`Reached`] says beforehand what
+//! these. `strokes` compiles it to moves at exact ticks on a [`Grid`] that all motors of a play share. [`Reached`] says beforehand what
 //! the motor will do: its error, where it is too slow, how many moves it needs. Nothing here reads a file or knows a play.
 //!
 //! Invariant: instants are whole nanoseconds or ticks, each computed from its number, so a waveform is as exact after hours as in the
 //! first second; and a motor's last move always ends at rest.
 //!
 //! ```
-//! use meissner_array::motion::{Waveform, beginning, choose};
 //! use meissner_array::pattern::Pattern;
-//! use meissner_array::spec::Array;
+//! use meissner_array::strokes::{StrokeOptions, Strokes};
 //!
 //! let text = r#"
 //!     format = 2
@@ -32,11 +31,10 @@
 //!     envelope = "hann"
 //! "#;
 //! let pattern = Pattern::parse(text, "press.toml")?;
-//! let [press, chirp] = pattern.motions() else { panic!("two motions") };
-//! let (array, waveform) = (Array::paper(), Waveform::sum(&[press.waveform()?, chirp.waveform()?])?);
-//! let grid = choose(array, [(9, &waveform)].into_iter(), None)?;
-//! let (moves, reached) = beginning(array, 9, &waveform, grid, 2_000_000_000);
-//! assert_eq!((grid.step_ticks, moves.last().unwrap().level), (170, 0));
+//! let strokes = Strokes::new(&pattern, &StrokeOptions::default())?;
+//! let [followed] = &strokes.followed()[..] else { panic!("one motor") };
+//! assert_eq!((followed.grid.step_ticks, followed.moves.last().unwrap().level), (170, 0));
+//! let reached = &followed.reached;
 //! assert!(reached.step_error_um < 0.95 && reached.from_filtered.share < 0.01 && reached.too_slow_s.is_empty());
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
@@ -50,8 +48,8 @@ mod waveform;
 pub use error::MotionError;
 pub(crate) use generate::MOST_NOISE_WORK;
 pub use generate::{Envelope, Named, Noise, RampHold, Shape, Tone};
-pub use moves::{Grid, LEAST_ERROR_UM, Moves, TRIED_S, beginning, choose};
-pub(crate) use moves::{Rule, SLOWEST_STEP_MS, choose_within};
+pub use moves::{Grid, LEAST_ERROR_UM, TRIED_S};
+pub(crate) use moves::{Rule, SLOWEST_STEP_MS, beginning, choose, tried_ns};
 pub use reached::{Deviation, Reached};
 pub use waveform::{Knot, MAX_KNOTS, MAX_SAMPLES, RATE_HZ, Section, Waveform};
 pub(crate) use waveform::{ns_at, ns_of, s_of, tick_of};

@@ -265,14 +265,15 @@ fn busiest(moves: &[Move], ticks: u64) -> usize {
 mod tests {
     use super::*;
     use crate::motion::tests::{noise, ramp, tone};
-    use crate::motion::{Envelope, Grid, Moves, RampHold, Shape, choose};
+    use crate::motion::{Envelope, Grid, RampHold, Shape, choose};
     use crate::spec::names;
+    use crate::strokes::moves;
     use std::f64::consts::{PI, TAU};
 
     /// The displacement at each tick of a second, by the paper's motor on this grid; of a play that begins at 0.
     fn second_um(waveform: &Waveform, ms: u64) -> Vec<f64> {
         let array = Array::paper();
-        let moves: Vec<_> = Moves::new(array, 9, waveform, Grid::of_ms(array, ms)).collect();
+        let moves = moves(array, 9, waveform, Grid::of_ms(array, ms));
         let mut path = path(array, &moves);
         (0..85_000).map(|tick| path.um_at(HalfTick(2 * tick))).collect()
     }
@@ -287,8 +288,8 @@ mod tests {
     }
 
     fn reached(array: Array, waveform: &Waveform, error_um: Option<f64>) -> Reached {
-        let grid = choose(array, [(0, waveform)].into_iter(), error_um).unwrap();
-        let moves: Vec<_> = Moves::new(array, 0, waveform, grid).collect();
+        let grid = choose(array, [(0, waveform)].into_iter(), error_um, 240.0).unwrap();
+        let moves = moves(array, 0, waveform, grid);
         Reached::of(array, waveform, &moves, None)
     }
 
@@ -329,7 +330,7 @@ mod tests {
         for (rms_um, ms) in [(10.0, 1), (10.0, 4), (2.0, 1)] {
             let wave = noise(5.0, 50.0, rms_um, 3).waveform().unwrap();
             let array = Array::paper();
-            let moves: Vec<_> = Moves::new(array, 9, &wave, Grid::of_ms(array, ms)).collect();
+            let moves = moves(array, 9, &wave, Grid::of_ms(array, ms));
             let found = Reached::of(array, &wave, &moves, None);
             assert!(found.from_filtered.correlation.unwrap() >= 0.98, "{rms_um} um, {ms} ms: {found:?}");
         }

@@ -520,15 +520,6 @@ mod tests {
     }
 
     #[test]
-    fn an_hour_later_a_waveform_is_the_same() {
-        let um: Vec<f64> = (0..20).map(|k| f64::from(k * k % 7)).collect();
-        let [now, later] = [0.0, 36_000.0].map(|start_s| Waveform::samples(start_s, 1000.0, &um).unwrap());
-        for us in (0..20_000).step_by(37) {
-            assert_eq!(now.um_around(us * 1000), later.um_around((36_000_000_000 + us) * 1000));
-        }
-    }
-
-    #[test]
     fn what_is_no_waveform_is_refused_with_its_name() {
         let refused =
             |start_s, rate_hz, um: &[f64]| Waveform::samples(start_s, rate_hz, um).unwrap_err().to_string();

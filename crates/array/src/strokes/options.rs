@@ -22,7 +22,7 @@ pub struct StrokeOptions {
     /// How much longer a down burst is than its up burst.
     pub surplus: Surplus,
     /// How far pins may be from what their motors can do at best, because motions are compiled to steps, µm; `None`: see
-    /// [`choose`](crate::motion::choose).
+    /// [`Reached::step_error_um`](crate::motion::Reached).
     pub error_um: Option<f64>,
     /// How long a stretch of motions is tried and measured before a play, shared among its motors, s: 0 to [`TRIED_S`].
     pub tried_s: f64,
