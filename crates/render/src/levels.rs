@@ -38,7 +38,6 @@ impl Levels {
     }
 
     /// How long they last, s.
-    #[must_use]
     pub fn duration_s(&self) -> f64 {
         self.heights_mm.len().saturating_sub(1) as f64 * STEP_S
     }

@@ -52,7 +52,6 @@ impl AnyScene {
     }
 
     /// The array under the finger.
-    #[must_use]
     pub const fn array(&self) -> Array {
         match self {
             Self::Membrane(scene) => scene.array(),
