@@ -9,13 +9,11 @@
 //! Invariant: every figure is measured from the moves, none is promised.
 
 use anyhow::Result;
-use firmware_protocol::moves::Move;
-use meissner_array::motion::{Deviation, Reached, TRIED_S, Waveform, beginning, choose};
+use meissner_array::motion::{Deviation, TRIED_S};
 use meissner_array::pattern::Pattern;
 use meissner_array::spec::Array;
-use meissner_array::strokes::{StrokeOptions, Strokes};
+use meissner_array::strokes::{Followed, StrokeOptions, Strokes};
 use meissner_stream::{Bandwidth, Settings};
-use rayon::prelude::*;
 use serde::Serialize;
 
 /// The most times that are listed at which a motor is too slow.
@@ -95,14 +93,14 @@ impl From<Deviation> for FollowingError {
 }
 
 impl FollowedMotor {
-    fn new(array: Array, (motor, whole): &(u8, Waveform), reached: &Reached, measured_s: f64) -> Self {
-        let end_s = whole.span_ns().map_or(0.0, |(from, _)| from as f64 / 1e9) + measured_s;
-        let later = || whole.too_slow_from_s(array).filter(|from_s| *from_s >= end_s);
+    fn new(of: &Followed, measured_s: f64) -> Self {
+        let Followed { motor, waveform, reached, .. } = of;
+        let end_s = waveform.span_ns().map_or(0.0, |(from, _)| from as f64 / 1e9) + measured_s;
         let mut spans = reached.too_slow_s.clone();
         if spans.is_empty() {
-            spans.extend(later().map(|from_s| (from_s, from_s)));
+            spans.extend(of.too_slow_from_s.filter(|from_s| *from_s >= end_s).map(|from_s| (from_s, from_s)));
         }
-        let [lowest_um, highest_um] = whole.extremes_um();
+        let [lowest_um, highest_um] = waveform.extremes_um();
         Self {
             motor: *motor,
             lowest_um,
@@ -152,24 +150,15 @@ impl Motions {
     /// If an option is out of its range.
     pub(super) fn of(pattern: &Pattern, scale: f64) -> Result<Option<Self>> {
         let array = pattern.array();
-        let of = |(motor, waveform): &(u8, Waveform)| (*motor, waveform.clone().scaled(scale));
-        let motors: Vec<_> = pattern.waveforms().iter().map(of).collect();
-        if motors.is_empty() {
-            return Ok(None);
-        }
         let stroke_options = StrokeOptions { scale, ..StrokeOptions::lasting(pattern.motions_rest_s()) };
-        // This checks the options, too.
         let strokes = Strokes::new(pattern, &stroke_options)?;
-        let grid = choose(array, motors.iter().map(|(motor, waveform)| (*motor, waveform)), None)?;
-        let ns = most_ns(&motors);
-        let (moves, reached): (Vec<_>, Vec<_>) =
-            motors.par_iter().map(|(motor, waveform)| beginning(array, *motor, waveform, grid, ns)).unzip();
+        let motors = strokes.followed();
+        let Some(Followed { grid, .. }) = motors.first() else { return Ok(None) };
         let measured_s = measured_s(&motors);
         let end_s = measured_s.unwrap_or(f64::INFINITY);
-        let follow = |(of, motor)| FollowedMotor::new(array, motor, of, end_s);
-        let followed: Vec<_> = reached.iter().zip(&motors).map(follow).collect();
+        let followed: Vec<_> = motors.iter().map(|of| FollowedMotor::new(of, end_s)).collect();
         let Bandwidth { open, closed } = Bandwidth::of(&strokes, &Settings::of(array));
-        let (moves_per_s, busiest_second) = together(array, &motors, &moves);
+        let (moves_per_s, busiest_second) = together(array, &motors);
         Ok(Some(Self {
             step_ms: array.rate().ticks_to_ms(grid.step_ticks.into()),
             moves_per_s,
@@ -189,27 +178,21 @@ impl Motions {
     }
 }
 
-/// How much of each motion is measured at most, ns: the motors share [`TRIED_S`].
-fn most_ns(motors: &[(u8, Waveform)]) -> u64 {
-    (TRIED_S * 1e9) as u64 / motors.len().max(1) as u64
-}
-
-/// How much of each motion is measured, s; `None`: all of it.
-fn measured_s(motors: &[(u8, Waveform)]) -> Option<f64> {
-    let most = most_ns(motors);
-    let is_longer =
-        |(_, waveform): &(u8, Waveform)| waveform.span_ns().is_some_and(|(from, until)| until - from > most);
+/// How much of each motion is measured, s; `None`: all of it. The motors share [`TRIED_S`].
+fn measured_s(motors: &[Followed]) -> Option<f64> {
+    let most = (TRIED_S * 1e9) as u64 / motors.len().max(1) as u64;
+    let is_longer = |of: &Followed| of.waveform.span_ns().is_some_and(|(from, until)| until - from > most);
     motors.iter().any(is_longer).then_some(most as f64 / 1e9)
 }
 
 /// Moves per second of all motors, and the most within a second: from the first beginning of a waveform until the last pin rests, or for
 /// as long as is measured.
-fn together(array: Array, motors: &[(u8, Waveform)], moves: &[Vec<Move>]) -> (f64, usize) {
+fn together(array: Array, motors: &[Followed]) -> (f64, usize) {
     let rate = array.rate();
-    let spans = || motors.iter().filter_map(|(_, waveform)| waveform.span_ns());
+    let spans = || motors.iter().filter_map(|of| of.waveform.span_ns());
     let from_s = spans().map(|(from, _)| from).min().unwrap_or(0) as f64 / 1e9;
     let until_s = spans().map(|(_, until)| until).max().unwrap_or(0) as f64 / 1e9;
-    let mut ticks: Vec<u64> = moves.iter().flatten().map(|of| of.tick.0).collect();
+    let mut ticks: Vec<u64> = motors.iter().flat_map(|of| &of.moves).map(|of| of.tick.0).collect();
     ticks.sort_unstable();
     let settled_s = if let Some(measured_s) = measured_s(motors) {
         let end = rate.seconds_to_ticks(from_s + measured_s);

@@ -8,7 +8,7 @@ use crate::receipts::Outline;
 use crate::store::hash;
 use anyhow::{Result, bail};
 use clap::{Args, Subcommand};
-use meissner_array::pattern::{Form, Motion};
+use meissner_array::pattern::Motion;
 use meissner_array::strokes::StrokeOptions;
 use serde::Serialize;
 use std::fs;
@@ -126,10 +126,10 @@ fn pack(file: &Path, to: Option<&Path>, json: bool) -> Result<ExitCode> {
     give(json, &document, text)
 }
 
-fn wave(Motion { motor, form }: &Motion) -> Option<PackedWave<'_>> {
-    let Form::Wave(wave) = form else { return None };
+fn wave(motion: &Motion) -> Option<PackedWave<'_>> {
+    let Motion::Wave(wave) = motion else { return None };
     Some(PackedWave {
-        motor: *motor,
+        motor: wave.motor,
         start_s: wave.start_s,
         rate_hz: wave.rate_hz,
         samples: wave.um.len(),
@@ -144,7 +144,7 @@ fn check(asked: &Check) -> Result<ExitCode> {
     let followed = Motions::of(&pattern, asked.scale)?;
     let problems = followed.as_ref().map(|of| of.problems(pattern.array())).unwrap_or_default();
     let outline = Outline::of(&pattern, &StrokeOptions { scale: asked.scale, ..StrokeOptions::default() })?;
-    let saturated = pattern.warnings().into_iter().map(|warning| warning.to_string());
+    let saturated = pattern.saturated().map(|(_, line)| line);
     if asked.strict
         && let Some((first, more)) =
             problems.iter().cloned().chain(saturated).collect::<Vec<_>>().split_first()

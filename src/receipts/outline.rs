@@ -4,16 +4,13 @@
 //!
 //! Invariant: it describes exactly the strokes that are played, without iterating over them.
 
-use firmware_protocol::tick::Tick;
 use meissner_api::{
     DurationRecord, FollowedMotion, MAX_DRIVES_LISTED, MAX_LISTED, MAX_WARNINGS_LISTED, OrderedCounts,
     ReachedDrive, Receipt,
 };
 use meissner_array::pattern::Pattern;
 use meissner_array::spec::Array;
-use meissner_array::strokes::{
-    self, DriveAmplitude, Followed, MAX_WORK, StrokeOptions, Strokes, StrokesError, amplitudes,
-};
+use meissner_array::strokes::{self, Followed, Reached, StrokeOptions, StrokesError};
 use std::collections::BTreeMap;
 
 /// See the module.
@@ -37,9 +34,9 @@ impl Outline {
     /// # Errors
     /// If an option is outside its range.
     pub fn of(pattern: &Pattern, options: &StrokeOptions) -> Result<Self, StrokesError> {
-        let (found, rate) = (amplitudes(pattern, options)?, pattern.array().rate());
-        let ends = found.iter().all(|drive| drive.reached.strokes.is_some());
-        let over = found.iter().filter_map(|drive| drive.reached.over);
+        let (found, rate) = (strokes::reached(pattern, options)?, pattern.array().rate());
+        let ends = found.iter().all(|drive| drive.strokes.is_some());
+        let over = found.iter().filter_map(|drive| drive.over);
         let over = over.chain(strokes::motions_over(pattern, options)).max();
         Ok(Self {
             ordered_ms: strokes::ordered_end(pattern, options.seconds).map(|end| rate.ticks_to_ms(end)),
@@ -98,26 +95,10 @@ const WALKED: u64 = 1 << 20;
 /// The same when an endless play ends, where other clients wait for the event loop.
 const WALKED_AT_END: u64 = 1 << 14;
 
-/// The bursts and pulses of a play of a pattern; `None` if it has no end. May take 30 ms; with motions half a second.
+/// The bursts and pulses of a play of a pattern without motions; `None` if it has no end. May take 30 ms.
 #[must_use]
-pub fn counts(pattern: &Pattern, options: &StrokeOptions, strokes: &Strokes) -> Option<OrderedCounts> {
-    if pattern.motions().is_empty() { counted(pattern, options, WALKED) } else { walk(strokes) }
-}
-
-/// The bursts and pulses of a play, counted one by one; `None` if it has no end, or would take too long to count.
-#[must_use]
-pub fn walk(strokes: &Strokes) -> Option<OrderedCounts> {
-    strokes.end()?;
-    let mut strokes = strokes.clone();
-    strokes.begin(Tick(0));
-    let (mut bursts, mut pulses) = (0, 0);
-    while let Some(Ok(step)) = strokes.next() {
-        (bursts, pulses) = (bursts + step.moves() as u64, pulses + u64::from(step.pulses()));
-        if bursts > 2 * WALKED || strokes.work() > MAX_WORK {
-            return None;
-        }
-    }
-    Some(OrderedCounts { bursts, pulses: Some(pulses) })
+pub fn counts(pattern: &Pattern, options: &StrokeOptions) -> Option<OrderedCounts> {
+    counted(pattern, options, WALKED)
 }
 
 /// The bursts and pulses of the strokes of an endless play that begin in its first `ticks`.
@@ -152,12 +133,12 @@ pub fn motions(followed: &[Followed]) -> Vec<FollowedMotion> {
     let rounded = |number: f64| (number * 1000.0).round() / 1000.0;
     let motion = |found: &Followed| FollowedMotion {
         motor: found.motor,
-        highest_um: rounded(found.highest_um),
-        error_um: rounded(found.error.rms_um),
-        error_share: rounded(found.error.share),
-        step_error_um: rounded(found.step_error_um),
+        highest_um: rounded(found.waveform.extremes_um()[1]),
+        error_um: rounded(found.reached.from_asked.rms_um),
+        error_share: rounded(found.reached.from_asked.share),
+        step_error_um: rounded(found.reached.step_error_um),
         too_slow_from_s: found.too_slow_from_s.map(rounded),
-        moves_per_s: rounded(found.moves_per_s),
+        moves_per_s: rounded(found.reached.moves_per_s),
         measured_s: rounded(found.measured_s),
     };
     followed.iter().map(motion).collect()
@@ -195,21 +176,18 @@ pub fn too_slow(motion: &FollowedMotion, array: Array) -> Option<String> {
     ))
 }
 
-fn reached(found: &DriveAmplitude) -> ReachedDrive {
-    let DriveAmplitude { drive, settings, reached, .. } = *found;
+fn reached(found: &Reached) -> ReachedDrive {
+    let Reached { drive, settings, strokes, .. } = *found;
     // Round the figures: a receipt is kept for years, and the model is not more accurate.
     let [ordered_um, reached_um, surplus_um] =
-        [found.ordered_um, found.reached_um, reached.surplus_um].map(|um| (um * 1000.0).round() / 1000.0);
-    let (motor, strokes) = (settings.motor, reached.strokes);
-    ReachedDrive { drive, motor, ordered_um, reached_um, surplus_um, strokes }
+        [found.ordered_um, found.reached_um, found.surplus_um].map(|um| (um * 1000.0).round() / 1000.0);
+    ReachedDrive { drive, motor: settings.motor, ordered_um, reached_um, surplus_um, strokes }
 }
 
 /// A line for each drive: its shortfall, or else that it is saturated.
-fn warnings(pattern: &Pattern, found: &[DriveAmplitude]) -> Vec<String> {
-    let saturated = pattern.warnings().into_iter().map(|warning| (warning.drive, warning.to_string()));
-    let mut lines: BTreeMap<usize, String> = saturated.collect();
-    let short = found.iter().filter(|drive| drive.shortfall().is_some());
-    lines.extend(short.map(|drive| (drive.drive, drive.to_string())));
+fn warnings(pattern: &Pattern, found: &[Reached]) -> Vec<String> {
+    let mut lines: BTreeMap<usize, String> = pattern.saturated().collect();
+    lines.extend(found.iter().filter_map(|drive| Some((drive.drive, drive.shortfall()?))));
     lines.into_values().collect()
 }
 

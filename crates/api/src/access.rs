@@ -35,7 +35,6 @@ impl Access {
     pub(crate) const MAKES_SAFE: Self = Self { session: SessionRule::Open, ..Self::CHANGES };
 
     /// Of a request that no route takes.
-    #[must_use]
     pub fn without_route(method: &str) -> Self {
         if matches!(method, "GET" | "HEAD") { Self::READS } else { Self::CHANGES }
     }

@@ -149,7 +149,6 @@ pub(crate) fn check_onset(
 }
 
 /// Whether this is a SHA-256 in hexadecimal.
-#[must_use]
 pub fn is_sha256(text: &str) -> bool {
     text.len() == 64 && text.bytes().all(|byte| matches!(byte, b'0'..=b'9' | b'a'..=b'f'))
 }

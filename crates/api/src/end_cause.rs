@@ -22,7 +22,6 @@ macro_rules! causes {
 
         impl EndCause {
             /// The text in JSON.
-            #[must_use]
             pub fn text(&self) -> &str {
                 match self {
                     $(Self::$name => $text,)*
@@ -112,7 +111,6 @@ causes! {
 
 impl EndCause {
     /// Whether the play itself could not go on: it was aborted, not stopped.
-    #[must_use]
     pub const fn is_abort(&self) -> bool {
         matches!(self, Self::LateStrokes | Self::OnsetMissed | Self::LineTooSlow | Self::BrokenStrokes)
     }

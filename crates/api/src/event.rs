@@ -286,7 +286,6 @@ pub const MAX_ITEMS_LISTED: usize = 32;
 
 impl Event {
     /// The name under which the daemon sends it.
-    #[must_use]
     pub const fn name(&self) -> &'static str {
         match self {
             Self::State { .. } => "state",

@@ -22,7 +22,6 @@ pub enum ItemState {
 
 impl ItemState {
     /// The state's name in the JSON.
-    #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
             Self::Played => "played",

@@ -258,7 +258,6 @@ impl LiveRequest {
     }
 
     /// The highest frequency of any update, Hz.
-    #[must_use]
     pub fn most_hz(&self) -> f64 {
         let initial = self.drives.iter().map(|drive| drive.frequency_hz).fold(60.0, f64::max);
         self.max_frequency_hz.unwrap_or(initial)
@@ -290,7 +289,6 @@ impl LiveMessage {
     }
 
     /// The number of a message, also of a bad one if its number is good: the answer names it.
-    #[must_use]
     pub fn seq(text: &[u8]) -> Option<u64> {
         serde_json::from_slice::<BTreeMap<String, Value>>(text).ok()?.get("seq")?.as_u64()
     }
@@ -298,7 +296,6 @@ impl LiveMessage {
 
 impl LiveAnswer {
     /// A message was refused.
-    #[must_use]
     pub fn refused(seq: Option<u64>, problem: Problem) -> Self {
         Self { seq, problem: Some(problem), ..Self::default() }
     }

@@ -87,7 +87,6 @@ const ABOUT: &str = "HTTP/1.1 over the daemon's Unix socket: `$MEISSNER_SOCKET`,
                      per second (`tick_hz`), the motors' numbers, where their pins stand, and their largest amplitude.";
 
 /// The document.
-#[must_use]
 pub fn document() -> Value {
     // Schemas are plain data: they can always be written.
     let mut schemas = serde_json::to_value(Schemas::openapi().components).unwrap_or_default();
@@ -178,7 +177,6 @@ fn complete(schema: &mut Value) {
 }
 
 /// A method as OpenAPI writes it.
-#[must_use]
 pub const fn method_name(method: Method) -> &'static str {
     match method {
         Method::Get => "get",

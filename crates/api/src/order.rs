@@ -184,7 +184,6 @@ pub enum LatePolicy {
 
 impl Order {
     /// The order to play this item.
-    #[must_use]
     pub fn new(item: Item, terms: Terms) -> Self {
         Self { name: None, items: vec![item], terms }
     }
@@ -248,7 +247,6 @@ impl Order {
     }
 
     /// The problem of an item, with its number if there are several.
-    #[must_use]
     pub fn at(&self, number: usize, problem: Problem) -> Problem {
         if self.items.len() == 1 {
             return problem;
@@ -257,7 +255,6 @@ impl Order {
     }
 
     /// The one item of an order whose receipt lists no items: its pattern gives the play its name.
-    #[must_use]
     pub fn one(&self) -> Option<&Item> {
         match &self.items[..] {
             [item] if self.name.is_none() && item.pattern.is_some() => Some(item),
@@ -266,7 +263,6 @@ impl Order {
     }
 
     /// The order as the session record keeps it: of several items only their number, because their ends record the rest.
-    #[must_use]
     pub fn recorded(&self) -> Value {
         if self.one().is_some() {
             return serde_json::to_value(self).unwrap_or_default();
@@ -308,7 +304,6 @@ pub(crate) const LIVE_TERMS: [&str; 6] = ["late", "replace", "open_loop", "sessi
 
 impl Item {
     /// An item that plays the pattern of this name once.
-    #[must_use]
     pub fn of(pattern: impl Into<PatternChoice>) -> Self {
         Self { pattern: Some(pattern.into()), ..Self::default() }
     }

@@ -38,7 +38,6 @@ impl<T: Into<String>> From<T> for PatternChoice {
 
 impl PatternChoice {
     /// The name that the request gives it; of an inline pattern without a name `inline`.
-    #[must_use]
     pub fn name(&self) -> &str {
         match self {
             Self::Name(name) => name,
@@ -47,7 +46,6 @@ impl PatternChoice {
     }
 
     /// The keys of an inline pattern.
-    #[must_use]
     pub fn inline(&self) -> Option<&Map<String, Value>> {
         match self {
             Self::Name(_) => None,

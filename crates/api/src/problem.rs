@@ -29,7 +29,6 @@ macro_rules! codes {
             pub const ALL: &[Self] = &[$(Self::$code),*];
 
             /// The code's stable name, its HTTP status and its title.
-            #[must_use]
             pub const fn parts(self) -> (&'static str, u16, &'static str) {
                 match self {
                     $(Self::$code => $parts,)*
@@ -158,7 +157,6 @@ pub struct Problem {
 
 impl Problem {
     /// An error of this code. The detail is escaped and cut: it may quote what a client sent.
-    #[must_use]
     pub fn new(code: Code, detail: impl AsRef<str>) -> Self {
         let (name, status, title) = code.parts();
         Self {

@@ -46,7 +46,6 @@ pub enum PlayState {
 
 impl PlayState {
     /// The state's name in the JSON.
-    #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
             Self::Queued => "queued",
@@ -59,7 +58,6 @@ impl PlayState {
     }
 
     /// Whether the play has ended.
-    #[must_use]
     pub const fn is_over(self) -> bool {
         !matches!(self, Self::Queued | Self::Running)
     }
@@ -134,7 +132,6 @@ pub enum ErrorSource {
 
 impl ErrorSource {
     /// The source's name in the JSON.
-    #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
             Self::None => "none",
@@ -323,8 +320,6 @@ pub struct LinkTraffic {
 
 impl LinkTraffic {
     /// The traffic of `bytes_to_device` bytes for `bursts` planned bursts.
-    #[must_use]
-    #[expect(clippy::cast_precision_loss, reason = "a quotient to read")]
     pub fn new(bytes_to_device: u64, bursts: u64) -> Self {
         let bytes_per_burst = (bursts > 0).then(|| bytes_to_device as f64 / bursts as f64);
         Self { bytes_to_device, bytes_per_burst }
@@ -517,7 +512,6 @@ pub struct Receipt {
 
 impl Receipt {
     /// The receipt of a play that was just requested. Its array is the paper's until another is set.
-    #[must_use]
     pub fn new(name: &str, sha256: &str, items: usize, terms: &Terms) -> Self {
         let device = PlayDevice { array: "tula35-6x4".to_owned(), tick_hz: 85_000, ..PlayDevice::default() };
         let order = PlayOrder { items: items as u64, terms: terms.clone() };
@@ -525,13 +519,11 @@ impl Receipt {
     }
 
     /// The session that the play belongs to.
-    #[must_use]
     pub fn session(&self) -> Option<&str> {
         self.order.terms.session.as_deref()
     }
 
     /// Whether the play came to its end with every burst played.
-    #[must_use]
     pub fn all_played(&self) -> bool {
         self.state == PlayState::Done
             && self.counts.bursts.is_some_and(|bursts| bursts.played == bursts.planned)

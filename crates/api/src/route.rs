@@ -113,19 +113,16 @@ const STATUS: Answer = Answer::Json("Status");
 
 impl Route {
     /// The HTTP method.
-    #[must_use]
     pub const fn method(self) -> Method {
         self.operation().method
     }
 
     /// The address.
-    #[must_use]
     pub const fn path(self) -> &'static str {
         self.operation().path
     }
 
     /// What a client needs for it.
-    #[must_use]
     pub const fn access(self) -> Access {
         self.operation().access
     }
@@ -185,7 +182,6 @@ macro_rules! routes {
             pub const ALL: [Self; [$(stringify!($route)),*].len()] = [$(Self::$route),*];
 
             /// Its row.
-            #[must_use]
             pub const fn operation(self) -> Operation {
                 match self {
                     $(Self::$route => $operation),*
@@ -608,7 +604,6 @@ routes! {
 
 impl Route {
     /// The route that takes this method and path. It uses no heap.
-    #[must_use]
     pub fn find(method: &str, path: &str) -> Option<Self> {
         let method = match method {
             "GET" | "HEAD" => Method::Get,

@@ -142,7 +142,6 @@ pub struct Losses {
 
 impl Losses {
     /// Whether anything is lost.
-    #[must_use]
     pub const fn any(self) -> bool {
         self.entries > 0 || self.plays > 0
     }
@@ -150,7 +149,6 @@ impl Losses {
 
 impl Session {
     /// Whether only the owner may change anything now.
-    #[must_use]
     pub const fn is_closed_to_others(&self) -> bool {
         self.exclusive && !self.released && self.reason.is_none()
     }

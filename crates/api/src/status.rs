@@ -107,7 +107,6 @@ pub struct StandingPins {
 
 impl StandingPins {
     /// As a clause.
-    #[must_use]
     pub fn text(&self) -> String {
         let time = if self.age_s < 0.5 { String::new() } else { format!(", for {:.0} s", self.age_s) };
         format!("pins stand up to {:.0} um above rest{time}", self.height_um)
@@ -132,7 +131,6 @@ pub enum SensorFault {
 
 impl SensorFault {
     /// The fault, as a clause about the motor.
-    #[must_use]
     pub const fn text(self) -> &'static str {
         match self {
             Self::Jumps => "its telemetry moves where its bursts do not",
@@ -372,7 +370,6 @@ pub struct Status {
 
 impl Status {
     /// Whether a device has completed the handshake; before that the daemon takes no commands for it.
-    #[must_use]
     pub fn is_connected(&self) -> bool {
         self.device.is_some() && self.state != NO_DEVICE && self.clock.is_some()
     }

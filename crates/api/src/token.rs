@@ -32,7 +32,6 @@ pub enum Role {
 
 impl Role {
     /// Its name.
-    #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
             Self::Observe => "observe",

@@ -41,7 +41,6 @@ pub struct TriggerShape {
 
 impl TriggerShape {
     /// The width in use, ms.
-    #[must_use]
     pub fn width_ms(&self) -> f64 {
         self.width_ms.unwrap_or(if self.code.is_some() { CELL_MS } else { PULSE_MS })
     }

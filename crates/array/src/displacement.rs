@@ -6,10 +6,9 @@
 //!
 //! Invariant: equal strokes give equal samples, and the samples of plays that touch add up.
 
-use crate::motor::{HalfTick, Ramp, Shaft};
+use crate::motor::{HalfTick, Path};
 use crate::spec::MotorSpec;
 use crate::strokes::{Step, Strokes, StrokesError};
-use std::collections::VecDeque;
 use std::iter::Peekable;
 
 /// The samples of a play: for each the displacement of [`Self::motors`], µm.
@@ -17,7 +16,7 @@ use std::iter::Peekable;
 pub struct Displacement {
     strokes: Peekable<Strokes>,
     motors: Vec<u8>,
-    pins: Vec<Pin>,
+    pins: Vec<Path>,
     first_s: f64,
     rate_hz: f64,
     half_ticks_per_s: f64,
@@ -26,21 +25,13 @@ pub struct Displacement {
     rest_from: HalfTick,
 }
 
-/// A pin, and the ramps that it has not begun.
-#[derive(Debug)]
-struct Pin {
-    shaft: Shaft,
-    ahead: VecDeque<Ramp>,
-}
-
 impl Displacement {
     /// Samples these strokes `rate_hz` times a second, the first time `first_s` after pattern time 0. The rate must be
     /// at least 1 Hz and at most the tick rate, and `first_s` 0 or more.
-    #[must_use]
     pub fn new(strokes: Strokes, rate_hz: f64, first_s: f64) -> Self {
         let motors: Vec<u8> = strokes.motors().collect();
         let motor = strokes.array().spec().motor();
-        let pins = motors.iter().map(|_| Pin { shaft: Shaft::new(motor), ahead: VecDeque::new() }).collect();
+        let pins = motors.iter().map(|_| Path::new(motor)).collect();
         let (rest_from, half_ticks_per_s) = (HalfTick(0), strokes.array().rate().half_ticks_per_s());
         Self {
             strokes: strokes.peekable(),
@@ -56,18 +47,11 @@ impl Displacement {
     }
 
     /// The motors of the pins, in order.
-    #[must_use]
     pub fn motors(&self) -> &[u8] {
         &self.motors
     }
 
     /// When the next sample is taken.
-    #[expect(
-        clippy::cast_possible_truncation,
-        clippy::cast_sign_loss,
-        clippy::cast_precision_loss,
-        reason = "the cast is the floor, and saturates; 2^53 samples last 3 000 years"
-    )]
     fn at(&self) -> HalfTick {
         let seconds = self.first_s + self.number as f64 / self.rate_hz;
         HalfTick((seconds * self.half_ticks_per_s + 0.5) as u64)
@@ -76,7 +60,7 @@ impl Displacement {
     fn take(&mut self, step: &Step) {
         self.rest_from = self.rest_from.max(HalfTick(2 * step.end().0 + self.motor.window_half_ticks));
         let place = self.motors.binary_search(&step.motor()).expect("only these motors have steps");
-        self.pins[place].ahead.extend(step.ramps(self.motor.um_per_pulse));
+        self.pins[place].extend(step.ramps(self.motor.um_per_pulse));
     }
 }
 
@@ -97,13 +81,7 @@ impl Iterator for Displacement {
             return None;
         }
         self.number += 1;
-        let sample = |pin: &mut Pin| {
-            while let Some(ramp) = pin.ahead.pop_front_if(|ramp| HalfTick::from(ramp.start) <= at) {
-                pin.shaft.push(ramp);
-            }
-            pin.shaft.displacement_um(at)
-        };
-        Some(Ok(self.pins.iter_mut().map(sample).collect()))
+        Some(Ok(self.pins.iter_mut().map(|pin| pin.um_at(at)).collect()))
     }
 }
 

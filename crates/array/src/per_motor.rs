@@ -14,14 +14,11 @@ pub struct PerMotor<T> {
 
 impl<T: Copy> PerMotor<T> {
     /// The same value for each motor.
-    #[must_use]
-    #[expect(clippy::cast_possible_truncation, reason = "at most 64")]
     pub fn all(array: Array, value: T) -> Self {
         Self { values: [value; MAX_MOTORS], motors: array.motors() as u8 }
     }
 
     /// A value for each motor, by its number.
-    #[must_use]
     pub fn from_fn(array: Array, mut of: impl FnMut(u8) -> T) -> Self {
         let mut all = Self::all(array, of(0));
         for (motor, value) in (0..).zip(all.iter_mut()).skip(1) {
@@ -31,7 +28,6 @@ impl<T: Copy> PerMotor<T> {
     }
 
     /// What a function makes of each value.
-    #[must_use]
     pub fn map<U: Copy>(&self, mut of: impl FnMut(T) -> U) -> PerMotor<U> {
         let mut values = [of(self.values[0]); MAX_MOTORS];
         for (value, from) in values.iter_mut().zip(&**self).skip(1) {

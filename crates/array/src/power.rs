@@ -22,7 +22,6 @@ pub const SHOWN_S: u64 = 10;
 
 /// Mean current of a motor with pulses, mA. Its bridge reverses the voltage twice in a period, and the rail supplies the charge
 /// 2·C·V each time, so I = 4·C·V·f.
-#[must_use]
 pub fn current_ma(array: Array, capacitance_nf: f64) -> f64 {
     4.0 * capacitance_nf * 1e-9 * RAIL_V * f64::from(array.rate().hz()) * 1e3
 }
@@ -41,7 +40,6 @@ impl Group {
     ///
     /// # Panics
     /// If the array has no such group.
-    #[must_use]
     pub fn motors(self, array: &ArraySpec) -> &[u8] {
         let (groups, number) = match self {
             Self::Rail(number) => (array.rails(), number),
@@ -54,7 +52,6 @@ impl Group {
     ///
     /// # Panics
     /// If the array has no such group.
-    #[must_use]
     pub fn in_words(self, array: &ArraySpec) -> String {
         let (name, number) = match self {
             Self::Rail(number) => ("rail", number),
@@ -110,7 +107,6 @@ pub struct PulsingMotors {
 
 impl PulsingMotors {
     /// A count without strokes. [`Self::too_many`] compares with these limits.
-    #[must_use]
     pub fn new(array: Array, limits: PowerLimits) -> Self {
         Self {
             array,
@@ -165,13 +161,11 @@ impl PulsingMotors {
     }
 
     /// The first tick that breaks the limits. All ticks before the last stroke's up tick have been counted.
-    #[must_use]
     pub const fn too_many(&self) -> Option<TooMany> {
         self.too_many
     }
 
     /// Counts the rest; returns the pulses of each rail, and the first tick that breaks the limits.
-    #[must_use]
     pub fn finish(mut self) -> (Vec<RailPulses>, Option<TooMany>) {
         self.pass(u64::MAX);
         (self.rails, self.too_many)
@@ -180,14 +174,12 @@ impl PulsingMotors {
 
 impl RailPulses {
     /// Mean over `ticks` of the number of motors that have pulses.
-    #[must_use]
     pub fn mean_at_once(&self, ticks: u64) -> f64 {
         if ticks == 0 { 0.0 } else { self.pulses as f64 / ticks as f64 }
     }
 }
 
 /// The pulses of each rail in the first [`SHOWN_S`] of these strokes, or up to their end, and the number of ticks covered.
-#[must_use]
 pub fn rail_pulses(strokes: &Strokes) -> (Vec<RailPulses>, u64) {
     let mut strokes = strokes.clone();
     strokes.begin(Tick(0));

@@ -53,7 +53,6 @@ pub struct Spread {
 /// exceeds, to three decimals: 2.858 for the paper's 24 motors.
 ///
 /// `Φ(x)^motors = 0.95`. An array is as good as its worst pin, so a surplus that suits only an average motor fails on every array.
-#[must_use]
 pub fn worst_of(motors: usize) -> f64 {
     let one_exceeds = 1.0 - libm::pow(0.95, 1.0 / motors.max(1) as f64);
     let (mut below, mut beyond) = (0.0, FAR);
@@ -66,14 +65,12 @@ pub fn worst_of(motors: usize) -> f64 {
 
 impl Spread {
     /// The spread of motors that are not calibrated: the asymmetry that none of so many exceeds ([`worst_of`]).
-    #[must_use]
     pub fn uncalibrated(scatter: f64, asymmetry_sd: f64, motors: usize) -> Self {
         Self { scatter, asymmetry: worst_of(motors) * asymmetry_sd }
     }
 
     /// The spread of one of so many motors whose gains up and down were measured, each with a standard deviation. The asymmetry is
     /// the measured one plus [`worst_of`] standard deviations of its measurement error.
-    #[must_use]
     pub fn measured(scatter: f64, gains: [f64; 2], sds: [f64; 2], motors: usize) -> Self {
         let mean = f64::midpoint(gains[0], gains[1]);
         let sd = libm::hypot(sds[0], sds[1]);
@@ -105,7 +102,6 @@ impl Bursts {
     }
 
     /// Travel up in all, µm.
-    #[must_use]
     pub const fn up_um(&self) -> f64 {
         self.up_um
     }
@@ -122,7 +118,6 @@ pub struct ReflectedWalk {
 
 impl ReflectedWalk {
     /// The walk of strokes of this amplitude and surplus.
-    #[must_use]
     pub fn new(amplitude_um: f64, surplus_um: f64, spread: Spread) -> Self {
         let up = amplitude_um * (1.0 + spread.asymmetry / 2.0);
         let down = (amplitude_um + surplus_um) * (1.0 - spread.asymmetry / 2.0);
@@ -130,7 +125,6 @@ impl ReflectedWalk {
     }
 
     /// The walk of excursions of these bursts, with a surplus of the last one.
-    #[must_use]
     pub fn of_bursts(bursts: &Bursts, surplus_um: f64, spread: Spread) -> Self {
         let [up, down] = [1.0 + spread.asymmetry / 2.0, 1.0 - spread.asymmetry / 2.0];
         let last_um = bursts.last_um + surplus_um;
@@ -141,7 +135,6 @@ impl ReflectedWalk {
     }
 
     /// Stationary root mean square of the rest error, µm; infinite if it grows without limit.
-    #[must_use]
     pub fn rms_um(&self) -> f64 {
         let (mean, variance) = self.moments();
         (mean * mean + variance).sqrt()
@@ -149,7 +142,6 @@ impl ReflectedWalk {
 
     /// Mean and variance of the rest error after one more stroke, from those before it, µm and µm². It assumes that the free sum is
     /// normal, so it needs no history: the stationary rms of repeated calls is within 15 % of [`Self::rms_um`].
-    #[must_use]
     pub fn after(&self, [mean, variance]: [f64; 2]) -> [f64; 2] {
         let (mean, sd) = (mean + self.mean_um, libm::hypot(variance.sqrt(), self.sd_um));
         if sd == 0.0 {
@@ -181,7 +173,6 @@ impl ReflectedWalk {
 
 /// The smallest surplus that keeps the stationary rms of the rest error within `rest_error_um`, µm. None: no surplus up to the
 /// amplitude does.
-#[must_use]
 pub fn surplus_um(amplitude_um: f64, spread: Spread, rest_error_um: f64) -> Option<f64> {
     least(amplitude_um, |surplus_um| {
         ReflectedWalk::new(amplitude_um, surplus_um, spread).rms_um() <= rest_error_um
@@ -189,7 +180,6 @@ pub fn surplus_um(amplitude_um: f64, spread: Spread, rest_error_um: f64) -> Opti
 }
 
 /// As [`surplus_um`], of the last of these bursts. None: no surplus up to `most_um` does.
-#[must_use]
 pub fn surplus_after_um(bursts: &Bursts, most_um: f64, spread: Spread, rest_error_um: f64) -> Option<f64> {
     least(most_um, |surplus_um| {
         ReflectedWalk::of_bursts(bursts, surplus_um, spread).rms_um() <= rest_error_um

@@ -16,82 +16,63 @@ pub struct TickRate(u32);
 
 impl TickRate {
     /// So many ticks per second.
-    #[must_use]
     pub const fn new(hz: u32) -> Self {
         Self(hz)
     }
 
     /// Ticks per second.
-    #[must_use]
     pub const fn hz(self) -> u32 {
         self.0
     }
 
     /// Ticks of a second.
-    #[must_use]
     pub const fn per_s(self) -> u64 {
         self.0 as u64
     }
 
     /// Half ticks of a second: the motor model counts in half ticks.
-    #[must_use]
     pub const fn half_ticks_per_s(self) -> f64 {
         2.0 * self.0 as f64
     }
 
     /// The first tick at least `ms` milliseconds after tick 0.
-    #[must_use]
     pub const fn of_ms(self, ms: u64) -> u64 {
         (ms * self.per_s()).div_ceil(1000)
     }
 
     /// The tick nearest to `seconds`, halves up: `floor(seconds * hz + 0.5)`. Negative or NaN: 0.
-    #[must_use]
-    #[expect(
-        clippy::cast_possible_truncation,
-        clippy::cast_sign_loss,
-        reason = "the cast is the floor, and saturates"
-    )]
     pub fn seconds_to_ticks(self, seconds: f64) -> u64 {
         (self.seconds_in_ticks(seconds) + 0.5) as u64
     }
 
     /// The whole ticks of a duration.
-    #[must_use]
     pub fn duration_to_ticks(self, duration: Duration) -> u64 {
         let ticks = duration.as_nanos() * u128::from(self.0) / 1_000_000_000;
         u64::try_from(ticks).unwrap_or(u64::MAX)
     }
 
     /// `seconds` as a number of ticks, not rounded.
-    #[must_use]
     pub const fn seconds_in_ticks(self, seconds: f64) -> f64 {
         seconds * self.0 as f64
     }
 
     /// `ms` milliseconds as a number of ticks, not rounded.
-    #[must_use]
     pub const fn ms_in_ticks(self, ms: f64) -> f64 {
         ms * self.0 as f64 / 1000.0
     }
 
     /// Ticks as seconds.
-    #[must_use]
-    #[expect(clippy::cast_precision_loss, reason = "2^53 ticks last 3 000 years")]
     pub const fn ticks_to_seconds(self, ticks: u64) -> f64 {
         ticks as f64 / self.0 as f64
     }
 
     /// Ticks as milliseconds.
-    #[must_use]
     pub const fn ticks_to_ms(self, ticks: u64) -> f64 {
         self.ticks_to_seconds(ticks) * 1000.0
     }
 }
 
 /// Nanoseconds as milliseconds.
-#[must_use]
-#[expect(clippy::cast_precision_loss, reason = "milliseconds to read")]
 pub const fn ns_to_ms(ns: u64) -> f64 {
     ns as f64 / 1e6
 }
@@ -100,7 +81,6 @@ pub const fn ns_to_ms(ns: u64) -> f64 {
 ///
 /// # Panics
 /// If `ms` is negative, not finite, or longer than a duration can be.
-#[must_use]
 pub fn ms_to_duration(ms: f64) -> Duration {
     Duration::from_secs_f64(ms / 1000.0)
 }

@@ -1,9 +1,7 @@
 //! Patterns of format 2: motions beside drives, in files, packed, mapped and compiled.
 
-use meissner_array::motion::{Envelope, Noise, RampHold, Shape, Strength, Tone};
-use meissner_array::pattern::{
-    Form, MAX_AT_ONCE, MAX_FILE_BYTES, MAX_PATTERN_SAMPLES, Motion, Pattern, Wave,
-};
+use meissner_array::motion::{Envelope, Noise, RampHold, Shape, Tone};
+use meissner_array::pattern::{MAX_AT_ONCE, MAX_FILE_BYTES, MAX_PATTERN_SAMPLES, Motion, Pattern, Wave};
 use meissner_array::spec::Array;
 use meissner_array::strokes::ordered_end;
 use meissner_test_support::documents::{assert_changes_refused, in_one_line};
@@ -74,20 +72,21 @@ fn with(tables: &str) -> String {
 #[test]
 fn motions_are_read_summed_and_written_back_as_the_same_pattern() {
     let pattern = parse(GOOD);
-    let forms: Vec<_> = pattern.motions().iter().map(|motion| (motion.motor, motion.form.table())).collect();
+    let forms: Vec<_> = pattern.motions().iter().map(|motion| (motion.motor(), motion.table())).collect();
     assert_eq!(forms, [(9, "wave"), (4, "wave"), (9, "ramp"), (9, "tone"), (3, "noise")]);
-    let Form::Wave(packed) = &pattern.motions()[1].form else { panic!("{pattern:?}") };
+    let Motion::Wave(packed) = &pattern.motions()[1] else { panic!("{pattern:?}") };
     assert_eq!((&packed.um[..], packed.start_s, packed.rate_hz), (&[1.5_f32, 10.0][..], 0.0, 1000.0));
-    let ramp =
-        RampHold { start_s: 0.0, to_um: 200.0, rise_s: 0.05, hold_s: 1.0, fall_s: 0.1, shape: Shape::Cosine };
-    assert_eq!(pattern.motions()[2].form, Form::Ramp(ramp));
-    let Form::Tone(Tone { start_hz, end_hz, about_um, envelope, .. }) = pattern.motions()[3].form else {
+    let (motor, start_s, to_um, rise_s, hold_s) = (9, 0.0, 200.0, 0.05, 1.0);
+    let ramp = RampHold { motor, start_s, to_um, rise_s, hold_s, fall_s: Some(0.1), shape: Shape::Cosine };
+    assert_eq!(pattern.motions()[2], Motion::Ramp(ramp));
+    let Motion::Tone(Tone { frequency_hz, end_hz, about_um, envelope, .. }) = pattern.motions()[3] else {
         panic!()
     };
-    assert_eq!((start_hz, end_hz, about_um, envelope), (40.0, 80.0, Some(0.0), Envelope::Hann));
-    let Form::Noise(Noise { strength, envelope, .. }) = pattern.motions()[4].form else { panic!() };
+    let hann = Some(Envelope::HANN);
+    assert_eq!((frequency_hz, end_hz, about_um, envelope), (40.0, Some(80.0), Some(0.0), hann));
+    let Motion::Noise(Noise { rms_um, envelope, .. }) = pattern.motions()[4] else { panic!() };
     let edges = Envelope::AttackRelease { attack_s: 0.1, release_s: 0.05 };
-    assert_eq!((strength, envelope), (Strength::RmsUm(3.0), edges));
+    assert_eq!((rms_um, envelope), (Some(3.0), Some(edges)));
 
     let motors: Vec<u8> = pattern.waveforms().iter().map(|(motor, _)| *motor).collect();
     assert_eq!(motors, [3, 4, 9]);
@@ -155,7 +154,7 @@ high_hz = 50.0 => high_hz = 5.1⏎ => 40: noise 1: motor 3: noise of 0.5 s has n
 rms_um = 3.0 =>  => 40: noise 1: needs rms_um or peak_um, and only one
 rms_um = 3.0 => rms_um = 3.0⏎peak_um = 9.0 => 40: noise 1: needs rms_um or peak_um, and only one
 rms_um = 3.0 => rms_um = 300.0 => 40: noise 1: motor 3 goes to …um at …must be 0 to 400 um
-seed = 7 => seed = -7 => 46: noise 1: `seed` is -7: must be 0 or more
+seed = 7 => seed = -7 => 46: noise 1: `seed` is integer `-7`: must be a whole number, 0 or more
 seed = 7 =>  => 40: noise 1: `seed` is missing…equal seeds
 "#;
 
@@ -248,7 +247,7 @@ fn the_largest_pattern_is_packed_and_read() {
     let um: Arc<[f32]> = (0..600_000).map(|k| (k % 400) as f32).collect();
     let motion = |motor| {
         let (start_s, rate_hz, um, source) = (0.0, 1000.0, um.clone(), None);
-        Motion { motor, form: Form::Wave(Wave { start_s, rate_hz, um, source }) }
+        Motion::Wave(Wave { motor, start_s, rate_hz, um, source })
     };
     let pattern = |motions| {
         let empty = Pattern::new(Array::paper(), "p", None, Vec::new(), toml::Table::new()).unwrap();
@@ -299,8 +298,8 @@ fn a_pattern_that_names_files_becomes_complete() {
     };
     let pattern = Pattern::parse_with_files(&text, "p.toml", &mut files).unwrap();
     assert_eq!(asked, ["touch.npy", "../t/a.csv"]);
-    let waves = pattern.motions().iter().map(|motion| match &motion.form {
-        Form::Wave(wave) => (wave.rate_hz, wave.um.to_vec(), wave.source.as_deref().unwrap()),
+    let waves = pattern.motions().iter().map(|motion| match motion {
+        Motion::Wave(wave) => (wave.rate_hz, wave.um.to_vec(), wave.source.as_deref().unwrap()),
         _ => panic!("{motion:?}"),
     });
     let waves: Vec<_> = waves.collect();
@@ -334,7 +333,7 @@ fn a_pattern_that_names_files_becomes_complete() {
         (refuse(&one.replace("column = 1", ""), Ok(npy(&[0.0; 4]))), "2 columns: add column = 0 to 1"),
         (
             refuse(&one.replace("column = 1", "channel = -1"), Ok(vec![])),
-            "p.toml:7: wave 1: `channel` is -1: must be 0",
+            "p.toml:7: wave 1: `channel` is integer `-1`: must be a whole number, 0 or more",
         ),
         (refuse(&one.replace("t.npy", "t.mat"), Ok(vec![])), "must end in .npy, .csv or .wav"),
     ] {

@@ -66,7 +66,7 @@ duration_s = 5 => duration_s = 1 => 16: drive 2: `start_s` is 1: beyond…raise 
 duration_s = 5 => duration_s = 1.5 => 17: drive 2: `stop_s` is 2: beyond…raise duration_s
 duration_s = 5 => duration_s =  => 3: not TOML…
 motor = 9 => motor = 24 => 6: drive 1: `motor` is 24…0 to 23
-motor = 9 => motor = -1 => 6: drive 1: `motor` is -1…0 to 23
+motor = 9 => motor = -1 => 6: drive 1: `motor` is -1…the number of a motor…
 motor = 9 => motor = 9.0 => 6: drive 1: `motor` is floating point `9.0`…a whole number
 motor = 9 => motor = 99999999999999999999 => 6: drive 1: `motor`…a whole number
 motor = 9 =>  => 5: drive 1: `motor` is missing…from 0 on
@@ -180,7 +180,7 @@ fn every_shipped_pattern_is_sound_and_moves() {
         let pattern =
             Pattern::parse(&fs::read_to_string(&path).unwrap(), &path.display().to_string()).unwrap();
         assert_eq!(path.file_stem().unwrap(), pattern.name());
-        assert_eq!(pattern.warnings(), []);
+        assert_eq!(pattern.saturated().count(), 0);
         assert!(pattern.provenance().contains_key("method"), "{}", pattern.name());
         let strokes = Strokes::new(&pattern, &StrokeOptions::lasting(1.0)).unwrap().map(Result::unwrap);
         assert!(strokes.count() > 5, "{}", pattern.name());

@@ -1,7 +1,6 @@
 //! Motions as steps of a play: repeats, cuts, sequences, scale, and what drives and motions of one motor do together.
 
 use firmware_protocol::moves::Move;
-use meissner_array::motion::{Moves, choose};
 use meissner_array::pattern::Pattern;
 use meissner_array::per_motor::PerMotor;
 use meissner_array::reflected_walk::{Bursts, ReflectedWalk, Spread};
@@ -167,29 +166,6 @@ fn table() -> impl Strategy<Value = (u8, String)> {
 }
 
 proptest! {
-    /// Steps are passed over only where there is no move.
-    #[test]
-    fn slow_and_small_motions_have_the_moves_of_their_waveforms(
-        um in prop::collection::vec(0.0..4.0f64, 2..40),
-        (high, rate_hz) in (0.0..90.0f64, 1.0..40.0f64),
-        scale in 0.1..1.0f64,
-    ) {
-        let um: Vec<f64> = um.into_iter().map(|um| um + high).collect();
-        let pattern = pattern(&format!("[[wave]]\nmotor = 3\nrate_hz = {rate_hz:?}\num = {um:?}\n"));
-        let mut found = moves(&steps(&pattern, &StrokeOptions { scale, ..StrokeOptions::default() }), 3);
-        // After much work for a move there is one to the same level.
-        let mut level = 0;
-        found.retain(|next| std::mem::replace(&mut level, next.1) != next.1);
-        let waveform = pattern.waveforms()[0].1.clone();
-        let grid = choose(pattern.array(), [(3, &waveform)].into_iter(), None).unwrap();
-        let waveform = waveform.scaled(scale);
-        let wanted = Moves::new(pattern.array(), 3, &waveform, grid).map(|of| (of.tick.0, of.level));
-        // At the end of the play the pin is down: the last steps may be lower.
-        let end = pattern.array().rate().seconds_to_ticks((um.len() - 1) as f64 / rate_hz).saturating_sub(4_000);
-        let before = |moves: Vec<(u64, u16)>| moves.into_iter().filter(|(tick, _)| *tick < end).collect::<Vec<_>>();
-        prop_assert_eq!(before(found), before(wanted.collect()));
-    }
-
     /// Whatever a pattern has, is cut to and repeated: levels are in range, steps in order and not too fast, and the pins end at rest in time.
     #[test]
     fn steps_are_in_order_in_range_and_end_at_rest(

@@ -14,7 +14,6 @@ const SHOWN_OF_MESSAGE: usize = 200;
 
 /// Whether a character is shown as it is. Line breaks, control characters (also those that begin terminal escapes), Unicode's line
 /// and paragraph separators, direction marks and invisible letters are not.
-#[must_use]
 pub fn is_plain(c: char) -> bool {
     match c {
         ' '..='~' => true,
@@ -39,7 +38,6 @@ impl<W: Write> Write for Escaping<W> {
 }
 
 /// Text, escaped.
-#[must_use]
 pub fn escape(text: &str) -> String {
     let mut shown = Escaping(String::new());
     // Writing to a string cannot fail.
@@ -48,7 +46,6 @@ pub fn escape(text: &str) -> String {
 }
 
 /// The first `most` characters of a text, escaped; three dots follow if there are more.
-#[must_use]
 pub fn cut(text: &str, most: usize) -> String {
     match text.char_indices().nth(most) {
         Some((end, _)) => escape(&text[..end]) + "...",

@@ -63,7 +63,6 @@ pub struct Robustness {
 
 impl Conditions {
     /// The conditions that a pattern is made for: its populations and noise.
-    #[must_use]
     pub const fn plain(populations: Vec<u64>, noise_seed: u64) -> Self {
         Self { populations, noise_seed, rectify: None, gain: 1.0, shift_mm: [0.0; 2] }
     }

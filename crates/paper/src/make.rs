@@ -113,7 +113,6 @@ pub enum MakeError {
 
 impl Made {
     /// The work for all frames.
-    #[must_use]
     pub fn spent(&self) -> Spent {
         self.found.iter().fold(Spent::default(), |sum, found| Spent {
             evaluations: sum.evaluations + found.spent.evaluations,
@@ -122,7 +121,6 @@ impl Made {
     }
 
     /// Why the search ended: it converged only if it did for every frame.
-    #[must_use]
     pub fn ended(&self) -> Ended {
         let any = |ended: &Ended| self.found.iter().any(|found| found.ended == *ended);
         [Ended::Interrupted, Ended::Limit].into_iter().find(any).unwrap_or(Ended::Converged)
@@ -130,7 +128,6 @@ impl Made {
 }
 
 /// Seeds of the populations that a pattern is made for.
-#[must_use]
 pub fn populations(target: &Target, robust: bool) -> Vec<u64> {
     let count = if robust { ROBUST_POPULATIONS } else { 1 };
     (0..count).map(|number| target.population_seed().wrapping_add(number)).collect()

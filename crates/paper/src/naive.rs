@@ -29,7 +29,6 @@ impl Rule {
     pub const ALL: [Self; 2] = [Self::Reach, Self::Pitch];
 
     /// Its name in tables.
-    #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
             Self::Reach => "naive-reach",
@@ -38,7 +37,6 @@ impl Rule {
     }
 
     /// What the motors do in a frame of a target.
-    #[must_use]
     pub(crate) fn point(self, target: &Target, frame: &Frame) -> Point {
         let array = target.array();
         let within_mm = match self {
@@ -54,7 +52,6 @@ impl Rule {
     }
 
     /// The drives for a target, frame by frame; none if no pin is near.
-    #[must_use]
     pub fn drives(self, target: &Target) -> Vec<Drive> {
         let in_frame = |frame: &Frame| {
             self.point(target, frame).drives(target.amplitude_um(), frame.start_s, frame.stop_s)

@@ -49,7 +49,6 @@ pub struct Score {
 
 impl Score {
     /// The contrast, which a search maximises.
-    #[must_use]
     pub fn cost_hz(self) -> f64 {
         self.on_hz - self.off_hz
     }
@@ -75,7 +74,6 @@ impl Objective {
     ///
     /// # Panics
     /// If no scene can have the fidelity's duration.
-    #[must_use]
     pub fn new(
         target: &Target,
         frame: &Frame,
@@ -118,13 +116,11 @@ impl Objective {
     }
 
     /// The number of afferents in all populations.
-    #[must_use]
     pub fn afferents(&self) -> usize {
         self.scene.afferents().len()
     }
 
     /// Duration of the simulation, s.
-    #[must_use]
     pub const fn duration_s(&self) -> f64 {
         self.duration_s
     }
@@ -177,13 +173,11 @@ pub struct Tried {
 
 impl<'o> Incumbent<'o> {
     /// The point.
-    #[must_use]
     pub const fn point(&self) -> &Point {
         &self.point
     }
 
     /// Its score.
-    #[must_use]
     pub const fn score(&self) -> Score {
         self.score
     }
@@ -193,7 +187,6 @@ impl<'o> Incumbent<'o> {
     }
 
     /// Scores other points in parallel. Only the afferents that a changed motor reaches are simulated.
-    #[must_use]
     pub fn try_all(&self, points: Vec<Point>) -> Vec<Tried> {
         let tried = |point: Point| {
             let differing = self.evaluator.evaluate(&self.objective.drives(&point)).expect(EVERY_DRIVE);

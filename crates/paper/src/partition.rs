@@ -32,7 +32,6 @@ pub struct Verdict {
 
 impl Partition {
     /// The partition for a shape. An afferent at exactly `reach_mm` is ON.
-    #[must_use]
     pub fn of(shape: &Shape, reach_mm: f64, afferents: &[Position]) -> Self {
         let on: Vec<bool> = afferents.iter().map(|&at| shape.distance_mm(at) <= reach_mm).collect();
         let count = on.iter().filter(|&&on| on).count();
@@ -40,50 +39,42 @@ impl Partition {
     }
 
     /// Whether each afferent is ON.
-    #[must_use]
     pub fn on(&self) -> &[bool] {
         &self.on
     }
 
     /// The number of ON afferents.
-    #[must_use]
     pub const fn on_count(&self) -> usize {
         self.count
     }
 
     /// The number of OFF afferents.
-    #[must_use]
     pub fn off_count(&self) -> usize {
         self.on.len() - self.count
     }
 
     /// Whether there are ON and OFF afferents: only then there is a contrast.
-    #[must_use]
     pub fn has_both(&self) -> bool {
         self.on_count() > 0 && self.off_count() > 0
     }
 
     /// Mean rate of the ON afferents; none if there are none.
-    #[must_use]
     pub fn on_hz(&self, rates_hz: &[f64]) -> Option<f64> {
         self.mean(true, self.on_count(), rates_hz)
     }
 
     /// Mean rate of the OFF afferents; none if there are none.
-    #[must_use]
     pub fn off_hz(&self, rates_hz: &[f64]) -> Option<f64> {
         self.mean(false, self.off_count(), rates_hz)
     }
 
     /// The contrast; none unless there are ON and OFF afferents.
-    #[must_use]
     pub fn cost_hz(&self, rates_hz: &[f64]) -> Option<f64> {
         Some(self.on_hz(rates_hz)? - self.off_hz(rates_hz)?)
     }
 
     /// The probability that a random ON afferent fires faster than a random OFF one; a tie counts half. None unless
     /// there are both.
-    #[must_use]
     pub fn auc(&self, rates_hz: &[f64]) -> Option<f64> {
         self.check(rates_hz);
         if !self.has_both() {
@@ -103,7 +94,6 @@ impl Partition {
     }
 
     /// All figures; none unless there are ON and OFF afferents.
-    #[must_use]
     pub fn verdict(&self, rates_hz: &[f64]) -> Option<Verdict> {
         Some(Verdict {
             on_hz: self.on_hz(rates_hz)?,

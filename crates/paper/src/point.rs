@@ -31,13 +31,11 @@ impl Hash for Point {
 
 impl Vibration {
     /// The frequency, Hz.
-    #[must_use]
     pub fn frequency_hz(self) -> f64 {
         f64::from(self.decihertz) / 10.0
     }
 
     /// The phase, cycles.
-    #[must_use]
     pub fn phase(self) -> f64 {
         f64::from(self.percent) / 100.0
     }
@@ -45,7 +43,6 @@ impl Vibration {
 
 impl Point {
     /// The drives that play the point from `start_s` to `stop_s`; none means from the beginning, without end.
-    #[must_use]
     pub fn drives(&self, amplitude_um: f64, start_s: Option<f64>, stop_s: Option<f64>) -> Vec<Drive> {
         let drive = |(motor, vibration): (usize, &Option<Vibration>)| {
             let vibration = (*vibration)?;
@@ -62,7 +59,6 @@ impl Point {
     }
 
     /// The motors of each frequency, ordered by their first motor.
-    #[must_use]
     pub fn unisons(&self) -> Vec<Vec<usize>> {
         let mut unisons: Vec<(u16, Vec<usize>)> = Vec::new();
         for (motor, vibration) in self.0.iter().enumerate() {

@@ -10,20 +10,16 @@ static LIBRARY: Dir<'_> = include_dir!("$CARGO_MANIFEST_DIR/../../library/object
 pub const YARDSTICK: &str = "edge-45";
 
 /// The target of the shipped object of that name, if there is one.
-#[must_use]
-#[expect(clippy::missing_panics_doc, reason = "a test reads all shipped targets")]
 pub fn shipped(name: &str) -> Option<Target> {
     Some(Target::read(shipped_text(name)?, name).expect("shipped targets are valid"))
 }
 
 /// The file of the shipped object of that name, if there is one.
-#[must_use]
 pub fn shipped_text(name: &str) -> Option<&'static str> {
     LIBRARY.get_file(format!("{name}.toml")).and_then(File::contents_utf8)
 }
 
 /// The names of the shipped objects, sorted.
-#[must_use]
 pub fn shipped_names() -> Vec<&'static str> {
     let paths = LIBRARY.files().map(File::path);
     let toml = paths.filter(|path| path.extension().is_some_and(|extension| extension == "toml"));

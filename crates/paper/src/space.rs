@@ -65,7 +65,6 @@ const START_WORD: u64 = 4;
 
 impl Setting {
     /// Its space, for an array.
-    #[must_use]
     pub const fn space(self, array: Array) -> Space {
         let (decihertz, may_be_off) = match self {
             Self::Default => (50..=1500, true),
@@ -112,7 +111,6 @@ impl Space {
 
     /// What a motor does at the space's nearest frequency, at a phase in cycles. If that gives no stroke in the space's frame, the
     /// motor is off. If it may not be off, it gets the next higher frequency that gives one.
-    #[must_use]
     pub fn motion(&self, frequency_hz: f64, phase: f64) -> Option<Vibration> {
         let vibration = self.vibration(frequency_hz, phase);
         if self.has_stroke(vibration) {
@@ -124,8 +122,6 @@ impl Space {
     }
 
     /// The vibration of the space's nearest frequency, at a phase in cycles; whole cycles are dropped.
-    #[must_use]
-    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "clamped")]
     pub fn vibration(&self, frequency_hz: f64, phase: f64) -> Vibration {
         let (low, high) = (f64::from(*self.decihertz.start()), f64::from(*self.decihertz.end()));
         let percent = (100.0 * (phase - phase.floor())).round() as u8 % 100;
@@ -133,14 +129,12 @@ impl Space {
     }
 
     /// The frequency, Hz, at a share of the logarithmic range, 0 to 1.
-    #[must_use]
     pub fn frequency_hz(&self, share: f64) -> f64 {
         let (low, high) = (f64::from(*self.decihertz.start()), f64::from(*self.decihertz.end()));
         low / 10.0 * libm::pow(high / low, share)
     }
 
     /// A random start: every motor is on, at phase 0.
-    #[must_use]
     pub fn random(&self, seed: u64) -> Point {
         Point(PerMotor::from_fn(self.array, |motor| {
             let [share, _] = random::uniform([seed, motor.into(), 0, START_WORD]);
@@ -150,7 +144,6 @@ impl Space {
 
     /// The point of some drives: the first drive of each motor. A motor without a drive, or whose drive gives no stroke in the space's
     /// frame, is off if the space allows, else at the highest frequency, which moves it least.
-    #[must_use]
     pub fn of_drives(&self, drives: &[Drive]) -> Point {
         Point(PerMotor::from_fn(self.array, |motor| {
             let of_motor = |drive: &&Drive| drive.motor == motor && drive.amplitude_um > 0.0;
@@ -162,7 +155,6 @@ impl Space {
     }
 
     /// The point of this space that is nearest to a point of another space.
-    #[must_use]
     pub fn nearest(&self, point: &Point) -> Point {
         self.of_drives(&point.drives(1.0, None, None))
     }

@@ -84,13 +84,11 @@ pub struct Judge<'j> {
 
 impl<'j> Judge<'j> {
     /// A finger, its spikes under the object, s by afferent, and for how long they are counted.
-    #[must_use]
     pub fn new(finger: &'j Finger, real_s: &'j [Vec<f64>], seconds: f64) -> Self {
         Self { finger, blurred: Blurred::new(finger.afferents()), real_s, seconds }
     }
 
     /// Compares the same finger's spikes under a pattern.
-    #[must_use]
     pub fn compare(&self, found_s: &[Vec<f64>]) -> Judged {
         let both = |bin_s: f64, window: usize| {
             [found_s, self.real_s].map(|spikes_s| self.maps(spikes_s, bin_s, window))

@@ -1,6 +1,6 @@
 //! Heights of pins over time, and the pattern that plays them.
 
-use meissner_array::pattern::{Form, Motion, Pattern, PatternError, Wave};
+use meissner_array::pattern::{Motion, Pattern, PatternError, Wave};
 use meissner_array::spec::Array;
 
 /// The time between two heights, s: about the time over which the paper's motors average.
@@ -38,7 +38,6 @@ impl Levels {
     }
 
     /// How long they last, s.
-    #[must_use]
     pub fn duration_s(&self) -> f64 {
         self.heights_mm.len().saturating_sub(1) as f64 * STEP_S
     }
@@ -78,8 +77,8 @@ impl Levels {
         let wave = |motor: u8| {
             let um: Vec<f32> =
                 self.heights_mm.iter().map(|heights| (heights[usize::from(motor)] * 1e3) as f32).collect();
-            let form = Form::Wave(Wave { start_s: 0.0, rate_hz: 1.0 / STEP_S, um: um.into(), source: None });
-            Motion { motor, form }
+            let (start_s, rate_hz, source, um) = (0.0, 1.0 / STEP_S, None, um.into());
+            Motion::Wave(Wave { motor, start_s, rate_hz, source, um })
         };
         let moves =
             |motor: &u8| self.heights_mm.iter().any(|heights| heights[usize::from(*motor)] >= LEAST_MM);

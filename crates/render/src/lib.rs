@@ -59,7 +59,6 @@ pub enum Method {
 }
 
 /// Finds heights of an array's pins for an object's touch.
-#[must_use]
 pub fn render(array: Array, contact: &Contact, touch: &Touch, method: Method) -> Levels {
     // An object that stays in place begins near its end.
     let steps = if touch.stays_in_place() { 20 } else { 60 };

@@ -37,7 +37,6 @@ pub struct Observer<'f> {
 
 impl<'f> Observer<'f> {
     /// An observer of touches of so many seconds, who has to tell `things` apart and has felt none.
-    #[must_use]
     pub fn new(finger: &'f Finger, reads: Reads, seconds: f64, things: usize) -> Self {
         let blurred = match reads {
             Reads::Fine => None,
@@ -56,7 +55,6 @@ impl<'f> Observer<'f> {
     }
 
     /// The number of the thing that it takes a response for; none if it has felt no thing.
-    #[must_use]
     pub fn name(&self, spikes_s: &[Vec<f64>]) -> Option<usize> {
         let response = self.read(spikes_s);
         let far = |(sum, number): &(Vec<f64>, f64)| -> f64 {

@@ -112,13 +112,11 @@ impl Poses {
     }
 
     /// The depth of the object's own press, mm.
-    #[must_use]
     pub const fn depth_mm(&self) -> f64 {
         self.place.depth_mm
     }
 
     /// The contact of the object's part.
-    #[must_use]
     pub const fn contact(&self) -> &Contact {
         self.imprint.contact()
     }

@@ -52,7 +52,6 @@ impl AnyScene {
     }
 
     /// The array under the finger.
-    #[must_use]
     pub const fn array(&self) -> Array {
         match self {
             Self::Membrane(scene) => scene.array(),
@@ -88,13 +87,15 @@ fn read(text: &str, file: &str, model: Option<ModelName>) -> Result<AnyScene, Ke
         Ok(model)
     };
     let model = model.map_or_else(of_file, |model| Ok(Some(model)))?;
-    if model == Some(ModelName::Afferents) {
+    let scene = if model == Some(ModelName::Afferents) {
         let Table(raw) = if json { from_json(text, wanted) } else { from_toml(text, wanted) }?;
-        let scene = afferents::read(raw).map_err(|fault| if json { fault } else { fault.in_text(text) })?;
-        return Ok(AnyScene::Afferents(scene));
-    }
-    let Table(raw): Table<RawScene> = if json { from_json(text, wanted) } else { from_toml(text, wanted) }?;
-    raw.checked_scene(|fault| if json { fault } else { fault.in_text(text) }).map(AnyScene::Membrane)
+        afferents::read(raw).map(AnyScene::Afferents)
+    } else {
+        let Table(raw): Table<RawScene> =
+            if json { from_json(text, wanted) } else { from_toml(text, wanted) }?;
+        raw.checked_scene().map(AnyScene::Membrane)
+    };
+    scene.map_err(|fault| if json { fault } else { fault.in_text(text) })
 }
 
 fn wanted(key: &str) -> &'static str {

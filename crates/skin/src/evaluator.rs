@@ -114,13 +114,11 @@ impl Evaluator {
     }
 
     /// The current scene.
-    #[must_use]
     pub const fn scene(&self) -> &Scene {
         &self.scene
     }
 
     /// Each afferent's number of spikes.
-    #[must_use]
     pub fn counts(&self) -> &[u64] {
         &self.counts
     }
@@ -142,13 +140,11 @@ impl Afferents {
 
 impl Candidate {
     /// The number of afferents that were simulated.
-    #[must_use]
     pub fn simulated(&self) -> usize {
         self.changed.len()
     }
 
     /// Each afferent's number of spikes, simulated or not.
-    #[must_use]
     pub fn counts(&self) -> Vec<u64> {
         let mut counts = Vec::clone(&self.from);
         self.changed.iter().for_each(|&(number, count)| counts[number as usize] = count);

@@ -31,7 +31,6 @@ pub enum FingerError {
 
 impl Finger {
     /// The fingertip of a seed: 306 RA afferents, 200 SA1 and 60 PC.
-    #[must_use]
     pub fn new(seed: u64) -> Self {
         Self { preindent_mm: PREINDENT_MM, afferents: population(seed) }
     }
@@ -52,7 +51,6 @@ impl Finger {
     }
 
     /// The afferents.
-    #[must_use]
     pub fn afferents(&self) -> &[Afferent] {
         &self.afferents
     }

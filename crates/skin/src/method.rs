@@ -49,7 +49,6 @@ impl Integrator {
     pub const ALL: [Self; 2] = [Self::Euler, Self::Propagator];
 
     /// The name on the command line and in documents.
-    #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
             Self::Euler => "euler",
@@ -87,13 +86,11 @@ pub const SEARCH_MIN_WEIGHT: f64 = 1e-3;
 
 impl Options {
     /// Every spike, by a method.
-    #[must_use]
     pub const fn spikes(method: Method) -> Self {
         Self { method, keep: Keep::Spikes, skip: true, min_weight: MIN_WEIGHT }
     }
 
     /// Only rates, by a method.
-    #[must_use]
     pub const fn rates(method: Method) -> Self {
         Self { method, keep: Keep::Rates, ..Self::spikes(method) }
     }
@@ -133,7 +130,6 @@ impl Stepping {
 
 impl Method {
     /// A fixed step, and what it does.
-    #[must_use]
     pub const fn stepped(step_us: u32, integrator: Integrator) -> Self {
         Self::Stepped(Stepping { step_us, integrator })
     }

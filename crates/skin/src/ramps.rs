@@ -143,7 +143,6 @@ impl Ramps {
     }
 
     /// The array of the motors.
-    #[must_use]
     pub const fn array(&self) -> Array {
         self.array
     }

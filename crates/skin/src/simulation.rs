@@ -20,7 +20,6 @@ pub struct Answer {
 
 impl Answer {
     /// Each afferent's impulses per second; 0 in a scene without duration.
-    #[must_use]
     pub fn rates_hz(&self, scene: &Scene) -> Vec<f64> {
         self.counts.iter().map(|&count| scene.rate_hz(count)).collect()
     }

@@ -104,7 +104,7 @@ fn the_reference_scenes_are_read() {
 
 const MISTAKES: &str = r#"
 duration_s = 2 =>  => 1: `duration_s` is missing…add how long
-duration_s = 2 => duration_s = -1 => `duration_s` is -1…0 to 1000000000 s
+duration_s = 2 => duration_s = -1 => 1: `duration_s` is -1…0 to 1000000000 s
 duration_s = 2 => duration_s = "2" => 1: `duration_s` is string "2"…a number
 duration_s = 2 => duration = 2 => 1: unknown key `duration`…did you mean `duration_s`?
 duration_s = 2 => duration_s = 2⏎duration_s = 2 => 2: not TOML: duplicate key…
@@ -120,35 +120,35 @@ seed = 5 => population.seeds = 5 => 2: `population`: unknown key `seeds`…`seed
 [[afferents]]⏎x_mm = 5.354⏎y_mm = -1.901 =>  => neither `afferents` nor `population` is there: add one of them
 motor = 3 => motor = 24 => 7: `drives[0].motor` is 24…must be 0 to 23
 seed = 5⏎spikes_s = [[1, 2], "whatever"]⏎promised_spikes = 3⏎⏎[[drives]]⏎motor = 3 => array = "tula35-2x3"⏎[[drives]]⏎motor = 6 => 4: `drives[0].motor` is 6…must be 0 to 5
-motor = 3 => motor = -1 => 7: `drives[0].motor` is -1…must be 0 to 23
-motor = 3 => motor = 300 => 7: `drives[0].motor` is 300…must be 0 to 23
-motor = 3 => motor = 99999999999999999999 => 7: `drives[0].motor` is 1e20: must be 0 to 23
-motor = 3 => motor = 3.0 => 7: `drives[0].motor` is floating…a whole number, from 0 on
-motor = 3 => motor = [3] => 7: `drives[0].motor` is sequence…a whole number, from 0 on
+motor = 3 => motor = -1 => 7: `drives[0].motor` is -1: must be the number of a motor, 0 to 63…
+motor = 3 => motor = 300 => 7: `drives[0].motor` is 300: must be the number of a motor, 0 to 63…
+motor = 3 => motor = 99999999999999999999 => 7: `drives[0].motor`…a whole number
+motor = 3 => motor = 3.0 => 7: `drives[0].motor` is floating…a whole number
+motor = 3 => motor = [3] => 7: `drives[0].motor` is sequence…a whole number
 motor = 3 =>  => 6: `drives[0].motor` is missing…from 0 on
 motor = 3 => motr = 3 => 7: `drives[0]`: unknown key `motr`…did you mean `motor`?
-105.327 => 42500.1 => `drives[0].frequency_hz`: frequency 42500.1 Hz…at most 42500 Hz
-amplitude_um = 80 => amplitude_um = -1 => `drives[0].amplitude_um`: amplitude -1 um…0 to
-phase = 0.5139 => phase = 1 => `drives[0].phase`: phase 1…below 1 cycle
-start_s = 0.1 => start_s = -1 => `drives[0].start_s` is -1…0 to 1000000000 s
-start_s = 0.1 => start_s = 1 => `drives[0].stop_s` is 1…above start_s, which is 1
-stop_s = 1 => stop_s = 2e9 => `drives[0].stop_s` is 2000000000…0 to 1000000000 s
-stop_s = 1 => stop_s = 1.5 => `drives[1].motor`: motor 3 is still driven by drives[0]…by 1 s
+105.327 => 42500.1 => 8: `drives[0].frequency_hz`: frequency 42500.1 Hz…at most 42500 Hz
+amplitude_um = 80 => amplitude_um = -1 => 9: `drives[0].amplitude_um`: amplitude -1 um…0 to
+phase = 0.5139 => phase = 1 => 10: `drives[0].phase`: phase 1…below 1 cycle
+start_s = 0.1 => start_s = -1 => 11: `drives[0].start_s` is -1…0 to 1000000000 s
+start_s = 0.1 => start_s = 1 => 12: `drives[0].stop_s` is 1…above start_s, which is 1
+stop_s = 1 => stop_s = 2e9 => 12: `drives[0].stop_s` is 2000000000…0 to 1000000000 s
+stop_s = 1 => stop_s = 1.5 => 15: `drives[1].motor`: motor 3 is still driven by drives[0]…by 1 s
 stop_s = 1 => stop = 1 => 12: `drives[0]`: unknown key `stop`…did you mean `stop_s`?
-5.354 => nan => `afferents[0].x_mm` is NaN…-1000000 to 1000000 mm
--1.901 => -1000001 => `afferents[0].y_mm` is -1000001…-1000000 to 1000000 mm
+5.354 => nan => 21: `afferents[0].x_mm` is NaN…-1000000 to 1000000 mm
+-1.901 => -1000001 => 22: `afferents[0].y_mm` is -1000001…-1000000 to 1000000 mm
 y_mm = -1.901 =>  => 20: `afferents[0].y_mm` is missing…in mm
 y_mm = -1.901 => y = -1.901 => 22: `afferents[0]`: unknown key `y`…did you mean `y_mm`?
 "full" => "hlaf" => 25: `afferent.rectify` is `hlaf`…half, full or signed
 "full" => "a\nb" => 25: `afferent.rectify` is `a\nb`…half, full or signed
 "full" => { half = 1 } => 25: `afferent.rectify` is map…"half", "full" or
-alpha_per_um = 0.02 => alpha_per_um = -1 => `afferent.alpha_per_um` is -1…0 to 1e15
-tau_s = 0.05 => tau_s = 0 => `afferent.tau_s` is 0…1e-9 to 1e9 s
-refractory_s = 0.002 => refractory_s = 9e-6 => `afferent.refractory_s` is 0.000009…1e-5 to
-ity_s = 0.0 => ity_s = nan => `afferent.hyperexcitability_s` is NaN…0 to 1000000000 s
-depth = 0.25 => depth = 1.1 => `afferent.hyperexcitability_depth` is 1.1…0 to 1
-sigma_mm = 1.3 => sigma_mm = 0 => `afferent.sigma_mm` is 0…0.001 to 1000000 mm
-noise_sd = 0.01 => noise_sd = -0.1 => `afferent.noise_sd` is -0.1…0 to 1000000
+alpha_per_um = 0.02 => alpha_per_um = -1 => 26: `afferent.alpha_per_um` is -1…0 to 1e15
+tau_s = 0.05 => tau_s = 0 => 27: `afferent.tau_s` is 0…1e-9 to 1e9 s
+refractory_s = 0.002 => refractory_s = 9e-6 => 28: `afferent.refractory_s` is 0.000009…1e-5 to
+ity_s = 0.0 => ity_s = nan => 29: `afferent.hyperexcitability_s` is NaN…0 to 1000000000 s
+depth = 0.25 => depth = 1.1 => 30: `afferent.hyperexcitability_depth` is 1.1…0 to 1
+sigma_mm = 1.3 => sigma_mm = 0 => 31: `afferent.sigma_mm` is 0…0.001 to 1000000 mm
+noise_sd = 0.01 => noise_sd = -0.1 => 32: `afferent.noise_sd` is -0.1…0 to 1000000
 noise_sd => noise => 32: `afferent`: unknown key `noise`…did you mean `noise_sd`?
 [afferent] => [aferent] => 24: unknown key `aferent`…did you mean `afferent`?
 "#;
@@ -169,8 +169,8 @@ const JSON_MISTAKES: &str = r#"
 {"seed": -1} => 1: `seed` is integer `-1`: must be a whole number, 0 or more…
 {"drives": {}} => 1: `drives` is map: must be a list…
 {"drives": [[3, 60, 80]]} => 1: `drives[0]` is sequence: must be a table…
-{"duration_s": 1, "afferents": [], "drives": [{"motor": 1e20, "frequency_hz": 60, "amplitude_um": 80}]} => …`drives[0].motor` is 1e20: must be 0 to 23…
-{"duration_s": 1, "afferents": [], "drives": [{"motor": 256, "frequency_hz": 60, "amplitude_um": 80}]} => …`drives[0].motor` is 256: must be 0 to 23…
+{"duration_s": 1, "afferents": [], "drives": [{"motor": 1e20, "frequency_hz": 60, "amplitude_um": 80}]} => …`drives[0].motor` is floating point…a whole number…
+{"duration_s": 1, "afferents": [], "drives": [{"motor": 256, "frequency_hz": 60, "amplitude_um": 80}]} => …`drives[0].motor` is 256: must be the number of a motor…
 {"drives": [{"motor": 1,⏎"motor": 1}]} => 2: `drives[0].motor` is there twice…
 {"afferents": [{"x_mm": 1}, 2]} => 1: `afferents[0].y_mm` is missing…
 {"afferents": [[1, 2]]} => …`afferents[0]` is sequence: must be a table…

@@ -13,7 +13,7 @@
 //! 7. Back the same way: acknowledgements, verdicts, counters and telemetry reach the streamer, which reports
 //!    [`queues::StreamEvent`]s through the [`queues::EventQueue`].
 //!
-//! Beside the path: `checks` tests a play against the controller's limits ([`find_overpush`], [`find_too_many`], [`find_dense`]);
+//! Beside the path: `checks` tests a play against the controller's limits ([`dry_run`]);
 //! [`simulate_play`] and [`Simulation`] (`simulation`) run the same streamer against the mock in virtual
 //! time, over a line that may be bad ([`faulty`]); [`forecast_drift`] (`drift`) tells how far a play lets pins drift; [`calibrate`] measures gains; [`diagnostics`] tests a link; [`sync`] is what threads share.
 //!
@@ -66,9 +66,7 @@ pub mod time;
 
 pub use bandwidth::{Bandwidth, Requirement};
 pub use board::PlayBoard;
-pub use checks::{
-    Dense, Hold, Overpush, STILL_MS, find_dense, find_longest_hold, find_overpush, find_too_many,
-};
+pub use checks::{Dense, DryRun, Hold, Overpush, STILL_MS, dry_run};
 pub use control::Gains;
 pub use drift::{Drift, forecast_drift};
 pub use faulty::Line;

@@ -28,7 +28,7 @@ fn a_plan_plays_its_strokes_and_measures_no_burst_after_a_rest() {
     for plan in
         [Plan::of(Array::paper()).unwrap(), Plan::new(Array::paper(), Some(23), &[200, 7, 70], 3).unwrap()]
     {
-        assert_eq!(plan.pattern().warnings(), []);
+        assert_eq!(plan.pattern().saturated().count(), 0);
         for motor in plan.motors() {
             let bursts = of_motor(&plan, motor);
             let mut found = BTreeMap::new();

@@ -30,7 +30,6 @@ fn cell(character: char) -> Option<u8> {
 
 /// The dots of a character in a cell with this centre: their numbers, and their places in mm. None if `text` is not one letter a to z
 /// or one six-dot character of Unicode.
-#[must_use]
 pub fn dots(text: &str, pitch_mm: f64, center_mm: [f64; 2]) -> Option<Vec<(u8, [f64; 2])>> {
     let mut characters = text.chars();
     let (Some(character), None) = (characters.next(), characters.next()) else { return None };

@@ -60,7 +60,6 @@ pub struct Contact {
 pub(crate) type Weights = [Option<(usize, f64)>; 4];
 
 /// The bytes that the contact of grains takes, before it is solved.
-#[must_use]
 pub fn bytes(grains: &Grains) -> usize {
     let [columns, rows] = padded(grains.size, grains.size);
     let depths = if grains.are_flat() { 1 } else { DEPTHS };
@@ -103,19 +102,16 @@ impl Contact {
     }
 
     /// The grains.
-    #[must_use]
     pub const fn grains(&self) -> &Grains {
         &self.grains
     }
 
     /// The largest depth, mm.
-    #[must_use]
     pub const fn most_mm(&self) -> f64 {
         self.most_mm
     }
 
     /// The loads of all grains at a depth from 0 to the largest, N.
-    #[must_use]
     pub fn loads_n(&self, depth_mm: f64) -> Vec<f64> {
         let mut sum = vec![0.0; self.grains.len()];
         for (number, weight) in self.weights(depth_mm).into_iter().flatten() {
@@ -125,7 +121,6 @@ impl Contact {
     }
 
     /// The displacement of the skin, mm, at a place in the object's frame, `[x, y]` in mm.
-    #[must_use]
     pub fn displacement_mm(&self, depth_mm: f64, at: [f64; 2]) -> f64 {
         let punch = self.grains.punch();
         let terms = self.grains.places_mm.iter().zip(self.loads_n(depth_mm));

@@ -31,7 +31,6 @@ pub struct Grains {
 
 impl Grains {
     /// Grains in these cells `[column, row]`, whose cell `[0, 0]` has its centre at `origin_mm`. Each has a height, at most 0.
-    #[must_use]
     pub fn new(
         pitch_mm: f64,
         radius_mm: f64,
@@ -98,19 +97,16 @@ impl Grains {
     }
 
     /// The number of grains.
-    #[must_use]
     pub const fn len(&self) -> usize {
         self.places_mm.len()
     }
 
     /// Whether there are none.
-    #[must_use]
     pub const fn is_empty(&self) -> bool {
         self.places_mm.is_empty()
     }
 
     /// Whether all are at height 0: then loads are proportional to depth.
-    #[must_use]
     pub fn are_flat(&self) -> bool {
         self.heights_mm.iter().all(|&height_mm| height_mm == 0.0)
     }

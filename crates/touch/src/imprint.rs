@@ -68,14 +68,12 @@ impl Imprint {
     }
 
     /// The contact.
-    #[must_use]
     pub const fn contact(&self) -> &Contact {
         &self.contact
     }
 
     /// The displacement of the skin, mm, inward, at places on the skin, `[x, y]` in mm, with the object at a pose. A place beyond the
     /// reach counts as the nearest one within it.
-    #[must_use]
     pub fn displacements_mm(&self, pose: &Pose, places_mm: &[[f64; 2]]) -> Vec<f64> {
         let (frame, weights) = (Frame::of(pose), self.contact.weights(pose.depth_mm));
         let depths = self.contact.depths();

@@ -19,7 +19,6 @@ use meissner_skin::afferents::{Afferent, Class, SAMPLES_PER_S, Stimuli, respond 
 
 /// The times of each afferent's spikes, s, through a touch. An afferent's place in the list keys its noise; without `noise_seed`
 /// there is none. `progress` is called now and then with the completed share.
-#[must_use]
 pub fn respond(
     contact: &Contact,
     touch: &Touch,

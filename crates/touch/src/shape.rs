@@ -37,7 +37,6 @@ pub enum Shape {
 
 impl Shape {
     /// The distance from a place to the nearest point of the shape; 0 within a disc, infinite if there is no point.
-    #[must_use]
     pub fn distance_mm(&self, at: Position) -> f64 {
         let at = [at.x_mm, at.y_mm];
         match self {
@@ -77,7 +76,6 @@ impl Shape {
 
     /// Polylines that draw the shape. A dot is a single point, a disc a closed polygon of 48 corners. A grating's
     /// lines end at the edge of the pad; a disc may reach beyond it.
-    #[must_use]
     pub fn outline(&self) -> Vec<Vec<[f64; 2]>> {
         match self {
             Self::Polyline(points) => vec![points.clone()],
@@ -104,7 +102,6 @@ impl Shape {
     }
 
     /// The largest distance of the shape from the array's middle, at most that of the pad.
-    #[must_use]
     pub fn extent_mm(&self) -> f64 {
         let most = PAD_LENGTH_MM.max(PAD_WIDTH_MM) / 2.0;
         let furthest =
@@ -118,7 +115,6 @@ impl Shape {
     }
 
     /// The points that place the shape; a grating has none.
-    #[must_use]
     pub fn points(&self) -> &[[f64; 2]] {
         match self {
             Self::Polyline(points) | Self::Dots(points) => points,
@@ -129,13 +125,11 @@ impl Shape {
 }
 
 /// Whether a point lies on the pad.
-#[must_use]
 pub fn on_pad([x, y]: [f64; 2]) -> bool {
     libm::hypot(x / (PAD_WIDTH_MM / 2.0), y / (PAD_LENGTH_MM / 2.0)) <= 1.0
 }
 
 /// The unit vector of a direction.
-#[must_use]
 pub fn direction(deg: f64) -> [f64; 2] {
     let angle = deg.to_radians();
     [libm::cos(angle), libm::sin(angle)]
@@ -161,13 +155,11 @@ fn within_period(length: f64, period: f64) -> f64 {
 }
 
 /// The distance between two points.
-#[must_use]
 pub fn distance(a: [f64; 2], b: [f64; 2]) -> f64 {
     libm::hypot(a[0] - b[0], a[1] - b[1])
 }
 
 /// The distance from a place to a straight line from `start` to `end`, which may coincide.
-#[must_use]
 pub fn to_segment(at: [f64; 2], start: [f64; 2], end: [f64; 2]) -> f64 {
     let (dx, dy) = (end[0] - start[0], end[1] - start[1]);
     let (x, y) = (at[0] - start[0], at[1] - start[1]);

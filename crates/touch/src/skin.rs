@@ -8,7 +8,6 @@ use meissner_skin::afferents::{ELASTICITY, POISSON};
 use rayon::prelude::*;
 
 /// The displacement of the skin, mm, inward, by place and then by time. Places are `[x, y]` on the skin in mm, times in s.
-#[must_use]
 pub fn displacements_mm(
     contact: &Contact,
     touch: &Touch,

@@ -182,19 +182,16 @@ impl Touch {
     }
 
     /// The duration, s.
-    #[must_use]
     pub fn duration_s(&self) -> f64 {
         self.poses.last().map_or(0.0, |(t_s, _)| *t_s)
     }
 
     /// The largest depth, mm.
-    #[must_use]
     pub fn most_depth_mm(&self) -> f64 {
         self.poses.iter().map(|(_, pose)| pose.depth_mm).fold(0.0, f64::max)
     }
 
     /// The pose at a time, s. Before the first it is the first, after the last it is the last.
-    #[must_use]
     pub fn pose(&self, t_s: f64) -> Pose {
         let next = self.poses.partition_point(|(at_s, _)| *at_s <= t_s);
         let Some(&(t1_s, to)) = self.poses.get(next) else { return self.poses[self.poses.len() - 1].1 };
@@ -210,7 +207,6 @@ impl Touch {
     }
 
     /// Whether the object only goes up and down.
-    #[must_use]
     pub fn stays_in_place(&self) -> bool {
         let first = self.pose(0.0);
         self.poses.iter().all(|(_, pose)| Pose { depth_mm: first.depth_mm, ..*pose } == first)

@@ -4,42 +4,27 @@
 
 use meissner_api::{Code, Problem};
 use meissner_array::power::{Group, TooMany};
-use meissner_array::strokes::Strokes;
-use meissner_stream::{Dense, Overpush, Settings, find_dense, find_overpush, find_too_many};
+use meissner_stream::{Dense, DryRun, Overpush, Settings};
 
 /// Refuses a play with strokes that the controller would refuse.
-pub(in crate::daemon) fn check_limits(strokes: &Strokes, settings: &Settings) -> Result<(), Problem> {
-    check_density(strokes)?;
-    check_pushing(strokes, settings)?;
-    check_at_once(strokes, settings)
-}
-
-fn check_density(strokes: &Strokes) -> Result<(), Problem> {
-    let Some(Dense { at_s, most }) = find_dense(strokes) else { return Ok(()) };
-    let detail = format!(
-        "more than {most} strokes of all motors would begin within 10 ms, first after {at_s:.4} s; the controller allows no more: \
-         make drives, repeats or items longer, or drive fewer motors"
-    );
-    Err(Problem::new(Code::TooDense, detail))
-}
-
-/// Refuses a play that would push the lower stop more than the controller allows.
-fn check_pushing(strokes: &Strokes, settings: &Settings) -> Result<(), Problem> {
-    let Some(limit) = settings.lower_stop.map(|stop| stop.pulses_per_s) else { return Ok(()) };
-    let Some(Overpush { motor, at_s }) = find_overpush(strokes, limit) else { return Ok(()) };
-    let detail = format!(
-        "motor {motor} would push the lower stop with more than {limit} pulses per second, from {at_s:.2} s on: play at a lower \
-         frequency, or configure a smaller `surplus_um` or a larger `limits.stop_pulses_per_s`"
-    );
-    Err(Problem::new(Code::PushLimit, detail))
-}
-
-/// Refuses a play in which more motors would have pulses at once than the limits allow.
-fn check_at_once(strokes: &Strokes, settings: &Settings) -> Result<(), Problem> {
-    let Some(TooMany { group, tick, at_once }) = find_too_many(strokes, settings.limits) else {
-        return Ok(());
-    };
-    let at_s = strokes.array().rate().ticks_to_seconds(tick);
+pub(in crate::daemon) fn check_limits(found: &DryRun, settings: &Settings) -> Result<(), Problem> {
+    if let Some(Dense { at_s, most }) = found.dense {
+        let detail = format!(
+            "more than {most} strokes of all motors would begin within 10 ms, first after {at_s:.4} s; the controller allows no more: \
+             make drives, repeats or items longer, or drive fewer motors"
+        );
+        return Err(Problem::new(Code::TooDense, detail));
+    }
+    if let Some((Overpush { motor, at_s }, stop)) = found.overpush.zip(settings.lower_stop) {
+        let detail = format!(
+            "motor {motor} would push the lower stop with more than {} pulses per second, from {at_s:.2} s on: play at a lower \
+             frequency, or configure a smaller `surplus_um` or a larger `limits.stop_pulses_per_s`",
+            stop.pulses_per_s
+        );
+        return Err(Problem::new(Code::PushLimit, detail));
+    }
+    let Some(TooMany { group, tick, at_once }) = found.too_many else { return Ok(()) };
+    let at_s = settings.array.rate().ticks_to_seconds(tick);
     Err(too_many(group, &format!("{at_once} motors with pulses at once, first after {at_s:.4} s"), settings))
 }
 

@@ -12,7 +12,7 @@ use crate::daemon::plays::begin::{Basis, Compiled};
 use crate::daemon::plays::state::{NewPlay, check_samples};
 use crate::daemon::sessions::caller::Asker;
 use crate::exposure::Vibration;
-use crate::receipts::{Outline, PlannedItem, counts, fit, motions, motions_of_items, too_slow, walk};
+use crate::receipts::{Outline, PlannedItem, counts, fit, motions, motions_of_items, too_slow};
 use crate::record::Peer;
 use crate::store::{Stored, hash};
 use firmware_protocol::message::Trigger;
@@ -29,7 +29,7 @@ use meissner_array::strokes::{
 };
 use meissner_array::units::TickRate;
 use meissner_stream::queues::{HOLD_ALWAYS, Item as Played, Play};
-use meissner_stream::{Bandwidth, Hold, Settings, find_longest_hold};
+use meissner_stream::{Bandwidth, DryRun, Hold, Settings, dry_run};
 use std::collections::hash_map::Entry;
 use std::collections::{HashMap, HashSet};
 use std::future::Future;
@@ -320,12 +320,13 @@ impl Preparing {
         let items: Vec<_> = triggers(items.iter().map(|item| item.trigger), &spans, rate);
         let whole = |problem| (None, problem);
         check_triggers(&strokes, &items, rate).map_err(whole)?;
-        check_limits(&strokes, &settings).map_err(whole)?;
-        let (hold, unchecked, vibration) = hold(hold_ms, &strokes, &settings).map_err(whole)?;
+        let found = dry_run(&strokes, &settings);
+        check_limits(&found, &settings).map_err(whole)?;
+        let (hold, unchecked, vibration) = hold(hold_ms, &strokes, &found.hold, &settings).map_err(whole)?;
         let bandwidth = Bandwidth::of(&strokes, &settings).max(peak(spans.iter().copied().zip(required)));
         let counts = match &self.one {
-            Some(one) => counts(&one.pattern, &one.options, &strokes),
-            None => walk(&strokes),
+            Some(one) if one.pattern.motions().is_empty() => counts(&one.pattern, &one.options),
+            _ => walked(&found),
         };
         Ok(Placed { strokes, items, spans, bandwidth, hold, unchecked, vibration, counts })
     }
@@ -407,12 +408,12 @@ fn largest_um(pattern: &Pattern, scale: f64, reach: &[f64]) -> [f64; 2] {
 fn hold(
     asked_ms: Option<f64>,
     strokes: &Strokes,
+    found: &Hold,
     settings: &Settings,
 ) -> Result<(u32, Option<String>, Vibration), Problem> {
     let rate = strokes.array().rate();
-    let found = find_longest_hold(strokes);
-    let vibration = Vibration::of(&found, strokes.end(), settings);
-    let Hold { longest: needed, counted_until, .. } = found;
+    let vibration = Vibration::of(found, strokes.end(), settings);
+    let Hold { longest: needed, counted_until, .. } = *found;
     let unchecked = counted_until.map(|until| {
         format!(
             "the limits on pulses, moves and holds are checked for the first {:.1} s, as far as the daemon counts moves before a play; \
@@ -440,6 +441,11 @@ fn hold(
         return Err(Problem::new(Code::BadRequest, detail));
     }
     Ok((asked, unchecked, vibration))
+}
+
+/// The bursts and pulses of a play, counted one by one; `None` if it has no end, or would take too long to count.
+fn walked(found: &DryRun) -> Option<OrderedCounts> {
+    found.counts.map(|(bursts, pulses)| OrderedCounts { bursts, pulses: Some(pulses) })
 }
 
 /// The key by which the texts of items differ; `None` for a blank item.

@@ -11,7 +11,7 @@ use firmware_protocol::stroke::Direction;
 use jiff::civil::date;
 use meissner_array::pattern::Pattern;
 use meissner_array::strokes::{Step, StrokeOptions, Strokes};
-use meissner_stream::{Settings, find_longest_hold};
+use meissner_stream::{Settings, dry_run};
 use meissner_test_support::at_length;
 
 /// Sequences of a run.
@@ -127,7 +127,7 @@ impl Kind {
         let seconds = has_end.then(|| 0.05 + random.upto(4.0));
         let strokes = Strokes::new(&pattern, &StrokeOptions::lasting(seconds)).ok()?;
         let end_s = strokes.end().map_or(f64::INFINITY, |end| pattern.array().rate().ticks_to_seconds(end));
-        let vibration = Vibration::of(&find_longest_hold(&strokes), strokes.end(), &settings());
+        let vibration = Vibration::of(&dry_run(&strokes, &settings()).hold, strokes.end(), &settings());
         let moves = moves(strokes.map(Result::unwrap));
         (!moves.is_empty()).then_some(Self { vibration, end_s, moves })
     }

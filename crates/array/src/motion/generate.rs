@@ -9,7 +9,7 @@
 use super::error::MotionError;
 use super::waveform::{RATE_HZ, Waveform, check_count};
 use crate::motor::MAX_AMPLITUDE_UM;
-use crate::pattern::{FREQUENCY_HZ, MAX_SECONDS};
+use crate::pattern::{FREQUENCY_HZ, MAX_SECONDS, motor_number};
 use crate::random;
 use serde::{Deserialize, Serialize};
 use std::f64::consts::{PI, TAU};
@@ -41,68 +41,87 @@ pub enum Shape {
 }
 
 /// From rest to a level, held there, and back to rest.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct RampHold {
+    /// Its motor.
+    #[serde(deserialize_with = "motor_number")]
+    pub motor: u8,
     /// When it begins, s.
+    #[serde(default)]
     pub start_s: f64,
     /// The level, µm above rest.
     pub to_um: f64,
     /// Duration of the rise, s; 0 is a jump.
     pub rise_s: f64,
     /// Duration of the hold, s.
+    #[serde(default)]
     pub hold_s: f64,
-    /// Duration of the fall, s; 0 is a jump.
-    pub fall_s: f64,
+    /// Duration of the fall, s; 0 is a jump. `None`: as the rise.
+    pub fall_s: Option<f64>,
     /// Of both ramps.
+    #[serde(default)]
     pub shape: Shape,
 }
 
 /// The factor by which a tone or noise grows and fades.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(
+    untagged,
+    deny_unknown_fields,
+    expecting = "must be \"hann\", or { attack_s = ..., release_s = ... }"
+)]
 pub enum Envelope {
-    /// 1 throughout.
-    #[default]
-    None,
-    /// (1 - cos 2πt/T)/2.
-    Hann,
+    /// By its name.
+    Named(Named),
     /// Linear from 0 to 1 over the attack, and to 0 over the release at the end.
     AttackRelease {
         /// Duration of the attack, s.
+        #[serde(default)]
         attack_s: f64,
         /// Duration of the release, s.
+        #[serde(default)]
         release_s: f64,
     },
 }
 
+/// An envelope without settings.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Named {
+    /// (1 - cos 2πt/T)/2.
+    Hann,
+}
+
 /// A sine, or a linear chirp: envelope · (`about_um` + `amplitude_um`/2 · sin 2π(`phase` + ∫f)).
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct Tone {
+    /// Its motor.
+    #[serde(deserialize_with = "motor_number")]
+    pub motor: u8,
     /// When it begins, s.
+    #[serde(default)]
     pub start_s: f64,
     /// How long it lasts, s.
     pub duration_s: f64,
     /// The frequency at its beginning, Hz.
-    pub start_hz: f64,
-    /// The frequency at its end, Hz. Between, the frequency changes linearly.
-    pub end_hz: f64,
+    pub frequency_hz: f64,
+    /// The frequency at its end, Hz; between, it changes linearly. `None`: it does not change.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub end_hz: Option<f64>,
     /// Amplitude, µm peak to peak, as of a drive.
     pub amplitude_um: f64,
     /// The level that it swings about, µm; `None`: half the amplitude, so that the lowest point is at rest. 0 for a tone that is added
     /// to a ramp and hold.
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub about_um: Option<f64>,
     /// Phase at its beginning, cycles. At 0.75 the sine begins at its lowest point.
+    #[serde(default)]
     pub phase: f64,
-    /// Its envelope.
-    pub envelope: Envelope,
-}
-
-/// How strong noise is, before its envelope.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Strength {
-    /// Its root mean square, µm.
-    RmsUm(f64),
-    /// Its largest value of either sign, µm.
-    PeakUm(f64),
+    /// Its envelope; `None`: 1 throughout.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub envelope: Option<Envelope>,
 }
 
 /// Gaussian noise of a band: envelope · (`about_um` + noise).
@@ -110,9 +129,14 @@ pub enum Strength {
 /// It is a sum of lines at the multiples of 1/`duration_s` from `low_hz` to `high_hz`, both included. Cosine and sine of line k have
 /// independent normal amplitudes, [`random::normal`] of `[seed, 0x6e6f697365, k, 0 or 1]`. The spectrum outside the band is 0, and the
 /// noise repeats seamlessly after its duration.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct Noise {
+    /// Its motor.
+    #[serde(deserialize_with = "motor_number")]
+    pub motor: u8,
     /// When it begins, s.
+    #[serde(default)]
     pub start_s: f64,
     /// How long it lasts, s.
     pub duration_s: f64,
@@ -120,14 +144,20 @@ pub struct Noise {
     pub low_hz: f64,
     /// The band's upper edge, Hz.
     pub high_hz: f64,
-    /// RMS or peak.
-    pub strength: Strength,
+    /// Its root mean square before its envelope, µm; this or `peak_um`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub rms_um: Option<f64>,
+    /// Its largest value of either sign before its envelope, µm.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub peak_um: Option<f64>,
     /// The level that it swings about, µm; `None`: its peak, so that no point is below rest.
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub about_um: Option<f64>,
     /// Equal seeds give equal noise.
     pub seed: u64,
-    /// Its envelope.
-    pub envelope: Envelope,
+    /// Its envelope; `None`: 1 throughout.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub envelope: Option<Envelope>,
 }
 
 fn check_um(what: &'static str, um: f64) -> Result<(), MotionError> {
@@ -144,15 +174,17 @@ fn check_hz(what: &'static str, hz: f64) -> Result<(), MotionError> {
 
 impl RampHold {
     /// The segments of a ramp of so many seconds.
-    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "the cast saturates")]
     fn segments(&self, seconds: f64) -> u32 {
         let shortest = (seconds * RATE_HZ.end()).ceil() as u32;
         if self.shape == Shape::Linear { 1 } else { shortest.clamp(1, SEGMENTS) }
     }
 
     /// The most knots that its waveform has.
-    pub(crate) const fn most_knots(&self) -> usize {
-        2 * (SEGMENTS as usize + 1)
+    pub(crate) const MOST_KNOTS: usize = 2 * (SEGMENTS as usize + 1);
+
+    /// The same with the duration of its fall, as patterns are written.
+    pub(crate) fn with_fall(self) -> Self {
+        Self { fall_s: self.fall_s.or(Some(self.rise_s)), ..self }
     }
 
     /// Its waveform.
@@ -161,14 +193,15 @@ impl RampHold {
     /// The first value that is out of range.
     pub fn waveform(&self) -> Result<Waveform, MotionError> {
         check_um("to_um", self.to_um)?;
-        for (what, seconds) in [("rise_s", self.rise_s), ("hold_s", self.hold_s), ("fall_s", self.fall_s)] {
+        let fall_s = self.fall_s.unwrap_or(self.rise_s);
+        for (what, seconds) in [("rise_s", self.rise_s), ("hold_s", self.hold_s), ("fall_s", fall_s)] {
             check_s(what, seconds)?;
         }
         let risen = |number: u32, segments: u32| {
             let share = f64::from(number) / f64::from(segments);
             (share, if self.shape == Shape::Linear { share } else { 0.5 - 0.5 * libm::cos(PI * share) })
         };
-        let [rise, fall] = [self.rise_s, self.fall_s].map(|seconds| self.segments(seconds));
+        let [rise, fall] = [self.rise_s, fall_s].map(|seconds| self.segments(seconds));
         let rise = (0..=rise).map(|number| {
             let (time, height) = risen(number, rise);
             (self.rise_s * time, self.to_um * height)
@@ -176,7 +209,7 @@ impl RampHold {
         let held_s = self.rise_s + self.hold_s;
         let fall = (0..=fall).map(|number| {
             let (time, left) = risen(fall - number, fall);
-            (held_s + self.fall_s * (1.0 - time), self.to_um * left)
+            (held_s + fall_s * (1.0 - time), self.to_um * left)
         });
         let points: Vec<_> = rise.chain(fall).collect();
         Waveform::of(self.start_s, points.into_iter())
@@ -184,6 +217,9 @@ impl RampHold {
 }
 
 impl Envelope {
+    /// (1 - cos 2πt/T)/2.
+    pub const HANN: Self = Self::Named(Named::Hann);
+
     fn check(self) -> Result<(), MotionError> {
         let Self::AttackRelease { attack_s, release_s } = self else { return Ok(()) };
         check_s("attack_s", attack_s)?;
@@ -193,8 +229,7 @@ impl Envelope {
     /// The factor `after_s` into `duration_s`.
     fn at(self, after_s: f64, duration_s: f64) -> f64 {
         match self {
-            Self::None => 1.0,
-            Self::Hann => 0.5 - 0.5 * libm::cos(TAU * after_s / duration_s),
+            Self::Named(Named::Hann) => 0.5 - 0.5 * libm::cos(TAU * after_s / duration_s),
             Self::AttackRelease { attack_s, release_s } => {
                 let edge =
                     |passed_s: f64, edge_s: f64| if passed_s >= edge_s { 1.0 } else { passed_s / edge_s };
@@ -205,11 +240,6 @@ impl Envelope {
 }
 
 /// The number of intervals of samples that end exactly at the duration.
-#[expect(
-    clippy::cast_possible_truncation,
-    clippy::cast_sign_loss,
-    reason = "the cast is the floor, and saturates"
-)]
 fn intervals(duration_s: f64, highest_hz: f64) -> Result<u32, MotionError> {
     MotionError::check("duration_s", "s", duration_s, 1.0 / LEAST_RATE_HZ, MAX_SECONDS)?;
     let rate_hz = (PER_PERIOD * highest_hz).clamp(LEAST_RATE_HZ, *RATE_HZ.end());
@@ -224,28 +254,32 @@ fn samples(intervals: u32) -> usize {
 }
 
 /// The waveform of an envelope and what it shapes, which is asked for each sample: its number, s.
-#[expect(clippy::cast_possible_truncation, reason = "a waveform's samples are f32")]
 fn shaped(
     start_s: f64,
     duration_s: f64,
     intervals: u32,
-    envelope: Envelope,
+    envelope: Option<Envelope>,
     of: impl Fn(u32, f64) -> f64,
 ) -> Result<Waveform, MotionError> {
-    envelope.check()?;
+    envelope.map_or(Ok(()), Envelope::check)?;
     let step_s = duration_s / f64::from(intervals);
     let um = (0..intervals + 1).map(|number| {
         let after_s = f64::from(number) * step_s;
-        (envelope.at(after_s, duration_s) * of(number, after_s)) as f32
+        let factor = envelope.map_or(1.0, |envelope| envelope.at(after_s, duration_s));
+        (factor * of(number, after_s)) as f32
     });
     Waveform::at_rate(start_s, f64::from(intervals) / duration_s, um.collect())
 }
 
 impl Tone {
     fn intervals(&self) -> Result<u32, MotionError> {
-        check_hz("frequency_hz", self.start_hz)?;
-        check_hz("end_hz", self.end_hz)?;
-        intervals(self.duration_s, self.start_hz.max(self.end_hz))
+        check_hz("frequency_hz", self.frequency_hz)?;
+        check_hz("end_hz", self.end())?;
+        intervals(self.duration_s, self.frequency_hz.max(self.end()))
+    }
+
+    fn end(&self) -> f64 {
+        self.end_hz.unwrap_or(self.frequency_hz)
     }
 
     /// How many samples its waveform has.
@@ -267,9 +301,9 @@ impl Tone {
         let about_um = self.about_um.unwrap_or(half_um);
         check_um("about_um", about_um)?;
         MotionError::check("phase", "cycles", self.phase, 0.0, 1.0)?;
-        let chirp = (self.end_hz - self.start_hz) / (2.0 * self.duration_s);
+        let chirp = (self.end() - self.frequency_hz) / (2.0 * self.duration_s);
         shaped(self.start_s, self.duration_s, intervals, self.envelope, |_, after_s| {
-            let cycles = self.phase + (self.start_hz + chirp * after_s) * after_s;
+            let cycles = self.phase + (self.frequency_hz + chirp * after_s) * after_s;
             // Whole cycles are dropped before the sine, so that it is exact after hours.
             about_um + half_um * libm::sin(TAU * (cycles - cycles.floor()))
         })
@@ -297,21 +331,17 @@ impl Noise {
     /// The first value that is out of range, a band without lines, or noise that takes too long to make.
     pub fn waveform(&self) -> Result<Waveform, MotionError> {
         let intervals = self.intervals()?;
-        let (what, wanted_um) = match self.strength {
-            Strength::RmsUm(um) => ("rms_um", um),
-            Strength::PeakUm(um) => ("peak_um", um),
-        };
-        check_um(what, wanted_um)?;
+        check_um("rms_um", self.rms_um.unwrap_or(0.0))?;
+        check_um("peak_um", self.peak_um.unwrap_or(0.0))?;
         let raw = self.lines(intervals)?;
         let peak = raw.iter().fold(0.0, |peak: f64, um| peak.max(um.abs()));
-        let scale = match self.strength {
+        let by_rms = |um: f64| {
             // The last sample repeats the first.
-            Strength::RmsUm(um) => {
-                let squares: f64 = raw[1..].iter().map(|um| um * um).sum();
-                um / (squares / f64::from(intervals)).sqrt()
-            }
-            Strength::PeakUm(um) => um / peak,
+            let squares: f64 = raw[1..].iter().map(|um| um * um).sum();
+            um / (squares / f64::from(intervals)).sqrt()
         };
+        // One of both is given.
+        let scale = self.peak_um.map_or_else(|| by_rms(self.rms_um.unwrap_or(0.0)), |um| um / peak);
         let about_um = self.about_um.unwrap_or((scale * peak).abs());
         check_um("about_um", about_um)?;
         shaped(self.start_s, self.duration_s, intervals, self.envelope, |number, _| {
@@ -322,17 +352,11 @@ impl Noise {
     /// The number of samples times lines: what it takes to make them.
     pub(crate) fn work(&self) -> Result<f64, MotionError> {
         let (first, last) = self.band()?;
-        #[expect(clippy::cast_precision_loss, reason = "compared with a bound")]
         let work = (last - first + 1) as f64 * f64::from(self.intervals()?);
         if work > MOST_WORK { Err(MotionError::TooLong { seconds: self.duration_s }) } else { Ok(work) }
     }
 
     /// The first and the last line, as multiples of 1/`duration_s`.
-    #[expect(
-        clippy::cast_possible_truncation,
-        clippy::cast_sign_loss,
-        reason = "at most 300 Hz times MAX_SECONDS"
-    )]
     fn band(&self) -> Result<(u64, u64), MotionError> {
         let seconds = self.duration_s;
         // Edges that are lines count, whatever the rounding.
@@ -355,7 +379,6 @@ impl Noise {
                 ([0.0; AT_ONCE], [0.0; AT_ONCE], [1.0; AT_ONCE], [0.0; AT_ONCE]);
             for (place, line) in (begin..=last).take(AT_ONCE).enumerate() {
                 [x[place], y[place]] = [0, 1].map(|part| random::normal([self.seed, NOISE_KEY, line, part]));
-                #[expect(clippy::cast_precision_loss, reason = "MOST_WORK bounds it")]
                 let angle = TAU * line as f64 / f64::from(intervals);
                 (cos[place], sin[place]) = (libm::cos(angle), libm::sin(angle));
             }
@@ -374,18 +397,9 @@ impl Noise {
 }
 
 #[cfg(test)]
-pub(super) mod tests {
+mod tests {
     use super::*;
-
-    pub(in crate::motion) fn noise(low_hz: f64, high_hz: f64, strength: Strength, seed: u64) -> Noise {
-        let (start_s, duration_s, about_um, envelope) = (0.0, 2.0, None, Envelope::None);
-        Noise { start_s, duration_s, low_hz, high_hz, strength, about_um, seed, envelope }
-    }
-
-    pub(in crate::motion) fn tone(start_hz: f64, end_hz: f64, amplitude_um: f64, envelope: Envelope) -> Tone {
-        let (start_s, duration_s, about_um, phase) = (0.0, 1.0, None, 0.0);
-        Tone { start_s, duration_s, start_hz, end_hz, amplitude_um, about_um, phase, envelope }
-    }
+    use crate::motion::tests::{noise, ramp, tone};
 
     fn at(wave: &Waveform, seconds: f64) -> f64 {
         wave.um_at((seconds * 1e9).round() as u64)
@@ -393,8 +407,7 @@ pub(super) mod tests {
 
     #[test]
     fn a_ramp_rises_holds_and_falls() {
-        let (start_s, to_um, rise_s, hold_s, fall_s) = (0.1, 200.0, 0.05, 0.2, 0.1);
-        let ramp = RampHold { start_s, to_um, rise_s, hold_s, fall_s, shape: Shape::Linear };
+        let ramp = RampHold { fall_s: Some(0.1), ..ramp(200.0, 0.05) };
         let linear = ramp.waveform().unwrap();
         assert_eq!(linear.knots().count(), 4);
         assert_eq!(
@@ -404,23 +417,24 @@ pub(super) mod tests {
         let cosine = RampHold { shape: Shape::Cosine, ..ramp }.waveform().unwrap();
         assert!((at(&cosine, 0.1125) - 200.0 * (0.5 - 0.125_f64.sqrt())).abs() < 0.06);
         assert!((at(&cosine, 0.4) - 100.0).abs() < 1e-6);
-        let jump = RampHold { rise_s: 0.0, hold_s: 0.1, fall_s: 0.0, ..ramp }.waveform().unwrap();
+        let jump = RampHold { rise_s: 0.0, hold_s: 0.1, fall_s: Some(0.0), ..ramp }.waveform().unwrap();
         assert_eq!([100_000_000, 200_000_000].map(|ns| jump.um_around(ns)), [[0.0, 200.0], [200.0, 0.0]]);
     }
 
     #[test]
     fn a_tone_has_its_frequency_amplitude_phase_and_envelope() {
-        let steady = tone(50.0, 50.0, 10.0, Envelope::None).waveform().unwrap();
+        let steady = tone(50.0, 50.0, 10.0, None).waveform().unwrap();
         assert_eq!((at(&steady, 0.0), at(&steady, 0.005), at(&steady, 0.5)), (5.0, 10.0, 5.0));
         // A chirp's phase: 10 t + 40 t²/2 cycles, after half a second 10 of them.
-        let chirp = tone(10.0, 50.0, 10.0, Envelope::None).waveform().unwrap();
+        let chirp = tone(10.0, 50.0, 10.0, None).waveform().unwrap();
         assert!((at(&chirp, 0.5) - 5.0).abs() < 1e-9 && at(&chirp, 0.5 + 0.25 / 30.0) > 9.98);
-        let low = Tone { phase: 0.75, ..tone(50.0, 50.0, 10.0, Envelope::None) }.waveform().unwrap();
+        let low = Tone { phase: 0.75, ..tone(50.0, 50.0, 10.0, None) }.waveform().unwrap();
         assert!(at(&low, 0.0).abs() < 1e-9);
-        let edges = Envelope::AttackRelease { attack_s: 0.1, release_s: 0.2 };
+        let edges = Some(Envelope::AttackRelease { attack_s: 0.1, release_s: 0.2 });
         let still = Tone { about_um: Some(8.0), ..tone(50.0, 50.0, 0.0, edges) }.waveform().unwrap();
         assert_eq!([0.05, 0.5, 0.9].map(|s| (at(&still, s) * 1e6).round() / 1e6), [4.0, 8.0, 4.0]);
-        let hann = Tone { envelope: Envelope::Hann, ..tone(50.0, 50.0, 10.0, edges) }.waveform().unwrap();
+        let hann =
+            Tone { envelope: Some(Envelope::HANN), ..tone(50.0, 50.0, 10.0, edges) }.waveform().unwrap();
         // At a crest, 10 times (1 - cos 95.4°)/2.
         assert!((at(&hann, 0.265) - 5.4705).abs() < 0.02 && at(&hann, 1.0).abs() < 1e-9);
         assert!(
@@ -431,7 +445,7 @@ pub(super) mod tests {
 
     #[test]
     fn noise_has_its_band_and_strength_and_never_changes() {
-        let wave = noise(5.0, 50.0, Strength::RmsUm(10.0), 7).waveform().unwrap();
+        let wave = noise(5.0, 50.0, 10.0, 7).waveform().unwrap();
         let um: Vec<f64> = (0..4000_u64).map(|k| wave.um_at(k * 500_000)).collect();
         let mean = um.iter().sum::<f64>() / 4000.0;
         let rms = (um.iter().map(|um| (um - mean).powi(2)).sum::<f64>() / 4000.0).sqrt();
@@ -451,9 +465,10 @@ pub(super) mod tests {
         assert!((power / 2.0 * 2.0 - 200.0).abs() < 1e-6, "{power}");
         let golden: Vec<u64> = [3, 1000, 3999].map(|k: usize| um[k].to_bits()).to_vec();
         assert_eq!(golden, GOLDEN, "{golden:#x?}");
-        let peak = noise(5.0, 50.0, Strength::PeakUm(20.0), 7).waveform().unwrap();
+        let peak =
+            Noise { rms_um: None, peak_um: Some(20.0), ..noise(5.0, 50.0, 10.0, 7) }.waveform().unwrap();
         assert!((at(&peak, 0.3) / at(&wave, 0.3) - 20.0 / mean).abs() < 1e-6);
-        assert_ne!(noise(5.0, 50.0, Strength::RmsUm(10.0), 8).waveform().unwrap(), wave);
+        assert_ne!(noise(5.0, 50.0, 10.0, 8).waveform().unwrap(), wave);
     }
 
     const GOLDEN: [u64; 3] = [0x403b_6531_e000_0000, 0x4046_432b_2000_0000, 0x403e_ba0d_a000_0000];
@@ -462,10 +477,10 @@ pub(super) mod tests {
     fn noise_without_lines_or_too_long_is_refused() {
         let refused = |noise: Noise| noise.waveform().unwrap_err().to_string();
         assert_eq!(
-            refused(noise(5.1, 5.2, Strength::RmsUm(1.0), 0)),
+            refused(noise(5.1, 5.2, 1.0, 0)),
             "noise of 2 s has no frequency from 5.1 to 5.2 Hz: make the band at least 0.5 Hz wide"
         );
-        let long = Noise { duration_s: 1000.0, ..noise(5.0, 50.0, Strength::RmsUm(1.0), 0) };
+        let long = Noise { duration_s: 1000.0, ..noise(5.0, 50.0, 1.0, 0) };
         assert!(refused(long).starts_with("noise of 1000 s takes too long"));
     }
 }

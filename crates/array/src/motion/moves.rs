@@ -22,12 +22,12 @@
 
 use super::error::MotionError;
 use super::reached::{Reached, steps_within};
-use super::waveform::{Section, Waveform, ns_at, ns_of, tick_of};
+use super::waveform::{Section, Waveform, ns_of, tick_of};
 use crate::motor::MAX_AMPLITUDE_UM;
 use crate::spec::{Array, MotorSpec};
+use crate::strokes::moves;
 use crate::units::TickRate;
 use firmware_protocol::moves::Move;
-use firmware_protocol::tick::Tick;
 
 /// The steps that [`choose`] tries, ms. Shorter ones are more moves than the link takes from the paper's 24 motors, longer ones do not
 /// vanish in the average of 4.3 ms of the paper's motors.
@@ -54,20 +54,11 @@ pub const TRIED_S: f64 = 240.0;
 
 /// The coarsest grid, of 1 to 4 ms, on which each pin stays within `error_um` of what the motor can do at best
 /// ([`Reached::step_error_um`], measured from the moves); `None`: a burst of `least_pulses`. If none does, the finest grid of which the
-/// controller takes the moves of so many motors. Of long waveforms the beginning decides: four minutes, shared among the motors.
+/// controller takes the moves of so many motors. Of long waveforms the first `tried_s` decide, shared among the motors.
 ///
 /// # Errors
 /// If `error_um` is below [`LEAST_ERROR_UM`].
-pub fn choose<'a>(
-    array: Array,
-    motors: impl ExactSizeIterator<Item = (u8, &'a Waveform)> + Clone,
-    error_um: Option<f64>,
-) -> Result<Grid, MotionError> {
-    choose_within(array, motors, error_um, TRIED_S)
-}
-
-/// As [`choose`], of a stretch of so many seconds in place of [`TRIED_S`].
-pub(crate) fn choose_within<'a>(
+pub(crate) fn choose<'a>(
     array: Array,
     motors: impl ExactSizeIterator<Item = (u8, &'a Waveform)> + Clone,
     error_um: Option<f64>,
@@ -76,7 +67,7 @@ pub(crate) fn choose_within<'a>(
     let error_um = error_um.unwrap_or(f64::from(array.motor().least_pulses) * array.motor().um_per_pulse);
     MotionError::check("error_um", "um", error_um, LEAST_ERROR_UM, MAX_AMPLITUDE_UM)?;
     let (ticks, most) = (array.layout().dense_ticks(), usize::from(array.layout().max_dense()));
-    let tried_ns = ns_of(tried_s) / motors.len().max(1) as u64;
+    let tried_ns = tried_ns(tried_s, motors.len());
     let mut finest = Grid::of_ms(array, SLOWEST_STEP_MS);
     for step_ms in STEPS_MS {
         let grid = Grid::of_ms(array, step_ms);
@@ -86,7 +77,7 @@ pub(crate) fn choose_within<'a>(
         finest = grid;
         let is_within = |(motor, waveform): (u8, &Waveform)| {
             let waveform = waveform.first(tried_ns);
-            let moves: Vec<_> = Moves::new(array, motor, &waveform, grid).collect();
+            let moves = moves(array, motor, &waveform, grid);
             steps_within(array, &waveform, &moves, error_um)
         };
         if motors.clone().all(is_within) {
@@ -96,15 +87,22 @@ pub(crate) fn choose_within<'a>(
     Ok(finest)
 }
 
+/// How much of each motion is tried and measured, ns, if so many motors share it.
+pub(crate) fn tried_ns(tried_s: f64, motors: usize) -> u64 {
+    ns_of(tried_s) / motors.max(1) as u64
+}
+
 /// The moves of a motor in the first so many nanoseconds of its waveform's span, and what it reaches by then: work that does not grow with
 /// a waveform of years. Of a shorter waveform all.
-///
-/// # Panics
-/// If the array has no such motor.
-#[must_use]
-pub fn beginning(array: Array, motor: u8, whole: &Waveform, grid: Grid, ns: u64) -> (Vec<Move>, Reached) {
+pub(crate) fn beginning(
+    array: Array,
+    motor: u8,
+    whole: &Waveform,
+    grid: Grid,
+    ns: u64,
+) -> (Vec<Move>, Reached) {
     let waveform = whole.first(ns);
-    let mut moves: Vec<_> = Moves::new(array, motor, &waveform, grid).collect();
+    let mut moves = moves(array, motor, &waveform, grid);
     let cut_ns = waveform.span_ns().zip(whole.span_ns()).and_then(|(of, whole)| (of < whole).then_some(of.1));
     // Where it is cut the pin would come down.
     let end =
@@ -116,8 +114,6 @@ pub fn beginning(array: Array, motor: u8, whole: &Waveform, grid: Grid, ns: u64)
 
 impl Grid {
     /// The multiples of so many milliseconds, rounded up to ticks.
-    #[must_use]
-    #[expect(clippy::cast_possible_truncation, reason = "a few ms")]
     pub fn of_ms(array: Array, ms: u64) -> Self {
         Self { step_ticks: array.rate().of_ms(ms) as u32 }
     }
@@ -166,7 +162,6 @@ impl Rule {
     }
 
     /// The level to go to for a wanted one.
-    #[expect(clippy::cast_possible_truncation, reason = "0 to most_pulses")]
     fn level_for(&self, level: u16, wanted: f64) -> u16 {
         let (least, most) = (i32::from(self.spec.least_pulses), i32::from(self.spec.most_pulses));
         let level = i32::from(level);
@@ -189,75 +184,42 @@ impl Rule {
     }
 }
 
-/// The moves of one motor that follow a waveform, in order of time; see the module. Surplus is 0.
-#[derive(Clone, Debug)]
-pub struct Moves<'a> {
-    waveform: &'a Waveform,
-    rule: Rule,
-    motor: u8,
-    /// The step's number, and the first one that begins after the waveform.
-    number: u64,
-    over: u64,
-    level: u16,
-}
-
-impl<'a> Moves<'a> {
-    /// The moves of this motor with the waveform's time 0 at tick 0.
-    ///
-    /// # Panics
-    /// If the grid's step is 0, or the array has no such motor.
-    #[must_use]
-    pub fn new(array: Array, motor: u8, waveform: &'a Waveform, grid: Grid) -> Self {
-        assert!(array.has(motor), "motors {}", array.motor_range());
-        let (rate, step) = (array.rate(), grid.step_ticks);
-        let (from, to) = waveform.span_ns().map_or((0, 0), |(from, to)| {
-            // Rounding to ns may put the beginning just after a tick of the grid.
-            (tick_of(from, rate).saturating_sub(1) / u64::from(step), tick_of(to, rate).div_ceil(step.into()))
-        });
-        Self { waveform, rule: Rule::new(array, grid), motor, number: from, over: to, level: 0 }
-    }
-}
-
-impl Iterator for Moves<'_> {
-    type Item = Move;
-
-    fn next(&mut self) -> Option<Move> {
-        let step = u64::from(self.rule.step);
-        while self.number < self.over || self.level > 0 {
-            let tick = self.number * step;
-            let [from, to] = [tick, tick + step].map(|tick| ns_at(tick, self.rule.rate));
-            let level = self.rule.next_level(self.level, &self.waveform.section(from, to));
-            self.number += 1;
-            if level != self.level {
-                self.level = level;
-                return Some(Move { motor: self.motor, tick: Tick(tick), level, surplus: 0 });
-            }
-        }
-        None
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::motion::generate::tests::{noise, tone};
-    use crate::motion::{Envelope, RampHold, Shape, Strength};
+    use crate::motion::tests::{noise, ramp, tone};
+    use crate::motion::{Envelope, ns_at};
     use crate::spec::names;
+    use firmware_protocol::tick::Tick;
     use proptest::prelude::*;
 
     fn paper(waveform: &Waveform, ms: u64) -> Vec<(u64, u16)> {
         let grid = Grid::of_ms(Array::paper(), ms);
-        Moves::new(Array::paper(), 9, waveform, grid).map(|of| (of.tick.0, of.level)).collect()
+        moves(Array::paper(), 9, waveform, grid).into_iter().map(|of| (of.tick.0, of.level)).collect()
     }
 
-    fn ramp() -> RampHold {
-        let (start_s, to_um, rise_s, hold_s, fall_s) = (0.1, 200.0, 0.05, 0.2, 0.05);
-        RampHold { start_s, to_um, rise_s, hold_s, fall_s, shape: Shape::Linear }
+    /// The rule at each step of the grid; nothing is passed over.
+    fn step_by_step(array: Array, waveform: &Waveform, grid: Grid) -> Vec<Move> {
+        let (rule, step) = (Rule::new(array, grid), u64::from(grid.step_ticks));
+        let over = waveform.span_ns().map_or(0, |(_, until)| tick_of(until, array.rate()));
+        let (mut moves, mut level, mut tick) = (Vec::new(), 0, 0);
+        // Rounding to ns may put the beginning just after a tick of the grid.
+        let from = waveform.span_ns().map_or(0, |(from, _)| tick_of(from, array.rate()).saturating_sub(1));
+        tick += from / step * step;
+        while tick < over || level > 0 {
+            let [from, to] = [tick, tick + step].map(|tick| ns_at(tick, array.rate()));
+            let next = rule.next_level(level, &waveform.section(from, to));
+            if next != level {
+                moves.push(Move { motor: 2, tick: Tick(tick), level: next, surplus: 0 });
+            }
+            (level, tick) = (next, tick + step);
+        }
+        moves
     }
 
     #[test]
     fn a_ramp_is_even_steps_and_its_hold_has_no_moves() {
-        let moves = paper(&ramp().waveform().unwrap(), 2);
+        let moves = paper(&ramp(200.0, 0.05).waveform().unwrap(), 2);
         // 1473.7 pulses in 25 steps: 58.9 each, but for the first, which begins in the middle, and the last.
         assert_eq!((moves.len(), moves[0].0, moves[25]), (52, 8500, (12_750, 1474)));
         assert!(moves[1..25].windows(2).all(|two| (58..=60).contains(&(two[1].1 - two[0].1))), "{moves:?}");
@@ -266,7 +228,7 @@ mod tests {
 
     #[test]
     fn a_jump_on_the_grid_begins_at_its_tick_and_goes_at_full_speed() {
-        let jump = RampHold { rise_s: 0.0, fall_s: 0.0, to_um: 190.0 * 0.95 / 7.0, ..ramp() };
+        let jump = ramp(190.0 * 0.95 / 7.0, 0.0);
         let expected = [(8500, 170), (8670, 190), (25_500, 20), (25_670, 0)];
         assert_eq!(paper(&jump.waveform().unwrap(), 2), expected);
     }
@@ -296,16 +258,18 @@ mod tests {
     #[test]
     fn the_coarsest_grid_within_the_error_is_taken() {
         let array = Array::paper();
-        let (slow, fast) =
-            (ramp().waveform().unwrap(), tone(40.0, 40.0, 80.0, Envelope::Hann).waveform().unwrap());
+        let (slow, fast) = (
+            ramp(200.0, 0.05).waveform().unwrap(),
+            tone(40.0, 40.0, 80.0, Some(Envelope::HANN)).waveform().unwrap(),
+        );
         let all_within = |motors: &[(u8, &Waveform)], grid, error_um| {
             motors.iter().all(|(motor, waveform)| {
-                let moves: Vec<_> = Moves::new(array, *motor, waveform, grid).collect();
+                let moves = moves(array, *motor, waveform, grid);
                 steps_within(array, waveform, &moves, error_um)
             })
         };
         let step = |motors: &[(u8, &Waveform)], error_um: Option<f64>| {
-            let grid = choose(array, motors.iter().copied(), error_um).unwrap();
+            let grid = choose(array, motors.iter().copied(), error_um, 240.0).unwrap();
             assert!(all_within(motors, grid, error_um.unwrap_or(0.95)), "{grid:?}");
             grid.step_ticks / 85
         };
@@ -315,12 +279,12 @@ mod tests {
             (1, 4)
         );
         // Noise that is too fast at places: no grid is within so little.
-        let rough = noise(5.0, 150.0, Strength::RmsUm(15.0), 1).waveform().unwrap();
+        let rough = noise(5.0, 150.0, 15.0, 1).waveform().unwrap();
         let rough = [(0, &rough)];
-        let finest = choose(array, rough.into_iter(), Some(0.1)).unwrap();
+        let finest = choose(array, rough.into_iter(), Some(0.1), 240.0).unwrap();
         assert!(finest.step_ticks == 85 && !all_within(&rough, finest, 0.1));
-        assert!(choose(array, rough.into_iter(), Some(0.0)).is_err());
-        assert!(choose(array, [].into_iter(), None).is_ok());
+        assert!(choose(array, rough.into_iter(), Some(0.0), 240.0).is_err());
+        assert!(choose(array, [].into_iter(), None, 240.0).is_ok());
     }
 
     proptest! {
@@ -340,8 +304,10 @@ mod tests {
             let grid = Grid::of_ms(array, ms);
             let motor = array.motor();
             let highest = motor.pulses(waveform.extremes_um()[1]) + (f64::from(motor.least_pulses) + 1.0) / 2.0;
+            let found = moves(array, 2, &waveform, grid);
+            prop_assert_eq!(&found, &step_by_step(array, &waveform, grid));
             let (mut level, mut next) = (0, 0);
-            for each in Moves::new(array, 2, &waveform, grid) {
+            for each in found {
                 prop_assert!(each.tick.0 >= next && each.tick.0.is_multiple_of(grid.step_ticks.into()));
                 prop_assert!(each.level <= motor.most_pulses && f64::from(each.level) <= highest);
                 let pulses = each.level.abs_diff(level);

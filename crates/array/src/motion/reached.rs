@@ -6,7 +6,7 @@
 //! Invariant: nothing is clamped before it is compared, except in [`Reached::step_error_um`], which says so.
 
 use super::waveform::{Waveform, ns_at, s_of, tick_of};
-use crate::motor::{HalfTick, Ramp, Shaft};
+use crate::motor::{HalfTick, Path, Ramp, Shaft};
 use crate::spec::{Array, MotorSpec};
 use firmware_protocol::moves::Move;
 use firmware_protocol::stroke::Direction;
@@ -15,34 +15,17 @@ use firmware_protocol::tick::Tick;
 /// Samples per millisecond.
 const PER_MS: u64 = 5;
 
-/// The path of one pin, asked at instants in order of time.
-#[derive(Debug)]
-pub struct Path<'a> {
-    ahead: std::slice::Iter<'a, Move>,
-    shaft: Shaft,
-    um_per_pulse: f64,
-    level: u16,
-}
-
-impl<'a> Path<'a> {
-    /// The path of an ideal motor of the array that plays these moves of one motor, in order of time.
-    #[must_use]
-    pub fn new(array: Array, moves: &'a [Move]) -> Self {
-        let motor = array.spec().motor();
-        Self { ahead: moves.iter(), shaft: Shaft::new(motor), um_per_pulse: motor.um_per_pulse, level: 0 }
-    }
-
-    /// The commanded position and the displacement, after the motor's response, at an instant not before the last one, µm.
-    pub fn um_at(&mut self, at: HalfTick) -> [f64; 2] {
-        while let Some(next) = self.ahead.as_slice().first().filter(|next| HalfTick::from(next.tick) <= at) {
-            let way = if next.level > self.level { Direction::Up } else { Direction::Down };
-            let pulses = next.level.abs_diff(self.level).into();
-            self.shaft.push(Ramp::new(next.tick, pulses, way, self.um_per_pulse));
-            self.level = next.level;
-            self.ahead.next();
-        }
-        [self.shaft.position_um(at), self.shaft.displacement_um(at)]
-    }
+/// The path of an ideal motor of the array that plays these moves of one motor, in order of time.
+fn path(array: Array, moves: &[Move]) -> Path {
+    let (motor, mut level) = (array.spec().motor(), 0);
+    let mut path = Path::new(motor);
+    path.extend(moves.iter().map(|next| {
+        let way = if next.level > level { Direction::Up } else { Direction::Down };
+        let pulses = next.level.abs_diff(level).into();
+        level = next.level;
+        Ramp::new(next.tick, pulses, way, motor.um_per_pulse)
+    }));
+    path
 }
 
 /// How far the displacement is from a reference.
@@ -134,7 +117,6 @@ impl Filtered {
     }
 
     /// What the response makes of it at the end of a line from one value to another. A jump before it takes the first tick.
-    #[expect(clippy::cast_possible_truncation, reason = "a fifth of a millisecond")]
     fn next(&mut self, start: u64, ticks: u64, [from_um, to_um]: [f64; 2]) -> f64 {
         let jump = u64::from(from_um != self.um);
         self.shaft.push(Ramp::travelled(Tick(start), jump as u32, from_um - self.um));
@@ -148,7 +130,7 @@ impl Filtered {
 struct Tracking<'a> {
     array: Array,
     waveform: &'a Waveform,
-    path: Path<'a>,
+    path: Path,
     /// A motor of this speed and range without steps: it goes to what is asked as soon as it can.
     best: Filtered,
     /// What was asked at the last instant, after a jump there.
@@ -175,7 +157,7 @@ struct Sample {
 
 impl<'a> Tracking<'a> {
     /// Up to a tick, or until the motor has settled.
-    fn new(array: Array, waveform: &'a Waveform, moves: &'a [Move], end: Option<u64>) -> Self {
+    fn new(array: Array, waveform: &'a Waveform, moves: &[Move], end: Option<u64>) -> Self {
         let (motor, rate) = (array.spec().motor(), array.rate());
         let every = rate.of_ms(1) / PER_MS;
         let (from, until) = waveform.span_ns().map_or((0, 0), |(from, until)| {
@@ -183,7 +165,7 @@ impl<'a> Tracking<'a> {
             let from = tick_of(from, rate).saturating_sub(every) / every * every;
             (from, end.unwrap_or_else(|| last.max(tick_of(until, rate)) + motor.settled_ticks()))
         });
-        let (path, best) = (Path::new(array, moves), Filtered::new(motor));
+        let (path, best) = (path(array, moves), Filtered::new(motor));
         let begins_um = waveform.um_at(ns_at(from, rate));
         Self { array, waveform, path, best, begins_um, from, until, every }
     }
@@ -201,7 +183,7 @@ impl Iterator for Tracking<'_> {
         self.from = end;
         let [asked_um, next_um] = self.waveform.um_around(ns_at(end, self.array.rate()));
         let asked_um = [std::mem::replace(&mut self.begins_um, next_um), asked_um];
-        let [_, um] = self.path.um_at(HalfTick(2 * end));
+        let um = self.path.um_at(HalfTick(2 * end));
         let possible = asked_um[1].clamp(0.0, f64::from(motor.most_pulses) * motor.um_per_pulse);
         let most_step_um = ticks_um(motor, self.every);
         let limited = self.best.um + (possible - self.best.um).clamp(-most_step_um, most_step_um);
@@ -219,7 +201,6 @@ pub(super) fn steps_within(array: Array, waveform: &Waveform, moves: &[Move], er
 impl Reached {
     /// What an ideal motor reaches with these moves, which follow the waveform, up to a tick, if one is given. Takes about 1 ms per second of
     /// the waveform.
-    #[expect(clippy::cast_precision_loss, reason = "a count of moves")]
     pub(super) fn of(array: Array, waveform: &Waveform, moves: &[Move], end: Option<u64>) -> Self {
         let (motor, rate) = (array.spec().motor(), array.rate());
         let samples = Tracking::new(array, waveform, moves, end);
@@ -253,7 +234,6 @@ impl Reached {
     }
 }
 
-#[expect(clippy::cast_precision_loss, reason = "a fifth of a millisecond")]
 fn ticks_um(motor: &MotorSpec, ticks: u64) -> f64 {
     ticks as f64 * motor.um_per_pulse
 }
@@ -284,17 +264,18 @@ fn busiest(moves: &[Move], ticks: u64) -> usize {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::motion::generate::tests::{noise, tone};
-    use crate::motion::{Envelope, Grid, Moves, RampHold, Shape, Strength, choose};
+    use crate::motion::tests::{noise, ramp, tone};
+    use crate::motion::{Envelope, Grid, RampHold, Shape, choose};
     use crate::spec::names;
+    use crate::strokes::moves;
     use std::f64::consts::{PI, TAU};
 
     /// The displacement at each tick of a second, by the paper's motor on this grid; of a play that begins at 0.
     fn second_um(waveform: &Waveform, ms: u64) -> Vec<f64> {
         let array = Array::paper();
-        let moves: Vec<_> = Moves::new(array, 9, waveform, Grid::of_ms(array, ms)).collect();
-        let mut path = Path::new(array, &moves);
-        (0..85_000).map(|tick| path.um_at(HalfTick(2 * tick))[1]).collect()
+        let moves = moves(array, 9, waveform, Grid::of_ms(array, ms));
+        let mut path = path(array, &moves);
+        (0..85_000).map(|tick| path.um_at(HalfTick(2 * tick))).collect()
     }
 
     /// Amplitude of a whole number of cycles, by projection on sine and cosine.
@@ -306,24 +287,19 @@ mod tests {
         2.0 / count * part(0.0).hypot(part(PI / 2.0))
     }
 
-    fn ramp(to_um: f64, seconds: f64) -> Waveform {
-        let (start_s, hold_s, shape) = (0.1, 0.2, Shape::Linear);
-        RampHold { start_s, to_um, rise_s: seconds, hold_s, fall_s: seconds, shape }.waveform().unwrap()
-    }
-
     fn reached(array: Array, waveform: &Waveform, error_um: Option<f64>) -> Reached {
-        let grid = choose(array, [(0, waveform)].into_iter(), error_um).unwrap();
-        let moves: Vec<_> = Moves::new(array, 0, waveform, grid).collect();
+        let grid = choose(array, [(0, waveform)].into_iter(), error_um, 240.0).unwrap();
+        let moves = moves(array, 0, waveform, grid);
         Reached::of(array, waveform, &moves, None)
     }
 
     #[test]
     fn a_ramp_of_200_um_in_50_ms_is_followed() {
-        let found = reached(Array::paper(), &ramp(200.0, 0.05), None);
+        let found = reached(Array::paper(), &ramp(200.0, 0.05).waveform().unwrap(), None);
         assert!(found.step_error_um < 0.95 && found.from_filtered.peak_um < 0.95, "{found:?}");
         assert!(found.from_filtered.correlation.unwrap() > 0.9999 && found.too_slow_s.is_empty());
         // In the ramp, a moving average over 4.3 ms is 2.15 ms late; after it, it has arrived.
-        let um = second_um(&ramp(200.0, 0.05), 2);
+        let um = second_um(&ramp(200.0, 0.05).waveform().unwrap(), 2);
         let at = |ms: f64| um[(ms * 85.0) as usize];
         assert!((at(125.0) - 4.0 * (25.0 - 2.15)).abs() < 0.95, "{}", at(125.0));
         assert!((at(155.0) - 200.0).abs() < 0.1, "{}", at(155.0));
@@ -336,7 +312,7 @@ mod tests {
     #[test]
     fn a_hann_burst_of_40_hz_has_no_third_harmonic() {
         for (amplitude_um, ms) in [(80.0, 1), (40.0, 1), (20.0, 2)] {
-            let um = second_um(&tone(40.0, 40.0, amplitude_um, Envelope::Hann).waveform().unwrap(), ms);
+            let um = second_um(&tone(40.0, 40.0, amplitude_um, Some(Envelope::HANN)).waveform().unwrap(), ms);
             let [first, third] = [40.0, 120.0].map(|cycles| amplitude(&um, cycles));
             let db = 20.0 * (third / first).log10();
             println!("Hann 40 Hz, {amplitude_um} um, {ms} ms: third harmonic {db:.1} dB");
@@ -349,13 +325,12 @@ mod tests {
 
     #[test]
     fn chirps_and_noise_are_followed() {
-        let chirp =
-            reached(Array::paper(), &tone(10.0, 200.0, 15.0, Envelope::None).waveform().unwrap(), Some(0.5));
+        let chirp = reached(Array::paper(), &tone(10.0, 200.0, 15.0, None).waveform().unwrap(), Some(0.5));
         assert!(chirp.from_filtered.correlation.unwrap() > 0.998 && chirp.step_error_um < 1.5, "{chirp:?}");
         for (rms_um, ms) in [(10.0, 1), (10.0, 4), (2.0, 1)] {
-            let wave = noise(5.0, 50.0, Strength::RmsUm(rms_um), 3).waveform().unwrap();
+            let wave = noise(5.0, 50.0, rms_um, 3).waveform().unwrap();
             let array = Array::paper();
-            let moves: Vec<_> = Moves::new(array, 9, &wave, Grid::of_ms(array, ms)).collect();
+            let moves = moves(array, 9, &wave, Grid::of_ms(array, ms));
             let found = Reached::of(array, &wave, &moves, None);
             assert!(found.from_filtered.correlation.unwrap() >= 0.98, "{rms_um} um, {ms} ms: {found:?}");
         }
@@ -364,15 +339,14 @@ mod tests {
     #[test]
     fn what_a_motor_cannot_do_is_told() {
         // 200 um at 11.536 mm/s take 17.34 ms; the last 0.95 um of the way count as there.
-        let jump = reached(Array::paper(), &ramp(200.0, 0.0), None);
+        let jump = reached(Array::paper(), &ramp(200.0, 0.0).waveform().unwrap(), None);
         let [(from, until), (down, _)] = jump.too_slow_s[..] else { panic!("{jump:?}") };
         assert!(
             (from - 0.1).abs() < 3e-4 && (until - 0.1 - 0.01725).abs() < 3e-4 && (down - 0.3).abs() < 3e-4
         );
         assert!(jump.from_asked.peak_um > 195.0 && jump.step_error_um < 0.95, "{jump:?}");
         // 60 um peak to peak at 100 Hz would need 18.8 mm/s.
-        let fast =
-            reached(Array::paper(), &tone(100.0, 100.0, 60.0, Envelope::None).waveform().unwrap(), None);
+        let fast = reached(Array::paper(), &tone(100.0, 100.0, 60.0, None).waveform().unwrap(), None);
         assert!(fast.too_slow_s.len() > 100 && fast.from_filtered.share > 0.02);
         let low = Waveform::samples(0.0, 10.0, &[0.0, -20.0, 500.0, 500.0, 0.0]).unwrap();
         let low = reached(Array::paper(), &low, None);
@@ -386,9 +360,8 @@ mod tests {
     fn figures_are_those_of_every_array_and_do_not_depend_on_the_time() {
         for array in names().into_iter().map(|name| Array::named(name).unwrap()) {
             let found = |start_s| {
-                let (to_um, rise_s, hold_s, fall_s, shape) = (100.0, 0.1, 0.1, 0.1, Shape::Cosine);
-                let wave = RampHold { start_s, to_um, rise_s, hold_s, fall_s, shape }.waveform().unwrap();
-                reached(array, &wave, Some(2.0))
+                let ramp = RampHold { start_s, hold_s: 0.1, shape: Shape::Cosine, ..ramp(100.0, 0.1) };
+                reached(array, &ramp.waveform().unwrap(), Some(2.0))
             };
             let [now, later] = [0.0, 36_000.0].map(found);
             assert!(now.step_error_um <= 2.0 && now.from_filtered.peak_um <= 2.2, "{array:?}: {now:?}");

@@ -87,12 +87,6 @@ struct Samples {
 }
 
 /// Seconds in nanoseconds, rounded.
-#[expect(
-    clippy::cast_possible_truncation,
-    clippy::cast_sign_loss,
-    clippy::cast_precision_loss,
-    reason = "checked: 0 to 10^17"
-)]
 pub(crate) fn ns_of(seconds: f64) -> u64 {
     let ns = seconds * NS_PER_S;
     // As `round`, which is a call of a function on processors without an instruction for it.
@@ -100,32 +94,27 @@ pub(crate) fn ns_of(seconds: f64) -> u64 {
     below.saturating_add(u64::from(ns - below as f64 >= 0.5))
 }
 
-#[expect(clippy::cast_precision_loss, reason = "below 2^53 for three months; then off by some ns")]
 pub(crate) fn s_of(ns: u64) -> f64 {
     ns as f64 / NS_PER_S
 }
 
 /// A tick in nanoseconds, rounded.
-#[expect(clippy::cast_possible_truncation, reason = "584 years")]
 pub(crate) fn ns_at(tick: u64, rate: TickRate) -> u64 {
     let hz = u128::from(rate.hz());
     ((u128::from(tick) * 1_000_000_000 + hz / 2) / hz) as u64
 }
 
 /// The first tick at or after so many nanoseconds.
-#[expect(clippy::cast_possible_truncation, reason = "584 years")]
 pub(crate) fn tick_of(ns: u64, rate: TickRate) -> u64 {
     (u128::from(ns) * u128::from(rate.hz())).div_ceil(1_000_000_000) as u64
 }
 
-#[expect(clippy::cast_precision_loss, reason = "a knot's distance from the next")]
 fn between(a: Knot, b: Knot, ns: u64) -> f64 {
     a.um + (b.um - a.um) * ((ns - a.ns) as f64 / (b.ns - a.ns) as f64)
 }
 
 impl Samples {
     /// When sample `number` is, ns.
-    #[expect(clippy::cast_precision_loss, reason = "at most MAX_SAMPLES")]
     fn ns(&self, number: usize) -> u64 {
         self.start_ns + ns_of(number as f64 / self.rate_hz)
     }
@@ -151,11 +140,6 @@ impl Samples {
     }
 
     /// How many knots are before an instant.
-    #[expect(
-        clippy::cast_possible_truncation,
-        clippy::cast_sign_loss,
-        reason = "positive, and the cast saturates"
-    )]
     fn before(&self, ns: u64) -> usize {
         if ns <= self.start_ns {
             return 0;
@@ -242,7 +226,6 @@ impl Waveform {
     /// # Errors
     /// A start below 0 or after [`MAX_SECONDS`], a rate outside [`RATE_HZ`], fewer than 2 or more than [`MAX_SAMPLES`] samples, or a
     /// sample that is not a number.
-    #[expect(clippy::cast_possible_truncation, reason = "to a part in 16 million; beyond f32 it is refused")]
     pub fn samples(start_s: f64, rate_hz: f64, um: &[f64]) -> Result<Self, MotionError> {
         Self::shared(start_s, rate_hz, um.iter().map(|um| *um as f32).collect())
     }
@@ -349,7 +332,6 @@ impl Waveform {
 
     /// The first instant, s, at which it is ahead of this motor's highest speed by more than a burst of `least_pulses`; `None`: the
     /// motor follows it throughout. Jumps are too fast for any motor.
-    #[must_use]
     pub fn too_slow_from_s(&self, array: Array) -> Option<f64> {
         let motor = array.motor();
         let um_per_ns = motor.um_per_pulse * f64::from(array.rate().hz()) / NS_PER_S;
@@ -369,25 +351,21 @@ impl Waveform {
     }
 
     /// The first and the last instant at which it may not be at rest, ns; `None` if it always is.
-    #[must_use]
     pub fn span_ns(&self) -> Option<(u64, u64)> {
         Some((self.pieces.first()?.span_ns().0, self.pieces.last()?.span_ns().1))
     }
 
     /// The lowest and the highest displacement, µm; rest counts.
-    #[must_use]
     pub const fn extremes_um(&self) -> [f64; 2] {
         self.extremes_um
     }
 
     /// The displacement at an instant, µm; at a jump, after it.
-    #[must_use]
     pub fn um_at(&self, ns: u64) -> f64 {
         self.um_around(ns)[1]
     }
 
     /// The displacement just before an instant and from it on, µm. They differ at a jump.
-    #[must_use]
     pub fn um_around(&self, ns: u64) -> [f64; 2] {
         let first = self.pieces.partition_point(|piece| piece.span_ns().1 < ns);
         // Two where one ends and the next begins.
@@ -422,13 +400,6 @@ impl Waveform {
 
     /// Until when it stays from `low` to `high` µm, from an instant on, ns; [`u64::MAX`]: for good. And the number of knots that it looked at,
     /// which is bounded, so the waveform may stay there for longer.
-    #[must_use]
-    #[expect(
-        clippy::cast_possible_truncation,
-        clippy::cast_sign_loss,
-        clippy::cast_precision_loss,
-        reason = "a part of the way from a knot to the next"
-    )]
     pub fn stays_until(&self, ns: u64, [low, high]: [f64; 2]) -> (u64, usize) {
         let is_within = |um: f64| (low..=high).contains(&um);
         let mut last = Knot { ns, um: self.um_at(ns) };
@@ -453,8 +424,6 @@ impl Waveform {
     }
 
     /// What it does from one instant to a later one.
-    #[must_use]
-    #[expect(clippy::cast_precision_loss, reason = "distances within a step")]
     pub fn section(&self, from_ns: u64, to_ns: u64) -> Section {
         let first = Knot { ns: from_ns, um: self.um_at(from_ns) };
         let end = Knot { ns: to_ns, um: self.um_around(to_ns)[0] };
@@ -548,15 +517,6 @@ mod tests {
         let cut = Waveform::samples(0.0, 1.0, &[0.0, -5.0]).unwrap().scaled(2.0);
         assert_eq!((cut.um_around(1000 * MS), cut.extremes_um()), ([-10.0, 0.0], [-10.0, 0.0]));
         assert_eq!(Waveform::default().um_around(0), [0.0; 2]);
-    }
-
-    #[test]
-    fn an_hour_later_a_waveform_is_the_same() {
-        let um: Vec<f64> = (0..20).map(|k| f64::from(k * k % 7)).collect();
-        let [now, later] = [0.0, 36_000.0].map(|start_s| Waveform::samples(start_s, 1000.0, &um).unwrap());
-        for us in (0..20_000).step_by(37) {
-            assert_eq!(now.um_around(us * 1000), later.um_around((36_000_000_000 + us) * 1000));
-        }
     }
 
     #[test]

@@ -17,7 +17,6 @@ const HIGHEST_HZ: f64 = 20_000.0;
 const HARMONICS: u32 = 2000;
 
 /// The factor by which ISO 5349-1 weights acceleration at a frequency.
-#[must_use]
 pub fn weighting(hz: f64) -> f64 {
     const BAND: (f64, f64, f64) = (6.310, 1258.9, 0.71);
     const TRANSITION: (f64, f64) = (15.915, 0.64);
@@ -54,7 +53,6 @@ pub fn weighted_acceleration_m_s2(
 }
 
 /// The daily exposure A(8) of `hours` of it, m/s².
-#[must_use]
 pub fn daily_exposure_m_s2(weighted_m_s2: f64, hours: f64) -> f64 {
     weighted_m_s2 * (hours / 8.0).sqrt()
 }

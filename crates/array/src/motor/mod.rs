@@ -16,6 +16,7 @@ mod steady;
 mod wave;
 
 pub use model::{MAX_AMPLITUDE_UM, MotorError};
+pub(crate) use shaft::Path;
 pub use shaft::{HalfTick, Ramp, Shaft};
 pub use steady::SteadyState;
-pub use wave::{Excursion, Excursions, SquareWave};
+pub use wave::{Excursion, SquareWave};

@@ -42,7 +42,6 @@ pub struct Ramp {
 
 impl Ramp {
     /// `ticks` pulses from `start` on, each with this travel.
-    #[must_use]
     pub fn new(start: Tick, ticks: u32, direction: Direction, um_per_pulse: f64) -> Self {
         let um_per_tick = match direction {
             Direction::Up => um_per_pulse,
@@ -52,14 +51,12 @@ impl Ramp {
     }
 
     /// A burst with a measured travel, µm, upwards positive, at constant speed. Without pulses it has no travel.
-    #[must_use]
     pub fn travelled(start: Tick, pulses: u32, travel_um: f64) -> Self {
         let um_per_tick = if pulses == 0 { 0.0 } else { travel_um / f64::from(pulses) };
         Self { start, ticks: pulses, um_per_tick }
     }
 
     /// The first tick after the ramp.
-    #[must_use]
     pub fn end(&self) -> Tick {
         self.start + u64::from(self.ticks)
     }
@@ -78,7 +75,6 @@ impl Ramp {
     }
 
     /// The ramp's share in the displacement of such a motor at an instant, µm.
-    #[must_use]
     pub fn share_um(&self, at: HalfTick, motor: &MotorSpec) -> f64 {
         self.share_after(at.since(self.start.into()), motor.window_half_ticks.cast_signed())
     }
@@ -86,7 +82,6 @@ impl Ramp {
     /// The ramp's share in the displacement, `after` half ticks after its start, µm. A moving average is the mean of its travel over the
     /// window; `before` is the part that lies before it.
     #[inline]
-    #[expect(clippy::cast_precision_loss, reason = "below 2^44")]
     fn share_after(&self, after: i64, window: i64) -> f64 {
         let before = self.done(after.saturating_sub(window));
         let left = self.half_ticks() - before;
@@ -112,7 +107,6 @@ pub struct Shaft {
 
 impl Shaft {
     /// The shaft of such a motor, at rest at 0.
-    #[must_use]
     pub fn new(motor: &MotorSpec) -> Self {
         let window = motor.window_half_ticks.cast_signed();
         Self { base_um: 0.0, ramps: VecDeque::with_capacity(most_ramps(window)), window }
@@ -150,8 +144,6 @@ impl Shaft {
     }
 
     /// The commanded position r, µm.
-    #[must_use]
-    #[expect(clippy::cast_precision_loss, reason = "a ramp's half ticks")]
     pub fn position_um(&self, at: HalfTick) -> f64 {
         self.ramps.iter().fold(self.base_um, |sum, ramp| {
             sum + ramp.um_per_tick * (ramp.done(at.since(ramp.start.into())) as f64 / 2.0)
@@ -159,7 +151,6 @@ impl Shaft {
     }
 
     /// The displacement y, µm: the mean of r over the window that ends `at`.
-    #[must_use]
     pub fn displacement_um(&self, at: HalfTick) -> f64 {
         self.ramps
             .iter()
@@ -167,14 +158,38 @@ impl Shaft {
     }
 
     /// dy/dt, (r(t) - r(t - W)) / W, µm per tick. Linear between the starts and ends of ramps and W after each.
-    #[must_use]
-    #[expect(clippy::cast_precision_loss, reason = "a ramp's half ticks")]
     pub fn velocity_um_per_tick(&self, at: HalfTick) -> f64 {
         let change = self.ramps.iter().fold(0.0, |sum, ramp| {
             let after = at.since(ramp.start.into());
             sum + ramp.um_per_tick * (ramp.done(after) - ramp.done(after - self.window)) as f64
         });
         change / self.window as f64
+    }
+}
+
+/// A shaft and the ramps that it has not begun, asked at instants in order of time.
+#[derive(Debug)]
+pub(crate) struct Path {
+    shaft: Shaft,
+    ahead: VecDeque<Ramp>,
+}
+
+impl Path {
+    pub(crate) fn new(motor: &MotorSpec) -> Self {
+        Self { shaft: Shaft::new(motor), ahead: VecDeque::new() }
+    }
+
+    /// Adds the next ramps, in order of time.
+    pub(crate) fn extend(&mut self, ramps: impl Iterator<Item = Ramp>) {
+        self.ahead.extend(ramps);
+    }
+
+    /// The displacement at an instant not before the last one, µm.
+    pub(crate) fn um_at(&mut self, at: HalfTick) -> f64 {
+        while let Some(ramp) = self.ahead.pop_front_if(|ramp| HalfTick::from(ramp.start) <= at) {
+            self.shaft.push(ramp);
+        }
+        self.shaft.displacement_um(at)
     }
 }
 

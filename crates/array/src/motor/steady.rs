@@ -113,7 +113,6 @@ struct Range {
 
 impl Range {
     /// Adds the piece from the last breakpoint to `at`: its ends, and its vertex if that lies between.
-    #[expect(clippy::cast_precision_loss, reason = "a distance of breakpoints")]
     fn piece_to(&mut self, at: HalfTick, shaft: &Shaft) {
         let (y, velocity) = (shaft.displacement_um(at), shaft.velocity_um_per_tick(at));
         match self.last {

@@ -43,7 +43,6 @@ pub struct Excursion {
 
 impl Excursion {
     /// The stroke of `motor` for this excursion, in a play that began at `onset`.
-    #[must_use]
     pub fn stroke(&self, motor: u8, onset: Tick) -> Stroke {
         // The controller's limits refuse more pulses than fit, as they should.
         let [up_pulses, down_pulses] = [self.pulses, self.pulses.saturating_add(self.surplus)]
@@ -54,14 +53,12 @@ impl Excursion {
 
     /// The ramps of both bursts on an ideal motor with this travel per pulse, from tick 0 on. The stop absorbs the whole surplus, so
     /// the surplus moves nothing.
-    #[must_use]
     pub fn ramps(&self, um_per_pulse: f64) -> [Ramp; 2] {
         [(self.up, Direction::Up), (self.down, Direction::Down)]
             .map(|(start, direction)| Ramp::new(Tick(start), self.pulses, direction, um_per_pulse))
     }
 
     /// The first tick after the down burst. Saturates.
-    #[must_use]
     pub const fn end(&self) -> u64 {
         self.down.saturating_add(self.pulses as u64).saturating_add(self.surplus as u64)
     }
@@ -72,11 +69,6 @@ impl SquareWave {
     ///
     /// # Errors
     /// The first argument that is out of range.
-    #[expect(
-        clippy::cast_possible_truncation,
-        clippy::cast_sign_loss,
-        reason = "the cast is the floor; at most 7.4e6"
-    )]
     pub fn new(array: Array, frequency_hz: f64, amplitude_um: f64, phase: f64) -> Result<Self, MotorError> {
         // One pulse up and one pulse down in turn.
         let most_hz = f64::from(array.rate().hz()) / 2.0;
@@ -116,50 +108,42 @@ impl SquareWave {
     }
 
     /// Pulses by which a down burst is longer than an up burst of so many pulses.
-    #[must_use]
     pub fn surplus(&self, pulses: u32) -> u32 {
         if self.surplus == 0 { 0 } else { self.surplus.min(most_surplus(pulses)) }
     }
 
     /// The array of its motor.
-    #[must_use]
     pub const fn array(&self) -> Array {
         self.array
     }
 
     /// Its frequency, Hz.
-    #[must_use]
     pub const fn frequency_hz(&self) -> f64 {
         self.frequency_hz
     }
 
     /// Its phase, cycles.
-    #[must_use]
     pub const fn phase(&self) -> f64 {
         self.phase
     }
 
     /// Pulses that the amplitude asks for, whether or not they fit into half a period.
-    #[must_use]
     pub const fn wanted_pulses(&self) -> u32 {
         self.pulses
     }
 
     /// Whether it moves a pin: its amplitude is at least half a pulse.
-    #[must_use]
     pub const fn moves(&self) -> bool {
         self.pulses > 0
     }
 
     /// Pulses of a burst: those the amplitude asks for, or as many as fit into half a period of whole ticks.
     /// (Where the edges round that way, an excursion of a saturated drive has one more.)
-    #[must_use]
     pub fn pulses(&self) -> u32 {
         u32::try_from(self.half_period_ticks()).map_or(self.pulses, |room| room.min(self.pulses))
     }
 
     /// The mean gain of its bursts after the first: if each begins after a long rest (below about 1 Hz), all fall short.
-    #[must_use]
     pub fn mean_gain(&self) -> f64 {
         let rest = self.half_period_ticks().saturating_sub(self.pulses().into());
         let motor = self.array.motor();
@@ -167,46 +151,34 @@ impl SquareWave {
     }
 
     /// Half a period in ticks, rounded down. The added billionth keeps a whole number of ticks whole despite the rounding of `f64`.
-    #[expect(
-        clippy::cast_possible_truncation,
-        clippy::cast_sign_loss,
-        reason = "the cast is the floor, and saturates"
-    )]
     pub(super) fn half_period_ticks(&self) -> u64 {
         (f64::from(self.array.rate().hz()) / 2.0 / self.frequency_hz + 1e-9) as u64
     }
 
     /// A period in ticks, rounded down as [`Self::half_period_ticks`].
-    #[expect(
-        clippy::cast_possible_truncation,
-        clippy::cast_sign_loss,
-        reason = "the cast is the floor, and saturates"
-    )]
     fn period_ticks(&self) -> u64 {
         (f64::from(self.array.rate().hz()) / self.frequency_hz + 1e-9) as u64
     }
 
     /// The tick of edge `h`; even edges go up, odd edges down.
-    #[must_use]
-    #[expect(
-        clippy::cast_possible_truncation,
-        clippy::cast_sign_loss,
-        clippy::cast_precision_loss,
-        reason = "the cast is the floor, and saturates; 2^53 edges last 3 000 years"
-    )]
     pub fn edge(&self, h: u64) -> u64 {
         (((h as f64 / 2.0 + self.phase) * f64::from(self.array.rate().hz())) / self.frequency_hz + 0.5) as u64
     }
 
-    /// The drive's excursions from its beginning, without end.
-    #[must_use]
-    pub fn excursions(self) -> Excursions {
-        Excursions { wave: self, h: 0, up: self.edge(0) }
+    /// The drive's excursions from its beginning, in order of time, without end.
+    pub fn excursions(self) -> impl Iterator<Item = Excursion> + Clone {
+        (0..).map(move |number| self.excursion(number))
+    }
+
+    /// The excursion of this number, counted from the beginning of the drive.
+    #[inline]
+    pub fn excursion(&self, number: u64) -> Excursion {
+        let [up, down, next_up] = [0, 1, 2].map(|more| self.edge((2 * number).saturating_add(more)));
+        self.between(up, down, next_up)
     }
 
     /// The excursion between edges at these ticks.
     #[inline]
-    #[expect(clippy::cast_possible_truncation, reason = "not above the pulses wanted")]
     fn between(&self, up: u64, down: u64, next_up: u64) -> Excursion {
         // An edge whose tick saturates never comes, so it limits nothing.
         let room = if next_up == u64::MAX { u64::MAX } else { next_up - down };
@@ -230,42 +202,6 @@ fn most_surplus(pulses: u32) -> u32 {
     limits::correction(u16::try_from(pulses).unwrap_or(u16::MAX)).into()
 }
 
-/// The excursions of a drive in order of time, without end.
-#[derive(Clone, Debug)]
-pub struct Excursions {
-    wave: SquareWave,
-    h: u64,
-    /// The tick of edge `h`.
-    up: u64,
-}
-
-impl Excursions {
-    /// The drive.
-    #[must_use]
-    pub const fn wave(&self) -> &SquareWave {
-        &self.wave
-    }
-
-    /// The excursion of this number, counted from the beginning of the drive.
-    #[must_use]
-    pub fn number(&self, number: u64) -> Excursion {
-        let edge = |more: u64| self.wave.edge((2 * number).saturating_add(more));
-        self.wave.between(edge(0), edge(1), edge(2))
-    }
-}
-
-impl Iterator for Excursions {
-    type Item = Excursion;
-
-    #[inline]
-    fn next(&mut self) -> Option<Excursion> {
-        let (up, down, next_up) = (self.up, self.wave.edge(self.h + 1), self.wave.edge(self.h + 2));
-        self.h += 2;
-        self.up = next_up;
-        Some(self.wave.between(up, down, next_up))
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -282,15 +218,6 @@ mod tests {
         assert!(fast.excursions().take(1000).all(|e| (141..=142).contains(&e.pulses)));
         let fastest = SquareWave::new(Array::paper(), 42_500.0, 80.0, 0.0).unwrap();
         assert!(fastest.excursions().take(1000).all(|e| e.pulses == 1 && e.end() == e.up + 2));
-    }
-
-    #[test]
-    fn an_excursion_is_found_by_its_number() {
-        let excursions =
-            SquareWave::new(Array::paper(), 233.3, 19.0, 0.7).unwrap().with_surplus(|_| 20).excursions();
-        for (number, excursion) in excursions.clone().take(500).enumerate() {
-            assert_eq!(excursions.number(number as u64), excursion);
-        }
     }
 
     #[test]

@@ -5,21 +5,24 @@
 use super::error::{KeyError, Problem};
 use super::limits::{FREQUENCY_HZ, MAX_SECONDS};
 use crate::motor::{MotorError, SquareWave};
-use crate::spec::Array;
+use crate::spec::{Array, MAX_MOTORS};
 use meissner_input::document::in_range;
-use serde::{Deserialize, Serialize};
-use std::fmt;
+use serde::de::Error;
+use serde::{Deserialize, Deserializer, Serialize};
 
 /// A square wave on one motor.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct Drive {
     /// One of the array.
+    #[serde(deserialize_with = "motor_number")]
     pub motor: u8,
     /// Within [`FREQUENCY_HZ`].
     pub frequency_hz: f64,
     /// Peak to peak, up to the travel of the array's motors; 0: the motor is off.
     pub amplitude_um: f64,
     /// Cycles by which the first upward edge comes after the start, in [0, 1).
+    #[serde(default)]
     pub phase: f64,
     /// When the drive begins, in pattern time; without it the drive begins with the pattern.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -27,6 +30,13 @@ pub struct Drive {
     /// When its last stroke must have ended, in pattern time; without it the drive ends with the pattern.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub stop_s: Option<f64>,
+}
+
+/// Reads the number of a motor; whether the array has it is checked later.
+pub(crate) fn motor_number<'de, D: Deserializer<'de>>(source: D) -> Result<u8, D::Error> {
+    let number = i64::deserialize(source)?;
+    let refused = || format!("is {number}: must be the number of a motor, 0 to {} at most", MAX_MOTORS - 1);
+    u8::try_from(number).map_err(|_| D::Error::custom(refused()))
 }
 
 impl Drive {
@@ -39,7 +49,6 @@ impl Drive {
     }
 
     /// When the drive begins, s of pattern time.
-    #[must_use]
     pub fn start(&self) -> f64 {
         self.start_s.unwrap_or(0.0)
     }
@@ -71,38 +80,8 @@ impl Drive {
     }
 }
 
-/// A saturated drive: its amplitude does not fit into half a period, so it plays with a smaller one.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Warning {
-    /// The drive, counted from 1.
-    pub drive: usize,
-    /// Its settings.
-    pub settings: Drive,
-    /// The amplitude that fits, µm.
-    pub reachable_um: f64,
-    /// Pulses that its amplitude asks for.
-    pub wanted_pulses: u32,
-    /// Pulses that fit.
-    pub reachable_pulses: u32,
-}
-
-impl fmt::Display for Warning {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Drive { motor, frequency_hz, amplitude_um, .. } = self.settings;
-        let (wanted, fit) = (self.wanted_pulses, self.reachable_pulses);
-        let um = self.reachable_um;
-        write!(
-            f,
-            "drive {} (motor {motor}) is saturated: {amplitude_um} um at {frequency_hz} Hz wants {wanted} ",
-            self.drive
-        )?;
-        write!(f, "pulses each way, {fit} fit ({um:.1} um); lower frequency_hz or amplitude_um")
-    }
-}
-
 /// The indices of two drives of one motor that overlap: the second begins before the first has stopped. Drives of
 /// a motor may follow each other.
-#[must_use]
 pub fn overlap(drives: &[Drive]) -> Option<(usize, usize)> {
     let mut order: Vec<usize> = (0..drives.len()).collect();
     order.sort_by(|&a, &b| {

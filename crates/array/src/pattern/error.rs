@@ -8,7 +8,7 @@ use super::limits::{
     FORMAT, FORMAT_OF_MOTIONS, MAX_AT_ONCE, MAX_DRIVES, MAX_FILE_BYTES, MAX_HOLD_S, MAX_MOTIONS,
     MAX_PACKED_BYTES, MAX_PATTERN_SAMPLES, MAX_SOURCE,
 };
-use super::motion::Form;
+use super::motion::Motion;
 use crate::motion::MotionError;
 use crate::spec::UnknownArray;
 use meissner_input::document::{self, DocumentError, Place};
@@ -25,7 +25,7 @@ impl fmt::Display for PatternError {
         let DocumentError { place, problem } = &self.0;
         let in_table = place.path.split_once('[').and_then(|(table, rest)| {
             let (index, key) = rest.split_once(']')?;
-            let is_known = table == "drive" || Form::TABLES.contains(&table);
+            let is_known = table == "drive" || Motion::TABLES.contains(&table);
             is_known.then_some((table, index.parse::<usize>().ok()?, key.trim_start_matches('.')))
         });
         let Some((table, index, key)) = in_table else { return self.0.fmt(f) };
@@ -40,7 +40,6 @@ impl std::error::Error for PatternError {}
 
 impl PatternError {
     /// Whether the text has too many bytes.
-    #[must_use]
     pub const fn is_too_large(&self) -> bool {
         let problem = &self.0.problem;
         matches!(problem, document::Problem::Own(Problem::TooLarge { .. } | Problem::TooLargePacked { .. }))

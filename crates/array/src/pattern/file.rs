@@ -11,7 +11,9 @@ use super::error::{KeyError, PatternError, Problem};
 use super::limits::{
     FORMAT, FORMAT_OF_MOTIONS, MAX_FILE_BYTES, MAX_PACKED_BYTES, MAX_SIZE, MAX_SIZE_OF_MOTIONS,
 };
-use super::tables::{Files, RawNoise, RawRamp, RawTone, RawWave, Reader, motions, motor_of};
+use super::motion::Motion;
+use super::tables::{Files, RawWave, Reader};
+use crate::motion::{Noise, RampHold, Tone};
 use crate::spec::Array;
 use meissner_input::document::{Table, check_size, from_source, from_toml};
 use serde::de::IgnoredAny;
@@ -109,19 +111,29 @@ impl RawPattern {
                 Array::named(&name).map_err(|unknown| KeyError::key("array", Problem::Array(unknown)))?
             }
         };
-        let drives = drive.into_iter().enumerate();
-        let drives = drives.map(|(index, Table(raw))| {
-            raw.drive(array).map_err(|error| error.within(&format!("drive[{index}]")))
+        let drives = drive.into_iter().map(|Table(drive)| drive).collect();
+        let waves = wave.into_iter().enumerate().map(|(index, Table(raw))| {
+            raw.wave(reader).map(Motion::Wave).map_err(|error| error.within(&format!("wave[{index}]")))
         });
-        let drives = drives.collect::<Result<_, _>>()?;
-        let motions = motions("wave", wave, |raw| raw.motion(array, reader))
-            .chain(motions("ramp", ramp, |raw| raw.motion(array)))
-            .chain(motions("tone", tone, |raw| raw.motion(array)))
-            .chain(motions("noise", noise, |raw| raw.motion(array)));
-        let motions = motions.collect::<Result<_, _>>()?;
+        let mut motions = waves.collect::<Result<Vec<_>, _>>()?;
+        motions.extend(ramp.into_iter().map(|Table(ramp)| Motion::Ramp(ramp.with_fall())));
+        motions.extend(tone.into_iter().map(|Table(tone)| {
+            let end_hz = tone.end_hz.filter(|hz| *hz != tone.frequency_hz);
+            Motion::Tone(Tone { end_hz, ..tone })
+        }));
+        motions.extend(noise.into_iter().map(|Table(noise)| Motion::Noise(noise)));
         let format = if format == i64::from(FORMAT) { FORMAT } else { FORMAT_OF_MOTIONS };
-        Pattern { format, name, array, duration_s, drives, motions, waveforms: [].into(), provenance }
-            .checked()
+        Pattern {
+            format,
+            name,
+            array,
+            duration_s,
+            drives,
+            motions: motions.into(),
+            waveforms: [].into(),
+            provenance,
+        }
+        .checked()
     }
 }
 
@@ -174,35 +186,15 @@ struct RawPattern {
     array: Option<String>,
     duration_s: Option<f64>,
     #[serde(default)]
-    drive: Vec<Table<RawDrive>>,
+    drive: Vec<Table<Drive>>,
     #[serde(default)]
     wave: Vec<Table<RawWave>>,
     #[serde(default)]
-    ramp: Vec<Table<RawRamp>>,
+    ramp: Vec<Table<RampHold>>,
     #[serde(default)]
-    tone: Vec<Table<RawTone>>,
+    tone: Vec<Table<Tone>>,
     #[serde(default)]
-    noise: Vec<Table<RawNoise>>,
+    noise: Vec<Table<Noise>>,
     #[serde(default)]
     provenance: toml::Table,
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct RawDrive {
-    motor: i64,
-    frequency_hz: f64,
-    amplitude_um: f64,
-    #[serde(default)]
-    phase: f64,
-    start_s: Option<f64>,
-    stop_s: Option<f64>,
-}
-
-impl RawDrive {
-    fn drive(self, array: Array) -> Result<Drive, KeyError> {
-        let Self { motor, frequency_hz, amplitude_um, phase, start_s, stop_s } = self;
-        let motor = motor_of(array, motor)?;
-        Ok(Drive { motor, frequency_hz, amplitude_um, phase, start_s, stop_s })
-    }
 }

@@ -22,14 +22,15 @@ mod motions;
 mod provenance;
 mod tables;
 
-pub use drive::{Drive, Warning, overlap};
+pub(crate) use drive::motor_number;
+pub use drive::{Drive, overlap};
 pub use error::{PatternError, Problem};
 pub use limits::{
     FORMAT, FORMAT_OF_MOTIONS, FREQUENCY_HZ, MAX_AT_ONCE, MAX_DRIVES, MAX_FILE_BYTES, MAX_HOLD_S,
     MAX_MOTIONS, MAX_PACKED_BYTES, MAX_PATTERN_SAMPLES, MAX_PROVENANCE_DEPTH, MAX_PROVENANCE_TABLES,
     MAX_PROVENANCE_TEXT, MAX_PROVENANCE_VALUES, MAX_SAMPLE_FILE_BYTES, MAX_SECONDS, MAX_SOURCE,
 };
-pub use motion::{Form, Motion, Wave};
+pub use motion::{Motion, Wave};
 pub use tables::Files;
 
 use crate::motion::{SLOWEST_STEP_MS, Waveform, s_of};
@@ -84,7 +85,7 @@ impl Pattern {
     /// # Errors
     /// The first problem, with the pattern's name in place of a file's.
     pub fn with_motions(self, mut motions: Vec<Motion>) -> Result<Self, PatternError> {
-        motions.sort_by_key(|motion| motion.form.kind());
+        motions.sort_by_key(Motion::kind);
         let format = if motions.is_empty() { self.format } else { FORMAT_OF_MOTIONS };
         let name = self.name.clone();
         let pattern = Self { format, motions: motions.into(), ..self };
@@ -92,56 +93,46 @@ impl Pattern {
     }
 
     /// The pattern as a file, which [`Self::parse`] reads back as the same pattern.
-    #[must_use]
-    #[expect(clippy::missing_panics_doc, reason = "it does not happen")]
     pub fn to_toml(&self) -> String {
         toml::to_string(self).expect("a pattern is tables of strings and numbers")
     }
 
     /// Its name: 1 to 64 of a-z, 0-9 and -.
-    #[must_use]
     pub fn name(&self) -> &str {
         &self.name
     }
 
     /// The array that it is for.
-    #[must_use]
     pub const fn array(&self) -> Array {
         self.array
     }
 
     /// How long one repeat lasts, s; without it the pattern is endless.
-    #[must_use]
     pub const fn duration_s(&self) -> Option<f64> {
         self.duration_s
     }
 
     /// Its drives, in the order of the file.
-    #[must_use]
     pub fn drives(&self) -> &[Drive] {
         &self.drives
     }
 
     /// Its motions, in the order of a file: waves, ramps, tones, noise.
-    #[must_use]
     pub fn motions(&self) -> &[Motion] {
         &self.motions
     }
 
     /// The waveform of each motor that has a motion: the sum of its motions, in order of motors. It is within the motor's travel.
-    #[must_use]
     pub fn waveforms(&self) -> &[(u8, Waveform)] {
         &self.waveforms
     }
 
     /// The largest amplitude that a drive asks for, or the largest height that a motion asks for, µm.
-    #[must_use]
     pub fn largest_um(&self) -> f64 {
         self.largest_reached_um(|_| 1.0)
     }
 
     /// [`Self::largest_um`] with pins that go so many times as far as asked.
-    #[must_use]
     pub fn largest_reached_um(&self, reach: impl Fn(u8) -> f64) -> f64 {
         let drives = self.drives.iter().map(|drive| drive.amplitude_um * reach(drive.motor));
         let heights =
@@ -150,11 +141,10 @@ impl Pattern {
     }
 
     /// Bytes of the samples and knots of its motions, in memory.
-    #[must_use]
     pub fn motion_bytes(&self) -> usize {
-        let samples = self.motions.iter().map(|motion| match &motion.form {
-            Form::Wave(wave) => size_of_val(&*wave.um),
-            Form::Ramp(_) | Form::Tone(_) | Form::Noise(_) => 0,
+        let samples = self.motions.iter().map(|motion| match motion {
+            Motion::Wave(wave) => size_of_val(&*wave.um),
+            _ => 0,
         });
         samples.sum::<usize>()
             + self.waveforms.iter().map(|(_, waveform)| waveform.own_bytes()).sum::<usize>()
@@ -166,7 +156,6 @@ impl Pattern {
     }
 
     /// When all pins with motions are at rest again, s: a motor comes down from where its last motion ends.
-    #[must_use]
     pub fn motions_rest_s(&self) -> f64 {
         let (motor, rate) = (self.array.motor(), self.array.rate());
         let steps_s = 2.0 * SLOWEST_STEP_MS as f64 / 1000.0;
@@ -180,26 +169,26 @@ impl Pattern {
     }
 
     /// What made the pattern.
-    #[must_use]
     pub const fn provenance(&self) -> &toml::Table {
         &self.provenance
     }
 
-    /// Drives that saturate: allowed, but perhaps not intended.
-    #[must_use]
-    pub fn warnings(&self) -> Vec<Warning> {
-        let warning = |(index, drive): (usize, &Drive)| {
-            let wave = drive.wave(self.array).ok()?;
-            let (wanted_pulses, reachable_pulses) = (wave.wanted_pulses(), wave.pulses());
-            (reachable_pulses < wanted_pulses).then_some(Warning {
-                drive: index + 1,
-                settings: *drive,
-                reachable_um: f64::from(reachable_pulses) * self.array.motor().um_per_pulse,
-                wanted_pulses,
-                reachable_pulses,
-            })
-        };
-        self.drives.iter().enumerate().filter_map(warning).collect()
+    /// The drives that saturate, counted from 1, and a line for each: allowed, but perhaps not intended. Such an amplitude does not
+    /// fit into half a period, so the drive plays with a smaller one.
+    pub fn saturated(&self) -> impl Iterator<Item = (usize, String)> {
+        self.drives.iter().zip(1..).filter_map(|(settings, drive)| {
+            let (wave, Drive { motor, amplitude_um, frequency_hz, .. }) =
+                (settings.wave(self.array).ok()?, settings);
+            let (wanted, fit) = (wave.wanted_pulses(), wave.pulses());
+            let um = f64::from(fit) * self.array.motor().um_per_pulse;
+            let line = || {
+                format!(
+                    "drive {drive} (motor {motor}) is saturated: {amplitude_um} um at {frequency_hz} Hz wants {wanted} \
+                     pulses each way, {fit} fit ({um:.1} um); lower frequency_hz or amplitude_um"
+                )
+            };
+            (fit < wanted).then(|| (drive, line()))
+        })
     }
 
     /// The pattern with its waveforms, if it is sound.
@@ -250,14 +239,12 @@ fn is_default(array: &Array) -> bool {
 }
 
 /// Whether `name` is a valid name of a pattern or a target: 1 to 64 of a-z, 0-9 and -.
-#[must_use]
 pub fn is_name(name: &str) -> bool {
     let letter = |b: u8| b.is_ascii_lowercase() || b.is_ascii_digit() || b == b'-';
     (1..=64).contains(&name.len()) && name.bytes().all(letter)
 }
 
 /// Whether a new pattern or target may have this name. Older ones may begin with `-`, which a command line takes for stdin or an option.
-#[must_use]
 pub fn is_new_name(name: &str) -> bool {
     is_name(name) && !name.starts_with('-')
 }
@@ -284,9 +271,9 @@ mod tests {
     #[test]
     fn a_saturated_drive_is_warned_of_with_figures() {
         let fast = Drive { frequency_hz: 300.0, ..drive(9, None, None) };
-        let warnings = pattern(vec![drive(8, None, None), fast]).unwrap().warnings();
-        let [warning] = warnings[..] else { panic!("{warnings:?}") };
-        assert_eq!((warning.drive, warning.wanted_pulses, warning.reachable_pulses), (2, 589, 141));
-        assert!(warning.to_string().contains("(19.1 um)"), "{warning}");
+        let pattern = pattern(vec![drive(8, None, None), fast]).unwrap();
+        let line = "drive 2 (motor 9) is saturated: 80 um at 300 Hz wants 589 pulses each way, 141 fit (19.1 um); \
+                    lower frequency_hz or amplitude_um";
+        assert_eq!(pattern.saturated().collect::<Vec<_>>(), [(2, line.to_owned())]);
     }
 }

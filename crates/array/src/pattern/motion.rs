@@ -3,21 +3,15 @@
 //! Motions of one motor add up where they overlap in time. [`crate::motion`] makes their waveforms and compiles them to moves.
 
 use super::limits::MAX_SOURCE;
-use crate::motion::{MotionError, Noise, RampHold, Strength, Tone, Waveform};
+use super::tables::packed;
+use crate::motion::{MotionError, Noise, RampHold, Tone, Waveform};
+use serde::Serialize;
 use std::sync::Arc;
 
-/// A motion of one motor.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Motion {
-    /// One of the array.
-    pub motor: u8,
-    /// What the motor does.
-    pub form: Form,
-}
-
-/// What a motor does in a motion: a table of the file.
-#[derive(Clone, Debug, PartialEq)]
-pub enum Form {
+/// A motion of one motor: a table of the file.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+#[serde(untagged)]
+pub enum Motion {
     /// `[[wave]]`: samples.
     Wave(Wave),
     /// `[[ramp]]`: from rest to a level, and back.
@@ -29,19 +23,23 @@ pub enum Form {
 }
 
 /// Samples of displacement, linear between; at rest before and after.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Wave {
+    /// One of the array.
+    pub motor: u8,
     /// When the first sample is, s.
     pub start_s: f64,
     /// The samples' rate, Hz, within [`RATE_HZ`](crate::motion::RATE_HZ).
     pub rate_hz: f64,
-    /// The displacement above rest, µm. Copies of the pattern share it.
-    pub um: Arc<[f32]>,
     /// What the samples were made from; at most [`MAX_SOURCE`] bytes.
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub source: Option<String>,
+    /// The displacement above rest, µm. Copies of the pattern share it.
+    #[serde(rename = "samples", serialize_with = "packed")]
+    pub um: Arc<[f32]>,
 }
 
-impl Form {
+impl Motion {
     /// The names of the tables, in the order of [`Self::kind`].
     pub(super) const TABLES: [&str; 4] = ["wave", "ramp", "tone", "noise"];
 
@@ -55,9 +53,18 @@ impl Form {
     }
 
     /// The name of its table in a file.
-    #[must_use]
     pub const fn table(&self) -> &'static str {
         Self::TABLES[self.kind()]
+    }
+
+    /// Its motor.
+    pub const fn motor(&self) -> u8 {
+        match self {
+            Self::Wave(wave) => wave.motor,
+            Self::Ramp(ramp) => ramp.motor,
+            Self::Tone(tone) => tone.motor,
+            Self::Noise(noise) => noise.motor,
+        }
     }
 
     /// How many samples or knots its waveform has, told without making it.
@@ -67,23 +74,20 @@ impl Form {
     pub fn samples(&self) -> Result<usize, MotionError> {
         match self {
             Self::Wave(wave) => Ok(wave.um.len()),
-            Self::Ramp(ramp) => Ok(ramp.most_knots()),
+            Self::Ramp(_) => Ok(RampHold::MOST_KNOTS),
             Self::Tone(tone) => tone.samples(),
             Self::Noise(noise) => noise.samples(),
         }
     }
 
-    /// When it begins and ends, s.
-    #[must_use]
-    #[expect(clippy::cast_precision_loss, reason = "a number of samples")]
-    pub fn span_s(&self) -> (f64, f64) {
-        let (start_s, lasts_s) = match self {
-            Self::Wave(wave) => (wave.start_s, wave.um.len().saturating_sub(1) as f64 / wave.rate_hz),
-            Self::Ramp(ramp) => (ramp.start_s, ramp.rise_s + ramp.hold_s + ramp.fall_s),
-            Self::Tone(tone) => (tone.start_s, tone.duration_s),
-            Self::Noise(noise) => (noise.start_s, noise.duration_s),
-        };
-        (start_s, start_s + lasts_s)
+    /// When it begins, s.
+    pub const fn start_s(&self) -> f64 {
+        match self {
+            Self::Wave(wave) => wave.start_s,
+            Self::Ramp(ramp) => ramp.start_s,
+            Self::Tone(tone) => tone.start_s,
+            Self::Noise(noise) => noise.start_s,
+        }
     }
 
     /// Its waveform.
@@ -96,30 +100,6 @@ impl Form {
             Self::Ramp(ramp) => ramp.waveform(),
             Self::Tone(tone) => tone.waveform(),
             Self::Noise(noise) => noise.waveform(),
-        }
-    }
-
-    /// The same motion, so many times as high.
-    #[must_use]
-    #[expect(clippy::cast_possible_truncation, reason = "samples are f32")]
-    pub fn scaled(&self, factor: f64) -> Self {
-        match self.clone() {
-            Self::Wave(wave) => {
-                let um = wave.um.iter().map(|um| (f64::from(*um) * factor) as f32).collect();
-                Self::Wave(Wave { um, ..wave })
-            }
-            Self::Ramp(ramp) => Self::Ramp(RampHold { to_um: ramp.to_um * factor, ..ramp }),
-            Self::Tone(tone) => {
-                let about_um = tone.about_um.map(|um| um * factor);
-                Self::Tone(Tone { amplitude_um: tone.amplitude_um * factor, about_um, ..tone })
-            }
-            Self::Noise(noise) => {
-                let strength = match noise.strength {
-                    Strength::RmsUm(um) => Strength::RmsUm(um * factor),
-                    Strength::PeakUm(um) => Strength::PeakUm(um * factor),
-                };
-                Self::Noise(Noise { strength, about_um: noise.about_um.map(|um| um * factor), ..noise })
-            }
         }
     }
 

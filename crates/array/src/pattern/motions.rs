@@ -9,7 +9,7 @@
 use super::drive::Drive;
 use super::error::{KeyError, Problem};
 use super::limits::{MAX_AT_ONCE, MAX_HOLD_S, MAX_MOTIONS, MAX_PATTERN_SAMPLES};
-use super::motion::{Form, Motion, Wave};
+use super::motion::{Motion, Wave};
 use crate::motion::{Knot, MOST_NOISE_WORK, MotionError, SLOWEST_STEP_MS, Waveform, ns_of, s_of};
 use crate::spec::Array;
 use meissner_input::document::in_range;
@@ -23,8 +23,8 @@ pub(super) type OfMotor = (u8, Waveform);
 
 /// A motion's place in the file.
 pub(super) fn place(motions: &[Motion], index: usize) -> (&'static str, usize) {
-    let table = motions[index].form.table();
-    (table, motions[..index].iter().filter(|motion| motion.form.table() == table).count())
+    let table = motions[index].table();
+    (table, motions[..index].iter().filter(|motion| motion.table() == table).count())
 }
 
 /// An error in the table of a motion.
@@ -46,17 +46,18 @@ pub(super) fn waveforms(
 ) -> Result<Vec<OfMotor>, KeyError> {
     check_amount(array, motions)?;
     let mut by_motor: BTreeMap<u8, Vec<(usize, Waveform)>> = BTreeMap::new();
-    for (index, Motion { motor, form }) in motions.iter().enumerate() {
+    for (index, motion) in motions.iter().enumerate() {
+        let motor = motion.motor();
         let waveform =
-            form.waveform().map_err(|error| of_motion(motions, index, refused(*motor, form, error)))?;
+            motion.waveform().map_err(|error| of_motion(motions, index, refused(motion, error)))?;
         let end_s = waveform.span_ns().map_or(0.0, |(_, end)| s_of(end));
         if let Some(duration_s) = duration_s
             && end_s > duration_s + 1e-9
         {
-            let problem = Problem::EndsLate { motor: *motor, end_s, duration_s };
+            let problem = Problem::EndsLate { motor, end_s, duration_s };
             return Err(of_motion(motions, index, problem));
         }
-        by_motor.entry(*motor).or_default().push((index, waveform));
+        by_motor.entry(motor).or_default().push((index, waveform));
     }
     let mut sums = Vec::with_capacity(by_motor.len());
     for (motor, mut parts) in by_motor {
@@ -94,15 +95,19 @@ fn check_amount(array: Array, motions: &[Motion]) -> Result<(), KeyError> {
         return Err(KeyError::whole(None, problem));
     }
     let (mut samples, mut work) = (0, 0.0);
-    for (index, Motion { motor, form }) in motions.iter().enumerate() {
-        in_range("motor", (*motor).into(), array.has(*motor), array.motor_range())
+    for (index, motion) in motions.iter().enumerate() {
+        let motor = motion.motor();
+        in_range("motor", motor.into(), array.has(motor), array.motor_range())
             .map_err(|error| within(motions, index, error))?;
-        let refused = |error| of_motion(motions, index, refused(*motor, form, error));
-        samples += form.samples().map_err(refused)?;
+        let refused = |error| of_motion(motions, index, refused(motion, error));
+        samples += motion.samples().map_err(refused)?;
         if samples > MAX_PATTERN_SAMPLES {
             return Err(of_motion(motions, index, Problem::TooManySamples));
         }
-        if let Form::Noise(noise) = form {
+        if let Motion::Noise(noise) = motion {
+            if noise.rms_um.is_some() == noise.peak_um.is_some() {
+                return Err(of_motion(motions, index, Problem::Strength));
+            }
             work += noise.work().map_err(refused)?;
             if i64::try_from(noise.seed).is_err() {
                 return Err(within(
@@ -115,7 +120,7 @@ fn check_amount(array: Array, motions: &[Motion]) -> Result<(), KeyError> {
         if work > MOST_NOISE_WORK {
             return Err(of_motion(motions, index, Problem::MuchNoise));
         }
-        if !form.has_short_source() {
+        if !motion.has_short_source() {
             return Err(within(motions, index, KeyError::key("source", Problem::LongSource)));
         }
     }
@@ -123,10 +128,10 @@ fn check_amount(array: Array, motions: &[Motion]) -> Result<(), KeyError> {
 }
 
 /// What is wrong with a motion's own values. A sample's time is told.
-#[expect(clippy::cast_precision_loss, reason = "at most MAX_SAMPLES")]
-fn refused(motor: u8, form: &Form, error: MotionError) -> Problem {
-    match (form, error) {
-        (Form::Wave(Wave { start_s, rate_hz, .. }), MotionError::Sample { number, um }) => {
+fn refused(motion: &Motion, error: MotionError) -> Problem {
+    let motor = motion.motor();
+    match (motion, error) {
+        (Motion::Wave(Wave { start_s, rate_hz, .. }), MotionError::Sample { number, um }) => {
             Problem::Sample { motor, number, at_s: start_s + number as f64 / rate_hz, um }
         }
         _ => Problem::Motion { motor, error: error.into() },
@@ -152,7 +157,6 @@ fn crossing(
     motor: u8,
     parts: &[(usize, Waveform)],
 ) -> Option<(usize, Problem)> {
-    #[expect(clippy::cast_precision_loss, reason = "a few ms")]
     let step_s = SLOWEST_STEP_MS as f64 / 1000.0;
     let spec = array.motor();
     let down_s = spec.travel_um / (spec.um_per_pulse * f64::from(array.rate().hz()));
@@ -174,15 +178,10 @@ fn leaving(waveform: &Waveform, travel_um: f64) -> Option<(u64, f64)> {
 }
 
 /// Says where a motor's sum leaves its range: the sample if it is one wave's, else the summands.
-#[expect(
-    clippy::cast_possible_truncation,
-    clippy::cast_sign_loss,
-    reason = "the number of a sample; an f64 is not negative here"
-)]
 fn leaves(array: Array, motions: &[Motion], active: &[usize], ns: u64, um: f64) -> Problem {
-    let (motor, at_s, most_um) = (motions[active[0]].motor, s_of(ns), array.motor().travel_um);
-    let of = match (active, &motions[active[0]].form) {
-        ([_], Form::Wave(wave)) => {
+    let (motor, at_s, most_um) = (motions[active[0]].motor(), s_of(ns), array.motor().travel_um);
+    let of = match (active, &motions[active[0]]) {
+        ([_], Motion::Wave(wave)) => {
             let after_s = s_of(ns.saturating_sub(ns_of(wave.start_s)));
             format!(", sample {}", (after_s * wave.rate_hz).round() as usize)
         }

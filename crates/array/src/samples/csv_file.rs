@@ -133,7 +133,6 @@ impl<'b> Table<'b> {
 }
 
 /// The rate of evenly spaced times.
-#[expect(clippy::cast_precision_loss, reason = "the number of samples of a file")]
 fn rate_hz(times: &[f64], bytes: &[u8]) -> Result<f64, SamplesError> {
     let [first, .., last] = times else {
         return Err(SamplesError::Count { samples: times.len() });

@@ -154,10 +154,8 @@ pub fn read_profile(
 fn scaled(values: Vec<f64>, rate_hz: f64, scale_um: f64, offset_um: f64) -> Result<Vec<f32>, SamplesError> {
     let mut um = Vec::with_capacity(values.len());
     for (number, value) in values.into_iter().enumerate() {
-        #[expect(clippy::cast_possible_truncation, reason = "the check below refuses a value beyond f32")]
         let sample = (value * scale_um + offset_um) as f32;
         if !sample.is_finite() {
-            #[expect(clippy::cast_precision_loss, reason = "only shown")]
             let at_s = number as f64 / rate_hz;
             return Err(SamplesError::Sample { number, at_s, value });
         }

@@ -14,12 +14,6 @@ const EDGE_HZ: f64 = 3000.0;
 const HALF_S: f64 = 0.002;
 
 /// How many samples there are after [`resampled`], or without it at a rate that stays.
-#[expect(
-    clippy::cast_possible_truncation,
-    clippy::cast_precision_loss,
-    clippy::cast_sign_loss,
-    reason = "the number of samples of a file"
-)]
 pub(super) fn resampled_len(samples: usize, rate_hz: f64) -> usize {
     let Some(last) = samples.checked_sub(1).filter(|_| rate_hz > MOST_HZ) else { return samples };
     (last as f64 * MOST_HZ / rate_hz) as usize + 1
@@ -27,12 +21,6 @@ pub(super) fn resampled_len(samples: usize, rate_hz: f64) -> usize {
 
 /// The samples at [`MOST_HZ`], the first at the same instant. `rate_hz` is a whole number, there is a sample, and the result is not
 /// longer than the samples of a pattern.
-#[expect(
-    clippy::cast_possible_truncation,
-    clippy::cast_possible_wrap,
-    clippy::cast_sign_loss,
-    reason = "whole numbers of at most MOST_FILE_HZ, places of samples"
-)]
 pub(super) fn resampled(um: &[f32], rate_hz: f64) -> Vec<f32> {
     // New instants are `step` / `phases` samples apart.
     let divisor = gcd(rate_hz as usize, MOST_HZ as usize);
@@ -48,7 +36,6 @@ pub(super) fn resampled(um: &[f32], rate_hz: f64) -> Vec<f32> {
 }
 
 /// The weights of the samples from `half` before to `half` + 1 after a new instant, which is `phase` / `phases` of a sample late.
-#[expect(clippy::cast_precision_loss, reason = "small numbers")]
 fn filter(phase: usize, phases: usize, half: isize, rate_hz: f64) -> Vec<f64> {
     let weight = |place: isize| {
         let after_s = (place as f64 - phase as f64 / phases as f64) / rate_hz;

@@ -62,20 +62,17 @@ impl Default for SimulatedMotorsConfig {
 
 impl SimulatedMotorsConfig {
     /// The default settings without scatter, asymmetry and transient: every pulse follows the model.
-    #[must_use]
     pub fn ideal() -> Self {
         Self { gain_sd: 0.0, asymmetry_sd: 0.0, transient_gain: Some(1.0), ..Self::default() }
     }
 
     /// Mean gain of the first burst of such a motor after a rest.
-    #[must_use]
     pub fn transient_gain(&self, motor: &MotorSpec) -> f64 {
         self.transient_gain.unwrap_or(motor.transient_gain)
     }
 
     /// The settings that identify the array, which has such motors; telemetry is left out. Arrays without a lower stop have the
     /// identity that they had before there were stops, so that their calibrations stay valid.
-    #[must_use]
     pub fn identity(&self, motor: &MotorSpec) -> String {
         let Self { seed, gain_sd, asymmetry_sd, end_stop_um, lower_stop, .. } = self;
         let transient_gain = self.transient_gain(motor);

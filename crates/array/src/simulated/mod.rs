@@ -83,19 +83,16 @@ impl SimulatedMotors {
     }
 
     /// Its settings.
-    #[must_use]
     pub const fn config(&self) -> &SimulatedMotorsConfig {
         &self.config
     }
 
     /// Which array it is: see [`SimulatedMotorsConfig::identity`].
-    #[must_use]
     pub fn identity(&self) -> String {
         self.config.identity(self.array.spec().motor())
     }
 
     /// The tick up to which it has been simulated.
-    #[must_use]
     pub const fn now(&self) -> Tick {
         self.now
     }
@@ -130,7 +127,6 @@ impl SimulatedMotors {
     ///
     /// # Panics
     /// If there is no such motor.
-    #[must_use]
     pub fn displacement_um(&self, motor: u8) -> f64 {
         self.pins[usize::from(motor)].shaft.displacement_um(self.now.into())
     }
@@ -139,13 +135,11 @@ impl SimulatedMotors {
     ///
     /// # Panics
     /// If there is no such motor.
-    #[must_use]
     pub fn position_um(&self, motor: u8) -> f64 {
         self.pins[usize::from(motor)].shaft.position_um(self.now.into())
     }
 
     /// How many there are.
-    #[must_use]
     pub fn count(&self) -> u8 {
         self.pins.len() as u8
     }
@@ -154,7 +148,6 @@ impl SimulatedMotors {
     ///
     /// # Panics
     /// If there is no such motor.
-    #[must_use]
     pub fn pushed_pulses(&self, motor: u8) -> u64 {
         self.pins[usize::from(motor)].pushed_pulses()
     }

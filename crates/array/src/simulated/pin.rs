@@ -57,7 +57,6 @@ struct Burst {
 
 impl Pin {
     /// A pin of this motor of an array, at rest at 0.
-    #[must_use]
     pub fn new(array: Array, config: &SimulatedMotorsConfig, motor: u64) -> Self {
         let spec = array.spec().motor();
         Self {
@@ -94,30 +93,21 @@ impl Pin {
     }
 
     /// The commanded position as it was really played, µm.
-    #[must_use]
     pub fn position_um(&self, at: Tick) -> f64 {
         self.shaft.position_um(at.into())
     }
 
     /// Pulses that pushed the pin against its lower stop: in each burst the pulse in which it met the stop, and all later ones.
-    #[must_use]
     pub const fn pushed_pulses(&self) -> u64 {
         self.pushed
     }
 
     /// The displacement, µm: what an ideal sensor shows.
-    #[must_use]
     pub fn displacement_um(&self, at: Tick) -> f64 {
         self.shaft.displacement_um(at.into())
     }
 
     /// Begins a burst at its first pulse.
-    #[expect(
-        clippy::cast_possible_truncation,
-        clippy::cast_sign_loss,
-        reason = "the cast is the floor, and saturates"
-    )]
-    #[expect(clippy::cast_precision_loss, reason = "a number of pulses within the travel")]
     pub(super) fn begin(&mut self, now: Tick, direction: Direction) {
         let (config, motor) = (self.config, self.motor);
         let rested = self.spec.is_rested(self.last_end, now);
@@ -168,8 +158,6 @@ impl Pin {
     }
 
     /// The displacement in telemetry's unit.
-    #[must_use]
-    #[expect(clippy::cast_possible_truncation, reason = "a pin is within 10 mm, 1e6 quanta")]
     pub fn quanta(&self, at: Tick) -> i32 {
         (self.shaft.displacement_um(at.into()) * QUANTA_PER_UM).round() as i32
     }

@@ -28,8 +28,6 @@ impl RestStats {
     }
 
     /// The root mean square, µm; 0 if nothing was counted.
-    #[must_use]
-    #[expect(clippy::cast_precision_loss, reason = "a count of bursts")]
     pub fn rms_um(&self) -> f64 {
         (self.sum_squares / self.count.max(1) as f64).sqrt()
     }

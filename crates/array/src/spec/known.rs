@@ -45,14 +45,12 @@ pub struct UnknownArray {
 }
 
 /// The names of all known descriptions; the first is the default.
-#[must_use]
 pub fn names() -> Vec<&'static str> {
     KNOWN.read().unwrap_or_else(PoisonError::into_inner).iter().map(|array| array.0.name()).collect()
 }
 
 impl Array {
     /// The array of the paper, with 6 × 4 pins: the default.
-    #[must_use]
     pub fn paper() -> Self {
         *PAPER
     }
@@ -88,7 +86,6 @@ impl Array {
     }
 
     /// Its description, for the rest of the program.
-    #[must_use]
     pub const fn spec(self) -> &'static ArraySpec {
         self.0
     }

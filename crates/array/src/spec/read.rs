@@ -118,7 +118,6 @@ const fn one() -> u16 {
 }
 
 impl Raw {
-    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "in range")]
     fn checked(self, text: &str) -> Result<ArraySpec, KeyError> {
         let Self { name, pins: Table(pins), tick_hz, duty: Table(duty), rails, chips, motor: Table(motor) } =
             self;
@@ -262,7 +261,6 @@ impl Grid {
 }
 
 impl RawMotor {
-    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "in range")]
     fn checked(self, rate: TickRate) -> Result<MotorSpec, KeyError> {
         let Self { step_um, window_ms, travel_um, least_pulses, most_pulses, seek_pulses, transient } = self;
         in_range("step_um", step_um, (0.001..=10.0).contains(&step_um), "0.001 to 10 um")?;
@@ -339,7 +337,6 @@ fn fnv1a(text: &str) -> u64 {
 }
 
 /// Checks that each motor is in exactly one group.
-#[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "in range")]
 fn groups(key: &str, lists: Vec<Vec<i64>>, motors: usize) -> Result<Groups, KeyError> {
     let mut seen: Vec<Option<usize>> = vec![None; motors];
     for (group, list) in lists.iter().enumerate() {

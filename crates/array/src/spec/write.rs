@@ -17,7 +17,6 @@ pub struct NewArray {
 
 impl NewArray {
     /// The text of its description, with two motors on a chip and six on a rail, and comments on what to change.
-    #[must_use]
     pub fn to_toml(&self) -> String {
         let Self { name, rows, columns, pitch_mm, tick_hz } = self;
         let like = super::Array::paper();

@@ -8,7 +8,7 @@
 //! Invariant: strokes are in order of time and do not overlap.
 
 use super::options::StrokeOptions;
-use crate::motor::{Excursion, Excursions, MotorError, SquareWave};
+use crate::motor::{Excursion, MotorError, SquareWave};
 use crate::pattern::Drive;
 use crate::spec::Array;
 
@@ -20,7 +20,9 @@ pub(super) const NEVER: u64 = u64::MAX;
 pub struct DriveStrokes {
     start: u64,
     stop: u64,
-    excursions: Excursions,
+    wave: SquareWave,
+    /// The number of the next stroke.
+    next: u64,
 }
 
 impl DriveStrokes {
@@ -50,7 +52,8 @@ impl DriveStrokes {
         Self {
             start: rate.seconds_to_ticks(drive.start()),
             stop: if wave.moves() { stop } else { 0 },
-            excursions: wave.excursions(),
+            wave,
+            next: 0,
         }
     }
 
@@ -60,14 +63,13 @@ impl DriveStrokes {
         Self {
             start: self.start.saturating_add(ticks),
             stop: if self.stop == 0 { 0 } else { self.stop.saturating_add(ticks).min(end) },
-            excursions: self.excursions.clone(),
+            ..*self
         }
     }
 
     /// Their wave, in ticks of the drive's own time.
-    #[must_use]
     pub const fn wave(&self) -> &SquareWave {
-        self.excursions.wave()
+        &self.wave
     }
 
     /// When the drive begins.
@@ -78,20 +80,21 @@ impl DriveStrokes {
     /// Pulses by which the down burst of a stroke is longer than its up burst of so many pulses.
     pub(super) fn surplus(&self, pulses: u16) -> u16 {
         // The controller's bound is far below.
-        u16::try_from(self.excursions.wave().surplus(pulses.into())).unwrap_or(u16::MAX)
+        u16::try_from(self.wave.surplus(pulses.into())).unwrap_or(u16::MAX)
     }
 
     /// The stroke of this number, counted from the beginning of the drive, whether or not it has ended by its end.
     pub(super) fn number(&self, number: u64) -> Excursion {
-        self.placed(self.excursions.number(number))
+        let Excursion { up, down, pulses, surplus } = self.wave.excursion(number);
+        let [up, down] = [up, down].map(|tick| self.start.saturating_add(tick));
+        Excursion { up, down, pulses, surplus }
     }
 
     /// Pulses of the first `strokes` strokes. For a saturated drive this iterates over them, as far as the budget of strokes
     /// allows.
     pub(super) fn pulses_of(&self, strokes: u64, budget: &mut u64) -> Option<u64> {
         let pulses = |stroke: Excursion| 2 * u64::from(stroke.pulses) + u64::from(stroke.surplus);
-        let wave = self.excursions.wave();
-        if wave.pulses() == wave.wanted_pulses() {
+        if self.wave.pulses() == self.wave.wanted_pulses() {
             return Some(strokes * pulses(self.number(0)));
         }
         *budget = budget.checked_sub(strokes)?;
@@ -118,13 +121,6 @@ impl DriveStrokes {
         }
         none
     }
-
-    #[inline]
-    fn placed(&self, stroke: Excursion) -> Excursion {
-        let Excursion { up, down, pulses, surplus } = stroke;
-        let (up, down) = (self.start.saturating_add(up), self.start.saturating_add(down));
-        Excursion { up, down, pulses, surplus }
-    }
 }
 
 impl Iterator for DriveStrokes {
@@ -132,8 +128,8 @@ impl Iterator for DriveStrokes {
 
     #[inline]
     fn next(&mut self) -> Option<Excursion> {
-        let stroke = self.excursions.next()?;
-        let stroke = self.placed(stroke);
+        let stroke = self.number(self.next);
+        self.next += 1;
         if stroke.end() > self.stop {
             self.stop = 0;
             return None;

@@ -101,13 +101,6 @@ impl Lane {
         }))
     }
 
-    /// Whether it has one drive, and repeats begin at least so many ticks apart.
-    pub(super) fn changes_are_apart(&self, ticks: u64) -> bool {
-        // Beginnings of repeats are rounded to a tick.
-        self.segments.len() == 1
-            && self.duration_s.is_none_or(|duration_s| self.rate.seconds_to_ticks(duration_s) > ticks)
-    }
-
     pub(super) const fn motor(&self) -> u8 {
         self.motor
     }
@@ -187,30 +180,5 @@ impl Lane {
         let is_last = self.covered.is_some_and(|last| last.number == self.repeat.number);
         let end = if is_last { NEVER } else { self.repeat.end.min(self.end) };
         self.strokes = self.segments[segment].strokes.shifted(self.repeat.start, end);
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::pattern::MAX_DRIVES;
-    use toml::Table;
-
-    /// The memory of a play is that of its drives as segments, which clones share.
-    #[test]
-    fn a_lane_of_the_longest_pattern_takes_72_bytes_a_drive_and_a_clone_none() {
-        let drive = |number: usize| Drive {
-            motor: 5,
-            frequency_hz: 60.0,
-            amplitude_um: 80.0,
-            phase: 0.0,
-            start_s: Some(number as f64),
-            stop_s: Some(number as f64 + 1.0),
-        };
-        let drives = (0..MAX_DRIVES).map(drive).collect();
-        let pattern = Pattern::new(Array::paper(), "long", Some(1e4), drives, Table::new()).unwrap();
-        let lane = Lane::of(5, &pattern, &StrokeOptions::default()).unwrap().unwrap();
-        assert_eq!((lane.segments.len(), size_of_val(&*lane.segments)), (4096, 4096 * 72));
-        assert!(Arc::ptr_eq(&lane.clone().segments, &lane.segments) && size_of::<Lane>() <= 256);
     }
 }

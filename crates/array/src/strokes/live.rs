@@ -46,7 +46,6 @@ impl From<SquareWave> for LiveMotion {
 
 impl LiveMotion {
     /// The array that it is for.
-    #[must_use]
     pub const fn array(&self) -> Array {
         match self {
             Self::Wave(wave) => wave.array(),
@@ -243,7 +242,6 @@ pub struct LiveStrokes {
 
 impl LiveStrokes {
     /// The strokes of these drives.
-    #[must_use]
     pub fn new(waves: PerMotor<SquareWave>) -> Self {
         let motors = waves.map(|wave| LiveMotor::new(wave, Tick(0)));
         Self { onset: Tick(0), initial: waves, motors, before: motors, paused: MotorSet::EMPTY }
@@ -257,13 +255,11 @@ impl LiveStrokes {
     }
 
     /// The array that they are for.
-    #[must_use]
     pub fn array(&self) -> Array {
         self.motors[0].motion.array()
     }
 
     /// The onset.
-    #[must_use]
     pub const fn onset(&self) -> Tick {
         self.onset
     }
@@ -272,7 +268,6 @@ impl LiveStrokes {
     ///
     /// # Panics
     /// If there is no such motor.
-    #[must_use]
     pub fn motion(&self, motor: u8) -> LiveMotion {
         self.motors[usize::from(motor)].motion
     }
@@ -335,7 +330,7 @@ impl LiveStrokes {
             let oscillator = &mut own.oscillator;
             oscillator.next += 1;
             let number = oscillator.next - 1;
-            oscillator.wave.excursions().number(number).stroke(motor, oscillator.zero).into()
+            oscillator.wave.excursion(number).stroke(motor, oscillator.zero).into()
         };
         Some(match step.check(own.motion.array().layout()) {
             Ok(()) => Ok(step),
@@ -344,7 +339,6 @@ impl LiveStrokes {
     }
 
     /// When the next step of a motor begins; `None` if its motion moves nothing for now.
-    #[must_use]
     pub fn next_up(&self, motor: u8) -> Option<Tick> {
         self.motors.get(usize::from(motor)).and_then(LiveMotor::next_begin)
     }

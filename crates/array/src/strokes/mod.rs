@@ -22,7 +22,6 @@ mod reached;
 mod repeat;
 mod run;
 mod sequence;
-mod shortfall;
 mod step;
 mod stroke;
 
@@ -30,12 +29,12 @@ pub use drive::DriveStrokes;
 pub use error::StrokesError;
 pub use followed::Followed;
 pub use live::{LiveMotion, LiveStrokes};
+pub(crate) use motion_lane::moves;
 pub use options::{AutoSurplus, Fit, StrokeOptions, Surplus};
 pub use reached::{Ordered, Reached, motions_over, ordered, reached};
 pub use sequence::{
     CompiledItem, MAX_ITEMS, MAX_SEQUENCE_DRIVES, MIN_ITEM_INTERVAL_MS, Sequence, SequenceError, Start,
 };
-pub use shortfall::{DriveAmplitude, LEAST_SHARE, LEAST_UM, Shortfall, amplitudes};
 pub use step::Step;
 pub use stroke::{Burst, Stroke};
 
@@ -152,19 +151,16 @@ impl Strokes {
     }
 
     /// Whether no step follows.
-    #[must_use]
     pub fn is_over(&self) -> bool {
         self.begun == self.items.len() && self.first().is_none()
     }
 
     /// The array that they are for.
-    #[must_use]
     pub const fn array(&self) -> Array {
         self.array
     }
 
     /// How many items there are; one for a pattern.
-    #[must_use]
     pub fn items(&self) -> usize {
         self.items.len()
     }
@@ -175,20 +171,17 @@ impl Strokes {
     }
 
     /// The number of the last item that has begun; before, that of the first one.
-    #[must_use]
     pub const fn item(&self) -> usize {
         self.begun.saturating_sub(1)
     }
 
     /// Whether this item drives a motor.
-    #[must_use]
     pub fn item_drives(&self, item: usize, motor: u8) -> bool {
         let run = self.items.get(item).and_then(|item| item.run);
         run.is_some_and(|run| self.runs[run as usize].drives(motor))
     }
 
     /// Whether this item has begun, and all its steps were returned.
-    #[must_use]
     pub fn item_is_over(&self, item: usize) -> bool {
         let Some(&Item { start, run, .. }) = self.items.get(item) else { return false };
         let plays =
@@ -197,13 +190,11 @@ impl Strokes {
     }
 
     /// When this item ends, if it plays nothing.
-    #[must_use]
     pub fn blank_until(&self, item: usize) -> Option<Tick> {
         self.items.get(item).filter(|item| item.run.is_none()).map(|item| self.onset + item.end)
     }
 
     /// When the next item begins, if no step before that follows.
-    #[must_use]
     pub fn next_onset(&self) -> Option<Tick> {
         let next = self.items.get(self.begun)?;
         self.first().is_none_or(|first| first >= next.start).then(|| self.onset + next.start)
@@ -218,14 +209,12 @@ impl Strokes {
 
     /// The steps of the grid and the knots of waveforms that were looked at since [`Self::begin`]: what the steps up to here took to find. Who
     /// walks a play before it is played stops at [`MAX_WORK`]: a waveform may have few moves in years.
-    #[must_use]
     pub const fn work(&self) -> u64 {
         self.work
     }
 
     /// The end of the play, in ticks from the onset; `None`: without end. With [`Fit::Cover`] this is the later of the requested
     /// end and the end of the last stroke.
-    #[must_use]
     pub const fn end(&self) -> Option<u64> {
         self.end
     }
@@ -235,22 +224,13 @@ impl Strokes {
         (0..).zip(&*self.driven).filter(|(_, driven)| **driven).map(|(motor, _)| motor)
     }
 
-    /// Whether each motor has one drive in a pattern, and both the repeats of a pattern and the items begin at least so many ticks apart.
-    #[must_use]
-    pub fn changes_are_apart(&self, ticks: u64) -> bool {
-        let items = self.items.windows(2).all(|pair| pair[1].start - pair[0].start >= ticks);
-        items && self.runs.iter().all(|run| run.changes_are_apart(ticks))
-    }
-
     /// Whether they drive this motor.
-    #[must_use]
     pub fn drives(&self, motor: u8) -> bool {
         self.driven.get(usize::from(motor)).is_some_and(|driven| *driven)
     }
 
     /// A lower bound for the up tick of the next stroke of `motor`: that tick itself, or the onset of the next item; `None` if
     /// there is neither.
-    #[must_use]
     pub fn next_up(&self, motor: u8) -> Option<Tick> {
         let own = self.playing().filter_map(|(run, start)| run.next_up(motor).map(|up| start + up)).min();
         let next_item = || self.items.get(self.begun).map(|next| next.start);
@@ -319,7 +299,6 @@ impl Strokes {
 
 /// The requested end of a play, in ticks: its own duration, or else the pattern's, or else the end of the last drive or motion. `None`:
 /// without end.
-#[must_use]
 pub fn ordered_end(pattern: &Pattern, seconds: Option<f64>) -> Option<u64> {
     seconds.or_else(|| lasts_s(pattern)).map(|seconds| pattern.array().rate().seconds_to_ticks(seconds))
 }

@@ -54,6 +54,20 @@ impl Scaled {
     }
 }
 
+/// The moves of a motor that follow a waveform whose time 0 is tick 0, in order of time. Surplus is 0.
+pub(crate) fn moves(array: Array, motor: u8, waveform: &Waveform, grid: Grid) -> Vec<Move> {
+    let waveform = Scaled { waveforms: [(motor, waveform.clone())].into(), of: 0, scale: 1.0 };
+    let mut lane = MotionLane::new(array, waveform, grid);
+    let (mut moves, mut begins) = (Vec::new(), lane.begin(NEVER));
+    while begins != NEVER {
+        let (next, from) = lane.next;
+        // After much work for a move there is one to the level that the pin has.
+        moves.extend(Some(next).filter(|next| next.level != from));
+        begins = lane.advance();
+    }
+    moves
+}
+
 #[derive(Clone, Debug)]
 pub(super) struct MotionLane {
     array: Array,
@@ -90,30 +104,41 @@ impl MotionLane {
         options: &StrokeOptions,
     ) -> impl Iterator<Item = Self> {
         let (array, waveforms) = (pattern.array(), pattern.shared_waveforms());
-        let (duration_s, scale, tried_s) = (pattern.duration_s(), options.scale, options.tried_s);
         (0..waveforms.len()).map(move |of| {
-            let waveform = Scaled { waveforms: waveforms.clone(), of, scale };
-            let (motor, rule) = (waveform.motor(), Rule::new(array, grid));
-            let span_ns = waveform.unscaled().span_ns();
+            let waveform = Scaled { waveforms: waveforms.clone(), of, scale: options.scale };
+            let motor = waveform.motor();
             Self {
-                array,
-                rule,
-                is_silent: waveform.highest_um() < rule.kept_um(0)[1],
-                over: span_ns.map_or(0, |(_, until)| tick_of(until, array.rate())),
-                waveform,
-                tried_s,
+                tried_s: options.tried_s,
                 surplus: options.surplus.clone(),
-                duration_s,
+                duration_s: pattern.duration_s(),
                 has_drives: pattern.drives().iter().any(|drive| drive.motor == motor),
-                end: NEVER,
-                repeat: Repeat::of(0, duration_s, array.rate()),
-                number: 0,
-                level: 0,
-                bursts: Bursts::default(),
-                next: (Move { motor, tick: Tick(0), level: 0, surplus: 0 }, 0),
-                work: 0,
+                ..Self::new(array, waveform, grid)
             }
         })
+    }
+
+    /// A waveform alone, without a surplus.
+    fn new(array: Array, waveform: Scaled, grid: Grid) -> Self {
+        let (motor, rule) = (waveform.motor(), Rule::new(array, grid));
+        let span_ns = waveform.unscaled().span_ns();
+        Self {
+            array,
+            rule,
+            is_silent: waveform.highest_um() < rule.kept_um(0)[1],
+            over: span_ns.map_or(0, |(_, until)| tick_of(until, array.rate())),
+            waveform,
+            tried_s: 0.0,
+            surplus: Surplus::None,
+            duration_s: None,
+            has_drives: false,
+            end: NEVER,
+            repeat: Repeat::of(0, None, array.rate()),
+            number: 0,
+            level: 0,
+            bursts: Bursts::default(),
+            next: (Move { motor, tick: Tick(0), level: 0, surplus: 0 }, 0),
+            work: 0,
+        }
     }
 
     pub(super) const fn array(&self) -> Array {

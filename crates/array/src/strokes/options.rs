@@ -22,7 +22,7 @@ pub struct StrokeOptions {
     /// How much longer a down burst is than its up burst.
     pub surplus: Surplus,
     /// How far pins may be from what their motors can do at best, because motions are compiled to steps, µm; `None`: see
-    /// [`choose`](crate::motion::choose).
+    /// [`Reached::step_error_um`](crate::motion::Reached).
     pub error_um: Option<f64>,
     /// How long a stretch of motions is tried and measured before a play, shared among its motors, s: 0 to [`TRIED_S`].
     pub tried_s: f64,
@@ -75,7 +75,6 @@ impl Default for StrokeOptions {
 
 impl StrokeOptions {
     /// Only a duration, s.
-    #[must_use]
     pub fn lasting(seconds: impl Into<Option<f64>>) -> Self {
         Self { seconds: seconds.into(), ..Self::default() }
     }
@@ -107,7 +106,6 @@ impl Surplus {
     ///
     /// # Panics
     /// If there is no such motor.
-    #[must_use]
     pub fn um(&self, motor: u8, amplitude_um: f64) -> f64 {
         self.um_at_gain(motor, amplitude_um, 1.0)
     }
@@ -127,7 +125,6 @@ impl Surplus {
     }
 
     /// The surplus of the last of these bursts, in whole pulses, rounded up, and at most `most`.
-    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "0 to most")]
     pub(super) fn pulses_after(&self, array: Array, motor: u8, bursts: &Bursts, most: u16) -> u16 {
         let um_per_pulse = array.motor().um_per_pulse;
         let most_um = f64::from(most) * um_per_pulse;
@@ -145,7 +142,6 @@ impl Surplus {
     }
 
     /// [`Self::um`] in whole pulses, rounded up, for bursts of so many pulses with this mean gain.
-    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "the cast saturates")]
     pub(super) fn pulses(&self, array: Array, motor: u8, pulses: u32, gain: f64) -> u32 {
         let um_per_pulse = array.motor().um_per_pulse;
         let um = self.um_at_gain(motor, f64::from(pulses) * um_per_pulse, gain);

@@ -21,11 +21,6 @@ impl Repeat {
     }
 
     /// The repeat in which a play that ends at `play_end` ends.
-    #[expect(
-        clippy::cast_possible_truncation,
-        clippy::cast_sign_loss,
-        reason = "an estimate, corrected below"
-    )]
     pub(super) fn last(duration_s: Option<f64>, rate: TickRate, play_end: u64) -> Self {
         let about = duration_s.map_or(0.0, |duration_s| rate.ticks_to_seconds(play_end) / duration_s) as u64;
         let mut last = Self::of(about, duration_s, rate);
@@ -61,7 +56,6 @@ impl Repeat {
 }
 
 /// When repeat `number` begins: `floor(number * duration_s * tick_hz + 0.5)`.
-#[expect(clippy::cast_precision_loss, reason = "a repeat lasts a tick at least: 2^53 last 3 000 years")]
 fn begin(number: u64, duration_s: Option<f64>, rate: TickRate) -> u64 {
     duration_s.map_or(0, |duration_s| rate.seconds_to_ticks(number as f64 * duration_s))
 }

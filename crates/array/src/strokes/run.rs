@@ -7,7 +7,7 @@ use super::error::StrokesError;
 use super::lane::Lane;
 use super::motion_lane::MotionLane;
 use super::options::StrokeOptions;
-use crate::motion::{Grid, choose_within};
+use crate::motion::{Grid, choose};
 use crate::pattern::Pattern;
 use crate::strokes::Step;
 use firmware_protocol::tick::Tick;
@@ -80,7 +80,7 @@ impl Run {
         let mut lanes = drives.map(|lane| lane.map(AnyLane::Drives)).collect::<Result<Vec<_>, _>>()?;
         if !pattern.waveforms().is_empty() {
             let waveforms = pattern.waveforms().iter().map(|(motor, waveform)| (*motor, waveform));
-            let chosen = || choose_within(array, waveforms, options.error_um, options.tried_s);
+            let chosen = || choose(array, waveforms, options.error_um, options.tried_s);
             let grid = grid.map_or_else(chosen, Ok)?;
             lanes.extend(MotionLane::of_pattern(pattern, grid, options).map(AnyLane::Motions));
             lanes.sort_by_key(AnyLane::motor);
@@ -130,13 +130,6 @@ impl Run {
 
     pub(super) const fn drives(&self, motor: u8) -> bool {
         motor < 64 && (self.motors >> motor) & 1 == 1
-    }
-
-    pub(super) fn changes_are_apart(&self, ticks: u64) -> bool {
-        self.lanes.iter().all(|lane| match lane {
-            AnyLane::Drives(lane) => lane.changes_are_apart(ticks),
-            AnyLane::Motions(_) => false,
-        })
     }
 
     /// When the next step of `motor` begins, in pattern time.

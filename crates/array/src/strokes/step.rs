@@ -31,7 +31,6 @@ impl From<Stroke> for Step {
 
 impl Step {
     /// The stroke, unless it is a move.
-    #[must_use]
     pub const fn stroke(&self) -> Option<Stroke> {
         match self {
             Self::Stroke(stroke) => Some(*stroke),
@@ -40,7 +39,6 @@ impl Step {
     }
 
     /// Its motor.
-    #[must_use]
     pub const fn motor(&self) -> u8 {
         match self {
             Self::Stroke(stroke) => stroke.motor,
@@ -49,7 +47,6 @@ impl Step {
     }
 
     /// The tick of its first pulse.
-    #[must_use]
     pub const fn begin(&self) -> Tick {
         match self {
             Self::Stroke(stroke) => stroke.up,
@@ -58,13 +55,11 @@ impl Step {
     }
 
     /// The first tick after its last pulse.
-    #[must_use]
     pub fn end(&self) -> Tick {
         self.begin().max(self.bursts().map(|burst| burst.end()).max().unwrap_or_default())
     }
 
     /// Pulses of its bursts.
-    #[must_use]
     pub fn pulses(&self) -> u32 {
         self.bursts().map(|burst| u32::from(burst.pulses)).sum()
     }
@@ -94,7 +89,6 @@ impl Step {
     }
 
     /// Pulses after the pin is at rest, against a lower stop.
-    #[must_use]
     pub const fn surplus(&self) -> u16 {
         match self {
             Self::Stroke(stroke) => stroke.down_pulses.saturating_sub(stroke.up_pulses),
@@ -103,7 +97,6 @@ impl Step {
     }
 
     /// How many moves it is.
-    #[must_use]
     pub const fn moves(&self) -> usize {
         match self {
             Self::Stroke(_) => 2,
@@ -112,7 +105,6 @@ impl Step {
     }
 
     /// Pulses above rest after it.
-    #[must_use]
     pub const fn level(&self) -> u16 {
         match self {
             Self::Stroke(_) => 0,
@@ -121,7 +113,6 @@ impl Step {
     }
 
     /// The most pulses above rest in it.
-    #[must_use]
     pub const fn highest(&self) -> u16 {
         match self {
             Self::Stroke(stroke) => stroke.up_pulses,

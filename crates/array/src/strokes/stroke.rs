@@ -21,7 +21,6 @@ pub struct Burst {
 
 impl Burst {
     /// The first tick after the last pulse.
-    #[must_use]
     pub fn end(&self) -> Tick {
         self.start + u64::from(self.pulses)
     }
@@ -53,7 +52,6 @@ impl Stroke {
     }
 
     /// As it is sent; `None` if its bursts are not in order, or it has more pulses up than down.
-    #[must_use]
     pub fn packed(&self) -> Option<batch::Stroke> {
         let Self { motor, up, up_pulses: level, down, down_pulses } = *self;
         let surplus = down_pulses.checked_sub(level)?;
@@ -70,19 +68,16 @@ impl Stroke {
     }
 
     /// The first tick after the stroke. By definition the pin is at rest again.
-    #[must_use]
     pub fn end(&self) -> Tick {
         self.down + u64::from(self.down_pulses)
     }
 
     /// Pulses of both bursts.
-    #[must_use]
     pub fn pulses(&self) -> u32 {
         u32::from(self.up_pulses) + u32::from(self.down_pulses)
     }
 
     /// The up burst and the down burst.
-    #[must_use]
     pub fn bursts(&self) -> [Burst; 2] {
         [
             Burst { start: self.up, direction: Direction::Up, pulses: self.up_pulses },

@@ -144,7 +144,6 @@ impl<P> KeyError<P> {
 
 impl<P: std::error::Error + 'static> KeyError<P> {
     /// Adds the file. Without a file it is a value made in memory, and has no line.
-    #[must_use]
     pub fn in_file(self, file: Option<&str>) -> DocumentError<P> {
         let line = self.line.filter(|_| file.is_some());
         DocumentError {

@@ -44,61 +44,51 @@ impl Target {
     }
 
     /// The name: 1 to 64 of a-z, 0-9 and -.
-    #[must_use]
     pub fn name(&self) -> &str {
         &self.name
     }
 
     /// The array that it is for.
-    #[must_use]
     pub const fn array(&self) -> Array {
         self.array
     }
 
     /// The shape; for a moving target, as it is in the middle of the motion.
-    #[must_use]
     pub const fn shape(&self) -> &Shape {
         &self.shape
     }
 
     /// The distance from the shape within which an afferent is ON, mm.
-    #[must_use]
     pub const fn reach_mm(&self) -> f64 {
         self.reach_mm
     }
 
     /// The amplitude of all motors, µm peak to peak.
-    #[must_use]
     pub const fn amplitude_um(&self) -> f64 {
         self.amplitude_um
     }
 
     /// The duration of the motion; for a target at rest, of a pattern made for it, s.
-    #[must_use]
     pub const fn duration_s(&self) -> f64 {
         self.duration_s
     }
 
     /// The seed of the population.
-    #[must_use]
     pub const fn population_seed(&self) -> u64 {
         self.population_seed
     }
 
     /// The afferent model.
-    #[must_use]
     pub const fn model(&self) -> &AfferentModel {
         &self.model
     }
 
     /// The frames in order, at least one. A target at rest has one frame without times.
-    #[must_use]
     pub fn frames(&self) -> &[Frame] {
         &self.frames
     }
 
     /// Whether the target moves: its frames have times.
-    #[must_use]
     pub const fn moves(&self) -> bool {
         self.motion.is_some()
     }

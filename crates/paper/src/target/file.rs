@@ -39,7 +39,6 @@ impl Target {
     }
 
     /// The target that a pattern was made for, on the pattern's array, if its provenance holds one that can be read.
-    #[must_use]
     pub fn made_for(pattern: &Pattern) -> Option<Self> {
         let text = toml::to_string(pattern.provenance().get(DEFINITION)?.as_table()?).ok()?;
         let target = Self::read(&text, DEFINITION).ok()?;
@@ -48,8 +47,6 @@ impl Target {
 
     /// The target as a table with every key. [`Self::read`] makes an equal target of it: a polyline of two points is
     /// written as a segment, a Braille character as its dots.
-    #[must_use]
-    #[expect(clippy::missing_panics_doc, reason = "the values of a checked target are TOML values")]
     pub fn definition(&self) -> toml::Table {
         let population =
             [("seed", i64::try_from(self.population_seed).expect("the seed was checked").into())];

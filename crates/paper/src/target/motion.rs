@@ -28,7 +28,6 @@ pub struct Frame {
 
 impl Frame {
     /// The rate of each afferent during the frame, from its sorted spike times. None for a target at rest.
-    #[must_use]
     pub fn rates_hz(&self, spikes_s: &[Vec<f64>]) -> Option<Vec<f64>> {
         let (start_s, stop_s) = (self.start_s?, self.stop_s?);
         let rate_hz = |spikes_s: &Vec<f64>| {
@@ -63,7 +62,6 @@ impl Motion {
     }
 
     /// The number of frames for which no point moves by more than half a pin pitch from one to the next.
-    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "clamped")]
     pub(super) fn enough_frames(&self, shape: &Shape, duration_s: f64, pitch_mm: f64) -> u8 {
         let step_mm = STEP_PITCHES * pitch_mm;
         let frames = ((self.path_mm(shape, duration_s) - SAME_MM) / step_mm).ceil();
@@ -71,7 +69,6 @@ impl Motion {
     }
 
     /// The largest number of frames for which no frame is too short.
-    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "clamped")]
     pub(super) fn most_frames(duration_s: f64) -> u8 {
         (duration_s / SHORTEST_FRAME_S + 1e-9).clamp(1.0, f64::from(MAX_FRAMES)) as u8
     }

@@ -7,7 +7,6 @@ use meissner_touch::{Shape, distance};
 
 impl Target {
     /// Warns of details finer than the array can show, points far from every pin, and frames too far apart.
-    #[must_use]
     pub fn warnings(&self) -> Vec<String> {
         let (mut warnings, pins) = (Vec::new(), self.array.positions_mm());
         let pitch_mm = self.array.pitch_mm();

@@ -25,7 +25,6 @@ impl Class {
     pub const ALL: [Self; 3] = [Self::Sa1, Self::Ra, Self::Pc];
 
     /// The name in documents.
-    #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
             Self::Sa1 => "SA1",
@@ -35,7 +34,6 @@ impl Class {
     }
 
     /// The depth of its endings below the surface of the skin, mm (Saal et al. 2017).
-    #[must_use]
     pub const fn depth_mm(self) -> f64 {
         match self {
             Self::Sa1 => 0.3,
@@ -45,7 +43,6 @@ impl Class {
     }
 
     /// The number of recorded afferents of this class: an afferent has the parameters of one of them.
-    #[must_use]
     pub const fn rows(self) -> usize {
         self.parameters().len()
     }

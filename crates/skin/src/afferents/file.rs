@@ -8,7 +8,8 @@ use super::afferent::Class;
 use super::population::{drawn, population};
 use super::scene::{PREINDENT_MM, Pins, Scene, SinePin};
 use crate::membrane::Position;
-use crate::scene::{self, ModelName, Problem, RawDrive, RawPopulation};
+use crate::scene::{self, ModelName, Problem, RawPopulation};
+use meissner_array::pattern::Drive;
 use meissner_input::document::{self, Table};
 use serde::Deserialize;
 use serde::de::IgnoredAny;
@@ -36,7 +37,7 @@ pub(crate) struct RawScene {
     begin_s: Option<f64>,
     noise: Option<bool>,
     pins: Option<Vec<Table<RawPin>>>,
-    drives: Option<Vec<Table<RawDrive>>>,
+    drives: Option<Vec<Table<Drive>>>,
     // The aliases are the names of the membrane's reference scenes.
     #[serde(alias = "receptors")]
     afferents: Option<Vec<Table<RawAfferent>>>,
@@ -119,7 +120,7 @@ pub(crate) fn read(raw: RawScene) -> Result<Scene, KeyError> {
                     return Err(KeyError::key(key, Problem::PinsOnly));
                 }
             }
-            Pins::Drives(scene::drives(array, drives.unwrap_or_default())?)
+            Pins::Drives(drives.unwrap_or_default().into_iter().map(|Table(drive)| drive).collect())
         }
     };
     let scene = Scene {

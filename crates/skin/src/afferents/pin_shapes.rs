@@ -7,8 +7,6 @@ use meissner_array::spec::Array;
 
 /// How far the skin moves per distance that one pin of an array moves while the others stay, by place and then by motor. Places are
 /// `[x, y]` in mm. All pins touch.
-#[must_use]
-#[expect(clippy::missing_panics_doc, reason = "it does not happen")]
 pub fn pin_shapes(array: Array, places_mm: &[[f64; 2]]) -> Vec<Vec<f64>> {
     let places = array.positions_mm().iter().map(|&[x_mm, y_mm]| Position { x_mm, y_mm }).collect();
     let pins = FlatPins { places, punch: Punch { radius_mm: array.pin_radius_mm() } };

@@ -17,7 +17,6 @@ const PLACE_WORD: u64 = 7;
 const ROW_WORD: u64 = 8;
 
 /// The afferents of a fingertip: 306 RA at the places of [`membrane::population`], then 200 SA1 and 60 PC.
-#[must_use]
 pub fn population(seed: u64) -> Vec<Afferent> {
     let rapid = membrane::population(seed).into_iter().map(|at| (Class::Ra, at));
     let scattered = |class: Class| {

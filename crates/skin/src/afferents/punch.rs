@@ -18,7 +18,6 @@ pub struct Punch {
 
 impl Punch {
     /// The share of a load that reaches a distance r, 1/mm: asin(a/r)/(πa) with the punch's radius a, and 1/(2a) under it.
-    #[must_use]
     pub fn spread(self, distance_mm: f64) -> f64 {
         if distance_mm <= self.radius_mm {
             1.0 / (2.0 * self.radius_mm)
@@ -28,13 +27,11 @@ impl Punch {
     }
 
     /// The displacement of the skin at a distance, per load, mm/N.
-    #[must_use]
     pub fn flexibility(self, distance_mm: f64) -> f64 {
         (1.0 - POISSON * POISSON) / ELASTICITY * self.spread(distance_mm)
     }
 
     /// The pressure at a distance and a depth above 0, per load, 1/mm².
-    #[must_use]
     pub fn pressure(self, distance_mm: f64, depth_mm: f64) -> f64 {
         let (xi, rho) = (depth_mm / self.radius_mm, distance_mm / self.radius_mm);
         let a = rho * rho + xi * xi - 1.0;
@@ -46,13 +43,11 @@ impl Punch {
     }
 
     /// The samples that a wave from the punch's edge takes to a distance. It is not a whole number.
-    #[must_use]
     pub fn lag(self, distance_mm: f64) -> f64 {
         (distance_mm - self.radius_mm).max(0.0) / WAVE_MM_PER_S * SAMPLES_PER_S
     }
 
     /// Whole samples until the wave arrives; halves to even.
-    #[must_use]
     pub fn delay(self, distance_mm: f64) -> u16 {
         self.lag(distance_mm).round_ties_even() as u16
     }

@@ -26,7 +26,6 @@ pub struct Stimuli {
 /// The times of each afferent's spikes, s: whole samples of `samples`. `stimuli` computes the stimuli of an afferent; groups of
 /// eight share the threads. An afferent's place in the list keys its noise; without `noise_seed` there is none. `progress` is
 /// called now and then with the completed share.
-#[must_use]
 pub fn respond(
     afferents: &[Afferent],
     samples: u32,

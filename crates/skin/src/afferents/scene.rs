@@ -112,43 +112,36 @@ impl Scene {
     }
 
     /// The array under the finger. Pins that move by a formula have places of their own, and its pins' radius.
-    #[must_use]
     pub const fn array(&self) -> Array {
         self.array
     }
 
     /// Duration, s.
-    #[must_use]
     pub const fn duration_s(&self) -> f64 {
         self.duration_s
     }
 
     /// The afferents, in the file's order.
-    #[must_use]
     pub fn afferents(&self) -> &[Afferent] {
         &self.afferents
     }
 
     /// The indentation of the skin by pins at rest, mm.
-    #[must_use]
     pub const fn preindent_mm(&self) -> f64 {
         self.preindent_mm
     }
 
     /// Whether the currents have noise.
-    #[must_use]
     pub const fn noise(&self) -> bool {
         self.noise
     }
 
     /// Whether its file asked for the population of a fingertip.
-    #[must_use]
     pub const fn has_population(&self) -> bool {
         self.population
     }
 
     /// Impulses per second of an afferent with `count` spikes; 0 in a scene without duration.
-    #[must_use]
     pub fn rate_hz(&self, count: u64) -> f64 {
         if count == 0 { 0.0 } else { count as f64 / self.duration_s }
     }

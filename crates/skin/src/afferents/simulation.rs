@@ -38,13 +38,11 @@ pub struct Answer {
 
 impl Answer {
     /// Each afferent's impulses per second; 0 in a scene without duration.
-    #[must_use]
     pub fn rates_hz(&self, scene: &Scene) -> Vec<f64> {
         self.counts.iter().map(|&count| scene.rate_hz(count)).collect()
     }
 
     /// The mean rate of a class, impulses/s; none without afferents of the class.
-    #[must_use]
     pub fn mean_hz(&self, scene: &Scene, class: Class) -> Option<f64> {
         let counts = scene.afferents().iter().zip(&self.counts);
         let of_class = counts.filter(|(afferent, _)| afferent.class == class);

@@ -42,7 +42,6 @@ pub enum Rectify {
 impl Rectify {
     /// The default α, per µm (C). With it an afferent under a pin fires once per cycle of a 40 Hz sine from 10 µm (zero to
     /// peak) on, without noise. That is near the thresholds recorded from RA afferents (L: Freeman & Johnson 1982).
-    #[must_use]
     pub const fn default_alpha_per_um(self) -> f64 {
         match self {
             Self::Half => 0.0492,
@@ -94,7 +93,6 @@ pub struct AfferentModel {
 
 impl AfferentModel {
     /// The defaults for a rectification, with this threshold noise (0, or [`POPULATION_NOISE_SD`]).
-    #[must_use]
     pub const fn default_for(rectify: Rectify, noise_sd: f64) -> Self {
         Self {
             rectify,
@@ -114,7 +112,6 @@ const MAX_EXPONENT: f64 = 24.0;
 
 /// The weight of a motor's velocity for an afferent, `exp(-d²/2σ²)` with the distance d to its pin; exactly 0 below [`MIN_WEIGHT`].
 /// It uses `libm`'s exponential, so that all machines agree.
-#[must_use]
 pub fn weight(at: Position, [x_mm, y_mm]: [f64; 2], sigma_mm: f64) -> f64 {
     let (dx, dy) = (at.x_mm - x_mm, at.y_mm - y_mm);
     let exponent = (dx * dx + dy * dy) / (2.0 * sigma_mm * sigma_mm);

@@ -22,7 +22,6 @@ pub const LOWER_PER_CM2: f64 = 40.0;
 const POSITION_WORD: u64 = 3;
 
 /// The positions of 306 afferents: 238 in the upper half, then 68 in the lower.
-#[must_use]
 pub fn population(seed: u64) -> Vec<Position> {
     scattered(seed, [UPPER_PER_CM2, LOWER_PER_CM2], POSITION_WORD)
 }
@@ -43,7 +42,6 @@ pub(crate) fn scattered(seed: u64, per_cm2: [f64; 2], word: u64) -> Vec<Position
 }
 
 /// The number of afferents in half a pad.
-#[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a few hundred")]
 fn count(per_cm2: f64) -> u64 {
     let half_pad_cm2 = PI / 4.0 * (PAD_LENGTH_MM / 10.0) * (PAD_WIDTH_MM / 10.0) / 2.0;
     (per_cm2 * half_pad_cm2).round() as u64

@@ -72,37 +72,31 @@ impl Scene {
     }
 
     /// The array whose motors move the pins.
-    #[must_use]
     pub const fn array(&self) -> Array {
         self.array
     }
 
     /// The simulated time, s. It only ends the observation: every burst that starts before it takes place.
-    #[must_use]
     pub const fn duration_s(&self) -> f64 {
         self.duration_s
     }
 
     /// The seed of the threshold noise.
-    #[must_use]
     pub const fn seed(&self) -> u64 {
         self.seed
     }
 
     /// The drives of the motors, in the file's order. Every [`Drive::wave`] succeeds.
-    #[must_use]
     pub fn drives(&self) -> &[Drive] {
         &self.drives
     }
 
     /// The positions of the afferents, in the file's order.
-    #[must_use]
     pub fn afferents(&self) -> &[Position] {
         &self.afferents
     }
 
     /// The parameters of the afferents.
-    #[must_use]
     pub const fn model(&self) -> &AfferentModel {
         &self.model
     }

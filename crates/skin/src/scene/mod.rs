@@ -19,5 +19,5 @@ pub use checked::Scene;
 pub(crate) use checked::{MAX_GAIN, check_drives};
 pub(crate) use error::KeyError;
 pub use error::{Problem, SceneError};
-pub(crate) use file::{RawDrive, RawPopulation, RawScene, array, drives};
+pub(crate) use file::{RawPopulation, RawScene, array};
 pub use names::ModelName;

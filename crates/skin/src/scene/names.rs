@@ -18,7 +18,6 @@ pub enum ModelName {
 
 impl ModelName {
     /// The name on the command line and in documents.
-    #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
             Self::Membrane => "membrane",

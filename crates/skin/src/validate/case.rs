@@ -73,7 +73,6 @@ pub struct Validation {
 
 impl Published {
     /// The numbers that agree.
-    #[must_use]
     pub fn bounds(self) -> [Option<f64>; 2] {
         match self {
             Self::About(value, factor) => [Some(value / factor), Some(value * factor)],
@@ -84,7 +83,6 @@ impl Published {
     }
 
     /// The verdict on a number; without one the model has none.
-    #[must_use]
     pub fn verdict(self, value: Option<f64>) -> ValidationVerdict {
         let [least, most] = self.bounds();
         match value {
@@ -129,7 +127,6 @@ impl Judged {
 
 impl Validation {
     /// The number of cases in which a model agrees, and the number of cases that it has and was not made from.
-    #[must_use]
     pub fn agreements(&self, model: ModelName) -> [usize; 2] {
         let of = |case: &Case| match model {
             ModelName::Membrane => case.membrane.verdict,

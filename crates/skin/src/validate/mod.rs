@@ -45,7 +45,6 @@ const WIDE: f64 = 2.0;
 const LOGARITHMIC: f64 = 0.9;
 
 /// Measures both models and judges them. Takes some seconds.
-#[must_use]
 pub fn validate() -> Validation {
     let [membrane, afferents] = measure();
     type Of<'f> = &'f dyn Fn(&Measured) -> Option<f64>;

@@ -1,9 +1,10 @@
 //! How long pins stay above rest without a pulse, and when they vibrate.
 
-use super::counted;
+use super::Counted;
 use super::vibration::Vibrating;
 use firmware_protocol::tick::Tick;
-use meissner_array::strokes::Strokes;
+use meissner_array::spec::Array;
+use meissner_array::strokes::Step;
 
 /// The longest time that a play keeps a pin above rest without a pulse, and when it vibrates.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -19,35 +20,55 @@ pub struct Hold {
     pub highest: u16,
 }
 
-/// The longest time that a play keeps a pin above rest without a pulse, and when it vibrates.
-#[must_use]
-pub fn find_longest_hold(strokes: &Strokes) -> Hold {
-    // Of each motor, since when it has no pulse, while it is above rest.
-    let array = strokes.array();
-    let (mut still, mut vibrating) = (vec![None; array.motors()], Vibrating::new(array));
-    let (mut longest, mut highest, mut steps) = (0, 0, counted(strokes));
-    for step in steps.by_ref() {
-        vibrating.push(&step);
-        highest = highest.max(step.highest());
-        let since = &mut still[usize::from(step.motor())];
+/// Measures holds; steps come in order of their beginnings.
+#[derive(Debug)]
+pub(super) struct Holds {
+    array: Array,
+    /// Of each motor, since when it has no pulse, while it is above rest.
+    still: Vec<Option<Tick>>,
+    vibrating: Vibrating,
+    longest: u64,
+    highest: u16,
+}
+
+impl Holds {
+    pub(super) fn new(array: Array) -> Self {
+        let (still, vibrating) = (vec![None; array.motors()], Vibrating::new(array));
+        Self { array, still, vibrating, longest: 0, highest: 0 }
+    }
+
+    pub(super) fn push(&mut self, step: &Step) {
+        self.vibrating.push(step);
+        self.highest = self.highest.max(step.highest());
+        let since = &mut self.still[usize::from(step.motor())];
         for burst in step.bursts() {
-            longest = longest.max(since.map_or(0, |since| burst.start.0.saturating_sub(since)));
-            *since = Some(burst.end().0);
+            self.longest = self.longest.max(since.map_or(0, |since| burst.start - since));
+            *since = Some(burst.end());
         }
         if step.level() == 0 {
             *since = None;
         }
     }
-    let uncounted = steps.uncounted();
-    let highest = if uncounted.is_none() { highest } else { array.motor().most_pulses };
-    Hold { longest, counted_until: steps.stopped, vibrates: vibrating.finish(uncounted), highest }
+
+    /// After the steps that count.
+    pub(super) fn finish(self, steps: &Counted) -> Hold {
+        let uncounted = steps.uncounted();
+        let highest = if uncounted.is_none() { self.highest } else { self.array.motor().most_pulses };
+        let vibrates = self.vibrating.finish(uncounted);
+        Hold { longest: self.longest, counted_until: steps.stopped, vibrates, highest }
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::{Settings, dry_run};
     use meissner_array::pattern::Pattern;
-    use meissner_array::strokes::StrokeOptions;
+    use meissner_array::strokes::{StrokeOptions, Strokes};
+
+    fn find_longest_hold(strokes: &Strokes) -> Hold {
+        dry_run(strokes, &Settings::of(strokes.array())).hold
+    }
 
     #[test]
     fn the_longest_time_without_a_pulse_above_rest_is_found() {

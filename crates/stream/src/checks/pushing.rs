@@ -3,11 +3,11 @@
 //! It counts with the controller's own count, so that a play that passes has no stroke refused for its plan. A seek in the second
 //! before counts on the device too; the receipt tells when strokes were refused for both together.
 
-use super::counted;
 use firmware_protocol::limits::Pushing;
 use firmware_protocol::tick::Tick;
 use meissner_array::per_motor::PerMotor;
-use meissner_array::strokes::Strokes;
+use meissner_array::spec::Array;
+use meissner_array::strokes::Step;
 
 /// A step that pushes too much.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -18,45 +18,62 @@ pub struct Overpush {
     pub at_s: f64,
 }
 
-/// The first step that pushes more than `pulses_per_s` against a lower stop; `None`: all stay below.
-#[must_use]
-pub fn find_overpush(strokes: &Strokes, pulses_per_s: u32) -> Option<Overpush> {
-    let mut pushing = Pushing::new(strokes.array().layout(), Tick(0));
-    pushing.set_limit(pulses_per_s);
-    // The end and surplus of each motor's last step.
-    let array = strokes.array();
-    let mut running = PerMotor::all(array, None::<(Tick, u32)>);
-    let mut ended: Vec<(Tick, usize, u32)> = Vec::with_capacity(array.motors());
-    for step in counted(strokes) {
-        let motor = usize::from(step.motor());
-        for (motor, stroke_of) in running.iter_mut().enumerate() {
+/// Counts pushing; steps come in order of their beginnings.
+#[derive(Debug)]
+pub(super) struct Pushes {
+    array: Array,
+    pushing: Pushing,
+    /// The end and surplus of each motor's last step.
+    running: PerMotor<Option<(Tick, u32)>>,
+    /// The first step that pushes more than the limit.
+    pub(super) found: Option<Overpush>,
+}
+
+impl Pushes {
+    pub(super) fn new(array: Array, pulses_per_s: u32) -> Self {
+        let mut pushing = Pushing::new(array.layout(), Tick(0));
+        pushing.set_limit(pulses_per_s);
+        Self { array, pushing, running: PerMotor::all(array, None), found: None }
+    }
+
+    pub(super) fn push(&mut self, step: &Step) {
+        if self.found.is_some() {
+            return;
+        }
+        // The count needs its ticks in order.
+        let mut ended: Vec<(Tick, usize, u32)> = Vec::new();
+        for (motor, stroke_of) in self.running.iter_mut().enumerate() {
             if let Some((end, surplus)) = stroke_of.take_if(|(end, _)| *end <= step.begin()) {
                 ended.push((end, motor, surplus));
             }
         }
-        // The count needs its ticks in order.
         ended.sort_unstable();
-        for (end, motor, surplus) in ended.drain(..) {
-            pushing.pass(end);
-            pushing.end(motor, surplus, surplus);
+        for (end, motor, surplus) in ended {
+            self.pushing.pass(end);
+            self.pushing.end(motor, surplus, surplus);
         }
-        let surplus = u32::from(step.surplus());
-        pushing.pass(step.begin());
-        if surplus > 0 && pushing.begin(motor, surplus).is_err() {
-            let at_s = array.rate().ticks_to_seconds(step.begin().0);
-            return Some(Overpush { motor: step.motor(), at_s });
+        let (motor, surplus) = (usize::from(step.motor()), u32::from(step.surplus()));
+        self.pushing.pass(step.begin());
+        if surplus > 0 && self.pushing.begin(motor, surplus).is_err() {
+            let at_s = self.array.rate().ticks_to_seconds(step.begin().0);
+            self.found = Some(Overpush { motor: step.motor(), at_s });
         }
-        running[motor] = Some((step.end(), surplus));
+        self.running[motor] = Some((step.end(), surplus));
     }
-    None
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::{LowerStopSettings, Settings, dry_run};
     use meissner_array::pattern::{Drive, Pattern};
-    use meissner_array::strokes::{StrokeOptions, Surplus};
+    use meissner_array::strokes::{StrokeOptions, Strokes, Surplus};
     use meissner_test_support::patterns::{drive, pattern};
+
+    fn find_overpush(strokes: &Strokes, pulses_per_s: u32) -> Option<Overpush> {
+        let stop = LowerStopSettings { surplus_um: None, rest_error_um: 5.0, pulses_per_s };
+        dry_run(strokes, &Settings { lower_stop: Some(stop), ..Settings::of(Array::paper()) }).overpush
+    }
 
     fn pushed(pattern: &Pattern, lasts_s: Option<f64>) -> Strokes {
         let options = StrokeOptions { surplus: Surplus::Fixed(10.0), ..StrokeOptions::lasting(lasts_s) };

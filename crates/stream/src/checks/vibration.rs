@@ -93,7 +93,7 @@ impl Vibrating {
 
 #[cfg(test)]
 mod tests {
-    use crate::find_longest_hold;
+    use crate::{Settings, dry_run};
     use firmware_protocol::tick::Tick;
     use meissner_array::pattern::Pattern;
     use meissner_array::spec::Array;
@@ -106,10 +106,14 @@ mod tests {
         Strokes::new(&pattern, &StrokeOptions::lasting(seconds)).unwrap()
     }
 
+    fn spans_of(strokes: &Strokes) -> Vec<(u64, u64)> {
+        dry_run(strokes, &Settings::of(strokes.array())).hold.vibrates
+    }
+
     /// Seconds of vibration of a play, and its spans.
     fn vibrates(strokes: &Strokes) -> (f64, Vec<(f64, f64)>) {
         let rate = strokes.array().rate();
-        let spans = find_longest_hold(strokes).vibrates.into_iter();
+        let spans = spans_of(strokes).into_iter();
         let spans: Vec<_> =
             spans.map(|(from, until)| (rate.ticks_to_seconds(from), rate.ticks_to_seconds(until))).collect();
         (spans.iter().map(|(from, until)| until - from).sum(), spans)
@@ -140,12 +144,12 @@ mod tests {
     #[test]
     fn what_is_not_counted_vibrates() {
         let endless = strokes("[[drive]]\nmotor = 3\nfrequency_hz = 0.2\namplitude_um = 80.0\n", None);
-        let spans = find_longest_hold(&endless).vibrates;
+        let spans = spans_of(&endless);
         assert_eq!(spans.last(), Some(&(60 * 85_000, u64::MAX)), "{spans:?}");
         // A tap each second for three years: more spans than are kept.
         let taps = "duration_s = 1.0\n[[drive]]\nmotor = 3\nfrequency_hz = 300.0\namplitude_um = 19.0\nstop_s = 0.004\n";
         let taps = strokes(taps, Some(1e8));
-        let spans = find_longest_hold(&taps).vibrates;
+        let spans = spans_of(&taps);
         assert_eq!((spans.len(), spans.last().map(|last| last.1)), (super::MOST_SPANS, taps.end()));
     }
 
@@ -209,7 +213,7 @@ mod tests {
             let Ok(pattern) = Pattern::parse(&text, "test") else { return Ok(()) };
             let strokes = Strokes::new(&pattern, &StrokeOptions::lasting(Some(seconds))).unwrap();
             prop_assert_eq!(pattern.array(), Array::paper());
-            prop_assert_eq!(find_longest_hold(&strokes).vibrates, plainly(&strokes));
+            prop_assert_eq!(spans_of(&strokes), plainly(&strokes));
         }
     }
 }

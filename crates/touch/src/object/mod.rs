@@ -51,26 +51,22 @@ pub struct Object {
 
 impl Object {
     /// An object with this surface.
-    #[must_use]
     pub fn new(name: &str, surface: Surface, touch: Touch) -> Self {
         Self { name: name.to_owned(), surface, touch }
     }
 
     /// The name.
-    #[must_use]
     pub fn name(&self) -> &str {
         &self.name
     }
 
     /// The surface.
-    #[must_use]
     pub const fn surface(&self) -> &Surface {
         &self.surface
     }
 
     /// The lines that draw it, by their points on the skin in mm, where the touch begins, in the order of the file: a line itself, the
     /// middle line of a bar, the outline of a polygon, a line of one point for a dot. None for height maps and textures.
-    #[must_use]
     pub fn lines_mm(&self) -> Option<Vec<Vec<[f64; 2]>>> {
         let pose = self.touch.pose(0.0);
         let frame = Frame::of(&pose);
@@ -91,14 +87,12 @@ impl Object {
     }
 
     /// How it touches.
-    #[must_use]
     pub const fn touch(&self) -> &Touch {
         &self.touch
     }
 
     /// The pitch of grains that suits the object, mm: a quarter of the finest width or an eighth of a
     /// dot, at most 0.4, and coarser for large objects.
-    #[must_use]
     pub fn pitch_mm(&self) -> f64 {
         let pitch_mm = self.surface.fitting_pitch_mm(&(*PITCHES_MM.start()..=COARSEST_MM));
         enough(pitch_mm, self.box_mm(&self.under_finger()))
@@ -106,7 +100,6 @@ impl Object {
 
     /// The grains of the part within `reach_mm` of the frame's origin, along each axis, that touch the skin at a depth of `most_mm`.
     /// Their pitch is that of [`Self::pitch_mm`], but at least 0.1 mm. There may be none.
-    #[must_use]
     pub fn grains_within(&self, reach_mm: f64, most_mm: f64) -> Grains {
         let [low, high] = self.surface.bounds();
         let part = [low.map(|low| low.max(-reach_mm)), high.map(|high| high.min(reach_mm))];
@@ -115,13 +108,11 @@ impl Object {
     }
 
     /// Whether the object lies within this distance of its frame's origin along each axis.
-    #[must_use]
     pub fn is_within(&self, reach_mm: f64) -> bool {
         self.surface.bounds().iter().flatten().all(|mm| mm.abs() <= reach_mm)
     }
 
     /// The grains of a pitch, within [`PITCHES_MM`], that touch the skin at some time. There may be none.
-    #[must_use]
     pub fn grains(&self, pitch_mm: f64) -> Grains {
         let frames = self.under_finger();
         let most_mm = self.touch.most_depth_mm();
@@ -185,7 +176,6 @@ fn enough(pitch_mm: f64, [low, high]: [[f64; 2]; 2]) -> f64 {
 }
 
 /// The surface of a shape: lines are 0.8 mm wide, dots have a diameter of 2 mm.
-#[must_use]
 pub fn surface_of(shape: &Shape) -> Surface {
     let (shape, reach_mm) = match shape {
         Shape::Polyline(_) | Shape::Grating { .. } => (shape.clone(), LINE_MM / 2.0),

@@ -93,7 +93,6 @@ impl<'s> Part<'s> {
 
 impl Surface {
     /// The height at a place, at most 0; none without material.
-    #[must_use]
     pub fn height_mm(&self, at: [f64; 2]) -> Option<f64> {
         Part::of(self).height_mm(at)
     }

@@ -39,7 +39,6 @@ pub struct HeightMap {
 impl HeightMap {
     /// A map of `[columns, rows]` pixels, row by row, each so many mm wide and long. The highest pixel becomes height 0. None if there
     /// are other than `columns × rows` heights, or one is no finite number.
-    #[must_use]
     pub fn new(size: [usize; 2], pixel_mm: [f64; 2], mut heights_mm: Vec<f32>) -> Option<Self> {
         let highest = heights_mm.iter().copied().fold(f32::NEG_INFINITY, f32::max);
         heights_mm.iter_mut().for_each(|height_mm| *height_mm -= highest);
