@@ -124,10 +124,10 @@ fn session_record(bytes: &[u8]) {
     let id = "20260102T000000Z-000000";
     std::fs::create_dir_all(dir.join("sessions")).expect("a directory can be made");
     std::fs::write(dir.join(format!("sessions/{id}.jsonl")), bytes).expect("a file can be written");
-    let list = reader::sessions(dir, &[], None).expect("the directory can be read");
-    assert!(list.recorded.len() == 1);
-    let id = &list.recorded[0].id;
-    let read = reader::plays(dir, id, &[], None, 0).expect("the directory can be read");
+    let list = reader::sessions(dir, &[]).expect("the directory can be read");
+    assert!(list.sessions.len() == 1);
+    let id = &list.sessions[0].id;
+    let read = reader::plays(dir, id, &[], 0).expect("the directory can be read");
     let (plays, _) = read.expect("a session that is listed");
     let lines = bytes.iter().filter(|&&byte| byte == b'\n').count() + 1;
     assert!(plays.unreadable <= lines as u64 + 1);

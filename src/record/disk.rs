@@ -10,7 +10,8 @@ use rustix::io::Errno;
 use std::fs::{self, DirBuilder, File, OpenOptions};
 use std::io::{self, Read, Seek, SeekFrom, Write};
 use std::os::unix::fs::{DirBuilderExt, MetadataExt, OpenOptionsExt};
-use std::path::{Path, PathBuf};
+use std::path::Path;
+use tracing::warn;
 
 /// The file of what belongs to no session.
 pub(super) const DAEMON: &str = "daemon.jsonl";
@@ -19,16 +20,9 @@ pub(super) const OLD: u32 = 7;
 /// The directory of the sessions' files.
 pub(super) const SESSIONS: &str = "sessions";
 
-/// A failed operation, and the file.
-#[derive(Debug, thiserror::Error)]
-#[error("{}: {source}", .path.display())]
-pub(super) struct Failure {
-    path: PathBuf,
-    source: io::Error,
-}
-
-pub(super) fn at(path: &Path) -> impl FnOnce(io::Error) -> Failure {
-    move |source| Failure { path: path.to_owned(), source }
+/// Adds the file to an error.
+pub(super) fn at(path: &Path) -> impl FnOnce(io::Error) -> io::Error {
+    move |error| io::Error::new(error.kind(), format!("{}: {error}", path.display()))
 }
 
 /// Device, inode and length of a file.
@@ -37,21 +31,28 @@ pub(super) type Left = (u64, u64, u64);
 /// A file that lines are appended to.
 #[derive(Debug)]
 pub(super) struct Open {
-    pub(super) path: PathBuf,
     pub(super) file: File,
     /// As it was left: up to the last whole line.
     pub(super) left: Left,
 }
 
 impl Open {
-    /// Whether its name still leads to it, and it is as long as it was left.
-    pub(super) fn is_as_left(&self) -> bool {
-        fs::symlink_metadata(&self.path).is_ok_and(|now| of(&now) == self.left)
+    /// Whether this name still leads to it, and it is as long as it was left.
+    pub(super) fn is_as_left(&self, path: &Path) -> bool {
+        fs::symlink_metadata(path).is_ok_and(|now| of(&now) == self.left)
     }
 }
 
 fn of(metadata: &fs::Metadata) -> Left {
     (metadata.dev(), metadata.ino(), metadata.len())
+}
+
+/// How the record opens files: without following links or waiting for pipes.
+fn options() -> OpenOptions {
+    let flags = (OFlags::NOFOLLOW | OFlags::NONBLOCK).bits().cast_signed();
+    let mut options = OpenOptions::new();
+    options.create(true).custom_flags(flags).mode(0o640);
+    options
 }
 
 /// What a disk takes of each operation.
@@ -65,62 +66,49 @@ pub(super) trait Disk: Send + std::fmt::Debug {
     }
 
     /// Opens a file for appending; makes it and its directory if they are missing. Cuts off a half
-    /// line, and returns of how many bytes.
-    fn open(&self, path: &Path) -> Result<(Open, u64), Failure> {
+    /// line.
+    fn open(&self, path: &Path) -> io::Result<Open> {
         let dir = dir_of(path);
-        let mut options = OpenOptions::new();
-        let flags = (OFlags::NOFOLLOW | OFlags::NONBLOCK).bits().cast_signed();
-        options.read(true).append(true).custom_flags(flags).mode(0o640);
-        let (opened, is_new) = match options.open(path) {
-            Err(error) if error.kind() == io::ErrorKind::NotFound => {
-                self.takes(0).map_err(at(path))?;
-                make_dir(dir)?;
-                (options.create(true).open(path), true)
+        self.takes(0).map_err(at(path))?;
+        make_dir(dir)?;
+        let opened = || {
+            let mut file = options().read(true).append(true).open(path)?;
+            let metadata = file.metadata()?;
+            if !metadata.is_file() {
+                return Err(io::Error::other("is not a regular file"));
             }
-            opened => (opened, false),
+            let (dev, ino, length) = of(&metadata);
+            if length == 0 {
+                self.sync(&File::open(dir)?)?;
+            }
+            let whole = whole_lines(&mut file, length)?;
+            if whole < length {
+                self.cut(&file, whole)?;
+                let (path, cut) = (path.display(), length - whole);
+                warn!("{path}: cut off {cut} bytes of a line that was never finished");
+            }
+            Ok(Open { file, left: (dev, ino, whole) })
         };
-        let mut file = opened.map_err(at(path))?;
-        let metadata = file.metadata().map_err(at(path))?;
-        if !metadata.is_file() {
-            return Err(at(path)(io::Error::other("is not a regular file")));
-        }
-        if is_new {
-            File::open(dir).and_then(|dir| self.sync(&dir)).map_err(at(dir))?;
-        }
-        let whole = whole_lines(&mut file).map_err(at(path))?;
-        let (dev, ino, length) = of(&metadata);
-        if whole < length {
-            self.cut(&file, whole).map_err(at(path))?;
-        }
-        Ok((Open { path: path.to_owned(), file, left: (dev, ino, whole) }, length - whole))
+        opened().map_err(at(path))
     }
 
     /// Appends a line: one write, unless a signal or a full disk interrupts it. A part is taken back.
-    fn append(&self, to: &mut Open, line: &[u8]) -> Result<(), Failure> {
-        let mut write = || {
-            let mut rest = line;
-            while !rest.is_empty() {
-                let takes = self.takes(rest.len())?;
-                match to.file.write(rest.get(..takes).unwrap_or_default()) {
-                    Ok(0) => return Err(io::ErrorKind::WriteZero.into()),
-                    Ok(written) => rest = rest.get(written..).unwrap_or_default(),
-                    Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
-                    Err(error) => return Err(error),
+    fn append(&self, to: &mut Open, line: &[u8]) -> io::Result<()> {
+        let mut rest = line;
+        while !rest.is_empty() {
+            let takes = self.takes(rest.len());
+            match takes.and_then(|takes| to.file.write(rest.get(..takes).unwrap_or_default())) {
+                Ok(written) if written > 0 => rest = rest.get(written..).unwrap_or_default(),
+                Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+                refused => {
+                    // If this fails, too, the next opening cuts it.
+                    let _ = self.cut(&to.file, to.left.2);
+                    return refused.and(Err(io::ErrorKind::WriteZero.into()));
                 }
             }
-            Ok(())
-        };
-        match write() {
-            Ok(()) => {
-                to.left.2 += line.len() as u64;
-                Ok(())
-            }
-            Err(error) => {
-                // If this fails, too, the next opening cuts it.
-                let _ = self.cut(&to.file, to.left.2);
-                Err(at(&to.path)(error))
-            }
         }
+        to.left.2 += line.len() as u64;
+        Ok(())
     }
 
     /// Cuts a file to this length, if it is longer.
@@ -140,13 +128,12 @@ pub(super) trait Disk: Send + std::fmt::Debug {
     }
 
     /// Replaces a file atomically.
-    fn replace(&self, path: &Path, bytes: &[u8]) -> Result<(), Failure> {
+    fn replace(&self, path: &Path, bytes: &[u8]) -> io::Result<()> {
         let next = path.with_extension("new");
         // Left by a daemon that was killed.
         let _ = fs::remove_file(&next);
         let write = || {
-            let mut options = OpenOptions::new();
-            let mut file = options.write(true).create_new(true).mode(0o640).open(&next)?;
+            let mut file = options().write(true).create_new(true).open(&next)?;
             let takes = self.takes(bytes.len())?;
             file.write_all(bytes.get(..takes).unwrap_or_default())?;
             if takes < bytes.len() {
@@ -171,7 +158,7 @@ impl Disk for RealDisk {
 }
 
 /// Makes a directory, not its parent.
-pub(super) fn make_dir(dir: &Path) -> Result<(), Failure> {
+pub(super) fn make_dir(dir: &Path) -> io::Result<()> {
     match DirBuilder::new().mode(0o750).create(dir) {
         Err(error) if error.kind() != io::ErrorKind::AlreadyExists => Err(at(dir)(error)),
         _ => Ok(()),
@@ -179,12 +166,9 @@ pub(super) fn make_dir(dir: &Path) -> Result<(), Failure> {
 }
 
 /// Locks a directory for this daemon.
-pub(super) fn lock(dir: &Path) -> Result<File, Failure> {
+pub(super) fn lock(dir: &Path) -> io::Result<File> {
     let path = dir.join("lock");
-    let flags = (OFlags::NOFOLLOW | OFlags::NONBLOCK).bits().cast_signed();
-    let mut options = OpenOptions::new();
-    options.write(true).create(true).truncate(false).mode(0o640).custom_flags(flags);
-    let file = options.open(&path).map_err(at(&path))?;
+    let file = options().write(true).open(&path).map_err(at(&path))?;
     // Not every file system can lock.
     if flock(&file, FlockOperation::NonBlockingLockExclusive) == Err(Errno::WOULDBLOCK) {
         let busy = "another daemon keeps its session record here: give each its own `logbook_dir`";
@@ -193,10 +177,9 @@ pub(super) fn lock(dir: &Path) -> Result<File, Failure> {
     Ok(file)
 }
 
-/// The length of a file up to its last whole line.
-fn whole_lines(file: &mut File) -> io::Result<u64> {
+/// The length of a file of `end` bytes up to its last whole line.
+fn whole_lines(file: &mut File, mut end: u64) -> io::Result<u64> {
     const STEP: u64 = 64 << 10;
-    let mut end = file.metadata()?.len();
     while end > 0 {
         let start = end.saturating_sub(STEP);
         let mut part = Vec::new();

@@ -56,13 +56,11 @@ impl Peer {
     pub const UNKNOWN: Self = Self::local(-1, u32::MAX);
 
     /// A client on a Unix socket.
-    #[must_use]
     pub const fn local(pid: i32, uid: u32) -> Self {
         Self { pid, uid, network: None }
     }
 
     /// A client that came over the network.
-    #[must_use]
     pub const fn network(network: NetworkPeer) -> Self {
         Self { network: Some(network), ..Self::UNKNOWN }
     }
@@ -102,7 +100,6 @@ pub struct CommandEntry {
 
 impl CommandEntry {
     /// A command that is not answered yet.
-    #[must_use]
     pub fn new(command: &'static str, client: Peer) -> Self {
         Self {
             command,
@@ -131,7 +128,6 @@ impl CommandEntry {
     }
 
     /// The problem.
-    #[must_use]
     pub fn detail(&self) -> Option<&str> {
         self.detail.as_deref()
     }
@@ -235,8 +231,6 @@ pub enum Entry {
     LeftOut {
         /// How many entries were left out since the last such line.
         entries: u64,
-        /// Their clients and kinds.
-        of: Vec<LeftOut>,
     },
     /// An event as clients see it, and the user whose play it is about.
     #[serde(untagged)]
@@ -253,19 +247,6 @@ pub enum Entry {
     },
 }
 
-/// Entries of one kind that were left out.
-#[derive(Clone, Debug, Serialize)]
-pub struct LeftOut {
-    /// The client's user; null: not known, or none.
-    pub(super) uid: Option<u32>,
-    /// That user's name; null: not known.
-    pub(super) user: Option<String>,
-    /// The command, or the event without a client.
-    pub(super) what: &'static str,
-    /// How many.
-    pub(super) entries: u64,
-}
-
 /// Entries that share a bound.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Kind {
@@ -273,10 +254,8 @@ pub(super) enum Kind {
     Play,
     /// An emergency stop.
     EStop,
-    /// Another command, or an edge of the trigger input.
+    /// Another command, an edge of the trigger input, or an event of the daemon and its device.
     Other,
-    /// An event of the daemon and its device.
-    Daemon,
 }
 
 /// Texts of patterns are UTF-8: [`Record::add_text`](super::Record::add_text) takes no others.
@@ -287,7 +266,6 @@ fn as_text<S: Serializer>(text: &Arc<[u8]>, to: S) -> Result<S::Ok, S::Error> {
 impl Entry {
     /// The entry for an event, if the record keeps it; `client` is the owner of the play that it is
     /// about.
-    #[must_use]
     pub fn of(event: &Event, client: Option<Peer>) -> Option<Self> {
         Some(match event {
             Event::State { .. }
@@ -308,71 +286,41 @@ impl Entry {
         })
     }
 
-    /// Sets the names of users.
-    pub(super) fn name_users(&mut self, mut name: impl FnMut(u32) -> Option<String>) {
-        match self {
-            Self::Command(CommandEntry { user, uid, .. }) | Self::Event { user, uid, .. } => {
-                *user = uid.and_then(name);
-            }
-            Self::LeftOut { of, .. } => {
-                for row in of {
-                    row.user = row.uid.and_then(&mut name);
-                }
-            }
-            _ => {}
+    /// Sets the user's name.
+    pub(super) fn name_user(&mut self, name: impl FnOnce(u32) -> Option<String>) {
+        if let Self::Command(CommandEntry { user, uid, .. }) | Self::Event { user, uid, .. } = self {
+            *user = uid.and_then(name);
         }
     }
 
-    /// Its kind, its client's user, and the command or event.
-    pub(super) fn kind(&self) -> (Kind, Option<u32>, &'static str) {
-        match self {
-            Self::Command(CommandEntry { command, uid, play, .. }) => {
-                let kind = match (*command, play) {
-                    (_, Some(_)) => Kind::Play,
-                    ("estop", _) => Kind::EStop,
-                    _ => Kind::Other,
-                };
-                (kind, *uid, command)
-            }
-            Self::SessionStarted { .. }
-            | Self::SessionEnded { .. }
-            | Self::Pattern { .. }
-            | Self::Answered { .. } => (Kind::Play, None, "session"),
-            Self::Edge { .. } => (Kind::Other, None, "edge"),
-            Self::Event { event, .. } => match **event {
-                Event::Queued { .. }
-                | Event::Began { .. }
-                | Event::Items { .. }
-                | Event::Ended { .. }
-                | Event::SessionReleased { .. } => (Kind::Play, None, event.name()),
-                _ => (Kind::Daemon, None, event.name()),
-            },
-            _ => (Kind::Daemon, None, "daemon"),
-        }
-    }
-
-    /// Whether it belongs to the session that runs, if this is its id.
-    pub(super) fn is_of(&self, running: &str) -> bool {
+    /// The bound that it falls under, and whether it belongs to the running session, if this is its id.
+    pub(super) fn kind(&self, running: &str) -> (Kind, bool) {
         match self {
             Self::SessionStarted { session, .. } | Self::SessionEnded { session, .. } => {
-                session.id == running
+                (Kind::Play, session.id == running)
             }
-            Self::Command(CommandEntry { play, is_of_owner, .. }) => play.is_some() || *is_of_owner,
-            Self::Pattern { .. } | Self::Answered { .. } | Self::Edge { .. } => true,
+            Self::Command(CommandEntry { play: Some(_), .. })
+            | Self::Pattern { .. }
+            | Self::Answered { .. } => (Kind::Play, true),
+            Self::Command(CommandEntry { command: "estop", is_of_owner, .. }) => (Kind::EStop, *is_of_owner),
+            Self::Command(CommandEntry { is_of_owner, .. }) => (Kind::Other, *is_of_owner),
+            Self::Edge { .. } => (Kind::Other, true),
             Self::Event { event, .. } => match &**event {
-                Event::Queued { .. } | Event::Began { .. } | Event::SessionReleased { .. } => true,
-                Event::Items { session, .. } => session.as_deref() == Some(running),
-                Event::Ended { receipt } => receipt.session() == Some(running),
-                _ => false,
+                Event::Queued { .. } | Event::Began { .. } | Event::SessionReleased { .. } => {
+                    (Kind::Play, true)
+                }
+                Event::Items { session, .. } => (Kind::Play, session.as_deref() == Some(running)),
+                Event::Ended { receipt } => (Kind::Play, receipt.session() == Some(running)),
+                _ => (Kind::Other, false),
             },
-            _ => false,
+            _ => (Kind::Other, false),
         }
     }
 
     /// Whether a session lacks something without this entry of its file. Commands that begin no play
     /// do not count: what they do has entries of its own.
     pub(super) fn counts(&self) -> bool {
-        matches!(self.kind().0, Kind::Play) || matches!(self, Self::Edge { .. })
+        self.kind("").0 == Kind::Play || matches!(self, Self::Edge { .. })
     }
 
     /// Whether it is the end of a play.

@@ -2,12 +2,12 @@
 //!
 //! Invariant: an entry is queued, counted as lost, or counted as left out.
 
-use super::entry::{Entry, Kind, LeftOut};
+use super::entry::{Entry, Kind};
 use crossbeam_channel::{Receiver, Sender};
 use jiff::Timestamp;
 use meissner_api::{Losses, Session};
 use meissner_stream::time::HostInstant;
-use std::collections::{BTreeMap, HashSet};
+use std::collections::HashSet;
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
@@ -17,14 +17,10 @@ use tokio::sync::{Notify, oneshot};
 pub(super) const WAITING: u64 = 1024;
 /// The record fails when its disk has done nothing for so long, and something waits.
 pub const STALL: Duration = Duration::from_secs(1);
-/// How long left-out entries are counted before a line reports them.
-pub(super) const REPORT_AFTER: Duration = Duration::from_secs(60);
-/// The most rows of a line about left-out entries. All beyond are counted together.
-pub(super) const ROWS: usize = 32;
 /// Bytes of a pattern's text, and of all texts that wait for the disk, at most.
 pub(super) const MAX_TEXT: usize = 16 << 20;
-/// Sessions whose losses are kept in memory: only what the disk has not yet taken is needed.
-pub(super) const KNOWN: usize = 64;
+/// Files of which the callers know: only what the disk has not yet taken is needed.
+const KNOWN: usize = 65;
 
 /// Where the record is kept.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -53,8 +49,8 @@ impl Stamp {
 #[derive(Debug)]
 pub(super) struct Added {
     pub(super) stamp: Stamp,
-    /// The session in whose file it stands; none: `daemon.jsonl`.
-    pub(super) session: Option<Arc<str>>,
+    /// The session in whose file it stands; empty: `daemon.jsonl`.
+    pub(super) file: Arc<str>,
     pub(super) entry: Entry,
     /// Hears that the entry has a line; dropped if it has none. If nobody listens any more, the line
     /// is taken back.
@@ -69,26 +65,28 @@ pub(super) enum Message {
     Exposure(String, oneshot::Sender<bool>),
     /// Drop this sender when all messages before it are done.
     Written(oneshot::Sender<()>),
-    /// Something is due at another time than before.
-    Look,
     /// The last one.
     Close,
 }
 
 /// Bounds entries that clients and devices make in a loop.
-#[derive(Debug)]
-pub(super) struct Bucket {
-    pub(super) left: f64,
-    pub(super) at: HostInstant,
+#[derive(Clone, Debug)]
+struct Bucket {
+    left: f64,
+    at: HostInstant,
 }
 
 impl Bucket {
     /// Entries at once.
-    pub(super) const BURST: f64 = 20_000.0;
+    const BURST: f64 = 20_000.0;
     /// Entries a second after that.
-    pub(super) const PER_S: f64 = 2.0;
+    const PER_S: f64 = 1.0;
 
-    pub(super) fn takes(&mut self, now: HostInstant) -> bool {
+    fn new() -> Self {
+        Self { left: Self::BURST, at: HostInstant::now() }
+    }
+
+    fn takes(&mut self, now: HostInstant) -> bool {
         let new = Self::PER_S * now.since(self.at).as_secs_f64();
         (self.left, self.at) = ((self.left + new).min(Self::BURST), now);
         let takes = self.left >= 1.0;
@@ -97,21 +95,26 @@ impl Bucket {
     }
 }
 
-/// A session of this daemon.
+/// A file of this daemon: that of a session, or `daemon.jsonl`, whose session has no id.
 #[derive(Clone, Debug)]
 pub struct Known {
     /// At its start, or at its end.
     pub session: Session,
     /// What the disk did not take of it.
     pub lost: Losses,
-    /// What a line in its file says of that.
-    pub(super) said: Losses,
-    /// Whether its file has its end.
+    /// What no line in the file says yet: of what was lost, and entries that were left out.
+    pub(super) unsaid: (Losses, u64),
+    /// Whether the file has its end.
     pub(super) is_written: bool,
+    bucket: Bucket,
 }
 
-/// A session, a user, and a command or event.
-type LeftOutOf = (Option<Arc<str>>, Option<u32>, &'static str);
+impl Known {
+    fn new(session: Session) -> Self {
+        let (lost, unsaid) = Default::default();
+        Self { session, lost, unsaid, is_written: false, bucket: Bucket::new() }
+    }
+}
 
 /// What the thread and the callers share.
 #[derive(Debug)]
@@ -127,67 +130,63 @@ pub(super) struct Shared {
     /// What a reader has found missing.
     pub(super) found: Option<String>,
     pub(super) running: Option<Arc<str>>,
-    pub(super) known: Vec<Known>,
-    /// Entries lost in all, and of `daemon.jsonl` those of which no line says so.
+    /// `daemon.jsonl`, then the sessions.
+    pub(super) files: Vec<Known>,
+    /// Entries lost in all.
     pub(super) lost: u64,
-    pub(super) unsaid: u64,
-    /// Of the running session's file, of `daemon.jsonl`, and for emergency stops.
-    pub(super) buckets: [Bucket; 3],
-    /// What was left out.
-    pub(super) left_out: BTreeMap<LeftOutOf, u64>,
-    pub(super) left_out_since: Option<HostInstant>,
+    estops: Bucket,
     /// Texts that the running session's file has, by SHA-256, and bytes of texts that wait.
     pub(super) texts: HashSet<String>,
     pub(super) text_bytes: usize,
 }
 
 impl Shared {
-    pub(super) fn known(&mut self, id: &str) -> Option<&mut Known> {
-        self.known.iter_mut().rev().find(|known| known.session.id == id)
+    pub(super) fn new(is_closed: bool) -> Self {
+        Self {
+            is_closed,
+            sent: 0,
+            done: 0,
+            since: HostInstant::now(),
+            failure: None,
+            found: None,
+            running: None,
+            files: vec![Known::new(Session::default())],
+            lost: 0,
+            estops: Bucket::new(),
+            texts: HashSet::new(),
+            text_bytes: 0,
+        }
+    }
+
+    /// What is known of a file; of a session that is long over, `daemon.jsonl`.
+    pub(super) fn file(&mut self, id: &str) -> &mut Known {
+        let at = self.files.iter().rposition(|known| known.session.id == id).unwrap_or(0);
+        &mut self.files[at]
+    }
+
+    /// Counts entries that a file lacks.
+    pub(super) fn lack(&mut self, id: &str, entries: u64, plays: u64) {
+        self.lost += entries;
+        let Known { lost, unsaid, .. } = self.file(id);
+        for losses in [lost, &mut unsaid.0] {
+            losses.entries += entries;
+            losses.plays += plays;
+        }
     }
 
     /// Counts an entry that has no line.
-    pub(super) fn lose(&mut self, session: Option<&str>, entry: &Entry) {
-        self.lost += 1;
+    pub(super) fn lose(&mut self, id: &str, entry: &Entry) {
         self.no_longer_waits(entry);
         if let Entry::Pattern { sha256, .. } = entry {
             self.texts.remove(sha256);
         }
-        let plays = u64::from(entry.ends_play());
-        match session.filter(|_| entry.counts()).and_then(|id| self.known(id)) {
-            Some(known) => {
-                known.lost.entries += 1;
-                known.lost.plays += plays;
-            }
-            None => self.unsaid += 1,
-        }
+        self.lack(if entry.counts() { id } else { "" }, 1, u64::from(entry.ends_play()));
     }
 
     pub(super) fn no_longer_waits(&mut self, entry: &Entry) {
         if let Entry::Pattern { text, .. } = entry {
             self.text_bytes -= text.len();
         }
-    }
-
-    /// Takes the line about what was left out of this file.
-    pub(super) fn left_out(&mut self, session: Option<&str>) -> Option<Entry> {
-        let mut rows = Vec::<LeftOut>::new();
-        let mut entries = 0;
-        self.left_out.retain(|(of, uid, what), count| {
-            let is_of = of.as_deref() == session;
-            if is_of {
-                entries += *count;
-                let is_full = rows.len() == ROWS;
-                match rows.last_mut().filter(|_| is_full) {
-                    Some(last) => {
-                        (last.uid, last.what, last.entries) = (None, "others", last.entries + *count);
-                    }
-                    None => rows.push(LeftOut { uid: *uid, user: None, what, entries: *count }),
-                }
-            }
-            !is_of
-        });
-        (entries > 0).then_some(Entry::LeftOut { entries, of: rows })
     }
 
     /// When the disk stands still for too long, unless it does something before.
@@ -198,7 +197,8 @@ impl Shared {
 
 #[derive(Debug)]
 pub(super) struct Inner {
-    pub(super) dir: PathBuf,
+    /// None: nothing is recorded.
+    pub(super) dir: Option<PathBuf>,
     pub(super) messages: Sender<Message>,
     pub(super) shared: Mutex<Shared>,
     pub(super) changed: Arc<Notify>,
@@ -229,45 +229,37 @@ impl Inner {
     pub(super) fn add(&self, entry: Entry, told: Option<oneshot::Sender<()>>) {
         let (mut shared, stamp) = (self.lock(), Stamp::now());
         if let Entry::SessionStarted { session, .. } = &entry {
-            if shared.known.len() == KNOWN {
-                let at = shared.known.iter().position(|known| known.is_written).unwrap_or(0);
-                shared.known.remove(at);
+            if shared.files.len() == KNOWN {
+                let at = shared.files.iter().position(|known| known.is_written).unwrap_or(1);
+                shared.files.remove(at);
             }
-            let (lost, said) = Default::default();
-            let session = (**session).clone();
             shared.running = Some(session.id.as_str().into());
-            shared.known.push(Known { session, lost, said, is_written: false });
+            shared.files.push(Known::new((**session).clone()));
             shared.texts.clear();
         }
-        let session = shared.running.clone().filter(|running| entry.is_of(running));
+        let running = shared.running.clone().unwrap_or_default();
+        let (kind, is_of) = entry.kind(&running);
+        let file = if is_of { running } else { Arc::default() };
         if let Entry::SessionEnded { session, .. } = &entry {
-            if let Some(known) = shared.known(&session.id) {
-                known.session.clone_from(session);
-            }
+            shared.file(&session.id).session.clone_from(session);
             shared.running = None;
         }
-        let (kind, uid, what) = entry.kind();
-        let takes = match (kind, &session) {
-            (Kind::Play, _) => true,
-            (Kind::EStop, _) => shared.buckets[2].takes(stamp.monotonic),
-            (_, Some(_)) => shared.buckets[0].takes(stamp.monotonic),
-            (_, None) => shared.buckets[1].takes(stamp.monotonic),
+        let takes = match kind {
+            Kind::Play => true,
+            Kind::EStop => shared.estops.takes(stamp.monotonic),
+            Kind::Other => shared.file(&file).bucket.takes(stamp.monotonic),
         };
         if !takes {
-            *shared.left_out.entry((session, uid, what)).or_default() += 1;
-            if shared.left_out_since.is_none() {
-                shared.left_out_since = Some(stamp.monotonic);
-                self.send(&mut shared, Message::Look);
-            }
+            shared.file(&file).unsaid.1 += 1;
             return;
         }
         // Others leave room for plays.
         let room = if kind == Kind::Play { WAITING } else { WAITING / 2 };
         if shared.sent - shared.done >= room && !matches!(entry, Entry::SessionEnded { .. }) {
-            shared.lose(session.as_deref(), &entry);
+            shared.lose(&file, &entry);
             self.changed.notify_one();
             return;
         }
-        self.send(&mut shared, Message::Entry(Box::new(Added { stamp, session, entry, told })));
+        self.send(&mut shared, Message::Entry(Box::new(Added { stamp, file, entry, told })));
     }
 }

@@ -4,266 +4,185 @@
 //! each play, and the last line, which says how many there are. A line or file that cannot be read,
 //! or stands where it should not, is named, and reading goes on.
 //!
-//! Bounds: `MAX_LINE` a line; [`MAX_LISTED`] named problems.
+//! Bounds: [`MAX_LINE`] bytes of a line in memory; [`MAX_LISTED`] named problems.
 
 use super::disk::{DAEMON, OLD, SESSIONS, is_name};
-use super::queue::Known;
+use super::queue::{Known, MAX_TEXT};
 use crate::file::open_regular;
 use jiff::Timestamp;
 use jiff::civil::Date;
 use meissner_api::{
     ItemRecord, Losses, MAX_ITEMS, MAX_LISTED, PlayAnswer, PlayState, Receipt, RecordedPlay, Session,
-    SessionPlays, Terms,
+    SessionList, SessionPlays, Terms,
 };
 use serde::Deserialize;
-use serde_json::Value;
+use serde_json::{Value, from_value};
 use std::collections::{BTreeMap, BTreeSet, HashSet};
-use std::fs::{self, File};
+use std::fs;
 use std::io::{self, BufRead, BufReader, Read};
+use std::iter;
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 
-/// The most bytes of a line that is read whole; only texts of patterns are longer.
-const MAX_LINE: usize = 256 << 10;
-/// The most bytes of a line with a text: some of its characters are escaped.
-const MAX_TEXT_LINE: u64 = 128 << 20;
+/// The most bytes of a line: each byte of a text may have six.
+const MAX_LINE: u64 = (6 * MAX_TEXT + 1024) as u64;
 /// Bytes of lines whose plays fit into one answer, at most, unless one play alone has more.
 const MAX_BYTES: usize = 4 << 20;
 /// What a play without a name of its own is called, if it has several items.
 const UNNAMED: &str = "sequence";
 
-/// The directory of the record cannot be read.
-#[derive(Debug, thiserror::Error)]
-#[error("the session record in {} cannot be read: {source}; check that it is there and that the daemon may read it", .dir.display())]
-pub struct RecordError {
-    dir: PathBuf,
-    source: io::Error,
-}
-
-/// Problems, one line each.
+/// Problems, one line each: how many, and the first [`MAX_LISTED`].
 #[derive(Debug, Default)]
-pub struct Problems {
-    /// How many.
-    pub count: u64,
-    /// The first [`MAX_LISTED`].
-    pub lines: Vec<String>,
+struct Problems {
+    count: u64,
+    lines: Vec<String>,
 }
 
-impl Problems {
-    /// Adds one.
-    pub fn add(&mut self, line: String) {
-        self.count += 1;
-        if self.lines.len() < MAX_LISTED {
-            self.lines.push(line);
+impl Extend<String> for Problems {
+    fn extend<T: IntoIterator<Item = String>>(&mut self, lines: T) {
+        for line in lines {
+            self.count += 1;
+            if self.lines.len() < MAX_LISTED {
+                self.lines.push(line);
+            }
         }
     }
-
-    fn extend(&mut self, more: Self) {
-        let unnamed = more.count - more.lines.len() as u64;
-        more.lines.into_iter().for_each(|line| self.add(line));
-        self.count += unnamed;
-    }
 }
 
-/// The sessions of a record, the oldest first, and what is wrong with its files.
-#[derive(Debug, Default)]
-pub struct Sessions {
-    /// The sessions.
-    pub recorded: Vec<Session>,
-    /// The problems.
-    pub problems: Problems,
+/// What is missing of the sessions of a record, in one line; none if nothing.
+pub fn missing(list: &SessionList) -> Option<String> {
+    let lacking = || {
+        let lacks = |session: &&Session| session.lost.any();
+        let Session { id, lost: Losses { entries, plays }, .. } = list.sessions.iter().rfind(lacks)?;
+        Some(format!(
+            "session {id} lacks {entries} entries in the session record, and the ends of {plays} plays"
+        ))
+    };
+    let first = list.problems.first().cloned().or_else(lacking)?;
+    Some(format!("{first}; `meissner session list` lists what is there"))
 }
 
-impl Sessions {
-    /// What is missing, in one line; none if nothing.
-    #[must_use]
-    pub fn missing(&self) -> Option<String> {
-        let lacking = || {
-            let lacks = |session: &&Session| session.lost.any();
-            let Session { id, lost: Losses { entries, plays }, .. } = self.recorded.iter().rfind(lacks)?;
-            Some(format!(
-                "session {id} lacks {entries} entries in the session record, and the ends of {plays} \
-                 plays"
-            ))
-        };
-        let first = self.problems.lines.first().cloned().or_else(lacking)?;
-        Some(format!("{first}; `meissner session list` lists what is there"))
-    }
-}
-
-/// The number and the event of a line.
-#[derive(Deserialize)]
-struct Head {
-    number: Option<u64>,
+/// A line: the keys that are needed, of all its events. Without `event` it is not an entry.
+#[derive(Default, Deserialize)]
+#[serde(default)]
+struct Line {
+    time: String,
+    monotonic_ns: Option<u64>,
     event: String,
+    number: Option<u64>,
+    /// Of a session, of a play, or of the one whose items they are.
+    id: Value,
+    session: Value,
+    ended: bool,
+    play: Option<u64>,
+    user: Option<String>,
+    asked: Value,
+    answer: Value,
+    receipt: Option<OfPlay>,
+    sha256: Option<String>,
+    entries: u64,
+    plays: u64,
+    lines: Option<u64>,
+    #[serde(skip)]
+    json: Vec<u8>,
 }
 
-/// Whether a line holds a text.
-fn has(line: &[u8], text: &str) -> bool {
-    memchr::memmem::find(line, text.as_bytes()).is_some()
+#[derive(Deserialize)]
+struct OfPlay {
+    id: u64,
 }
 
-/// The head of a line; none if it is not an entry. Of a long line only its beginning is there.
-fn head(line: &[u8], is_long: bool) -> Option<Head> {
-    if !is_long {
-        return serde_json::from_slice(line).ok();
-    }
-    let end = memchr::memmem::find(line, b",\"text\":\"")?;
-    let head: Head = serde_json::from_slice(&[line.get(..end)?, b"}"].concat()).ok()?;
-    (head.event == "pattern").then_some(head)
+/// What only the plays that are asked for need.
+#[derive(Deserialize)]
+struct Ended {
+    receipt: Receipt,
+}
+#[derive(Deserialize)]
+struct Items {
+    items: Vec<ItemRecord>,
 }
 
-/// Reads a line without its end into `line`, at most [`MAX_LINE`] of it. Returns whether it is
-/// complete, and whether it is longer; none at the end of the file.
-fn read_line(file: &mut impl BufRead, line: &mut Vec<u8>) -> io::Result<Option<(bool, bool)>> {
-    line.clear();
-    let (mut any, mut is_long) = (false, false);
-    loop {
-        let piece = file.fill_buf()?;
-        if piece.is_empty() {
-            return Ok(any.then_some((false, is_long)));
-        }
-        any = true;
-        let end = memchr::memchr(b'\n', piece);
-        let part = piece.get(..end.unwrap_or(piece.len())).unwrap_or_default();
-        let room = MAX_LINE.saturating_sub(line.len());
-        is_long |= part.len() > room;
-        line.extend_from_slice(part.get(..room).unwrap_or(part));
-        let used = end.map_or(piece.len(), |end| end + 1);
-        file.consume(used);
-        if end.is_some() {
-            return Ok(Some((true, is_long)));
-        }
-    }
-}
-
-/// Calls `see` with each line that is an entry, and `wrong` with the number of each other line.
-fn each(
-    path: &Path,
-    mut see: impl FnMut(Head, &[u8]) -> bool,
-    mut wrong: impl FnMut(usize),
-) -> io::Result<()> {
+/// The lines of a file.
+fn lines(path: &Path) -> io::Result<impl Iterator<Item = io::Result<Line>> + use<>> {
     let mut file = BufReader::with_capacity(1 << 16, open_regular(path)?);
-    let mut line = Vec::new();
-    for at in 1.. {
-        let Some((is_whole, is_long)) = read_line(&mut file, &mut line)? else { break };
-        let head = head(&line, is_long).filter(|_| is_whole);
-        if !head.is_some_and(|head| see(head, &line)) {
-            wrong(at);
+    Ok(iter::from_fn(move || {
+        let mut json = Vec::new();
+        match Read::by_ref(&mut file).take(MAX_LINE).read_until(b'\n', &mut json) {
+            Ok(0) => None,
+            Err(error) => Some(Err(error)),
+            Ok(_) => {
+                let whole = json.ends_with(b"\n").then(|| serde_json::from_slice::<Line>(&json).ok());
+                Some(Ok(Line { json, ..whole.flatten().unwrap_or_default() }))
+            }
         }
-    }
-    Ok(())
+    }))
+}
+
+/// The lines of a file as far as they can be read.
+fn readable(path: &Path) -> impl Iterator<Item = Line> + use<> {
+    lines(path).into_iter().flatten().map_while(Result::ok)
 }
 
 /// The number of the last line of a session's file.
-pub(super) fn last_number(path: &Path) -> io::Result<u64> {
-    let mut last = 0;
-    let see = |head: Head, _: &[u8]| {
-        last = head.number.unwrap_or(last);
-        true
+pub(super) fn last_number(path: &Path) -> u64 {
+    readable(path).filter_map(|line| line.number).last().unwrap_or(0)
+}
+
+/// The files in a directory, in order of their names; none if it is not there.
+pub(super) fn files(dir: &Path) -> io::Result<Vec<PathBuf>> {
+    let mut paths = match fs::read_dir(dir) {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(Vec::new()),
+        entries => entries?.map(|entry| Ok(entry?.path())).collect::<io::Result<Vec<_>>>()?,
     };
-    each(path, see, |_| {})?;
-    Ok(last)
-}
-
-/// A file of a session.
-#[derive(Debug)]
-struct Source {
-    path: PathBuf,
-    /// The session that it holds; by its name, if its content does not say so.
-    id: String,
-    /// Other files that hold it, too.
-    copies: Vec<PathBuf>,
-}
-
-/// The files of sessions in the order of their ids, and what is wrong with them and with others there.
-fn sources(dir: &Path) -> Result<(Vec<Source>, Problems), RecordError> {
-    let wrong = |source| RecordError { dir: dir.to_owned(), source };
-    let mut paths = Vec::new();
-    match fs::read_dir(dir.join(SESSIONS)) {
-        // No session was ever recorded.
-        Err(error) if error.kind() == io::ErrorKind::NotFound => {
-            fs::read_dir(dir).map(drop).or_else(not_found).map_err(wrong)?;
-        }
-        entries => {
-            for entry in entries.map_err(wrong)? {
-                paths.push(entry.map_err(wrong)?.path());
-            }
-        }
-    }
     paths.sort();
-    let (mut sources, mut problems) = (BTreeMap::<String, Source>::new(), Problems::default());
-    for path in paths {
+    Ok(paths)
+}
+
+/// The files of each session by its id, the one that is read first; and what is wrong with them and
+/// with others there. By the name, if the content does not tell the session.
+fn sources(dir: &Path) -> io::Result<(BTreeMap<String, Vec<PathBuf>>, Problems)> {
+    let (mut sources, mut problems) = (BTreeMap::<String, Vec<PathBuf>>::new(), Problems::default());
+    for path in files(&dir.join(SESSIONS))? {
         let name = path.file_name().and_then(|name| name.to_str()).unwrap_or_default();
-        let stem = name.strip_suffix(".jsonl").filter(|_| !path.is_dir());
-        let Some(stem) = stem else {
-            problems.add(format!("{}: {}", path.display(), foreign(&path)));
+        let stem = name.strip_suffix(".jsonl").unwrap_or_default();
+        let found = session_of(&path);
+        let problem = match &found {
+            Ok(id) if id == stem => None,
+            Ok(id) => Some(format!("holds session {id}: somebody has renamed or copied it")),
+            Err(why) => Some(why.clone()),
+        };
+        problems.extend(problem.map(|problem| format!("{}: {problem}", path.display())));
+        if found.is_err() && (!is_name(name) || path.is_dir()) {
             continue;
-        };
-        let (id, problem) = match first_line(&path) {
-            Ok(id) if id == stem => (id, None),
-            Ok(id) => {
-                let says = format!("holds session {id}: somebody has renamed or copied it");
-                (id, Some(says))
-            }
-            Err(why) => (stem.to_owned(), Some(why)),
-        };
-        if let Some(problem) = problem {
-            problems.add(format!("{}: {problem}", path.display()));
-            if !is_name(name) && id == stem {
-                continue;
-            }
         }
-        match sources.get_mut(&id) {
-            // The file with the right name is the one that is read.
-            Some(known) if id == stem => {
-                known.copies.push(std::mem::replace(&mut known.path, path));
-            }
-            Some(known) => known.copies.push(path),
-            None => _ = sources.insert(id.clone(), Source { path, id, copies: Vec::new() }),
-        }
+        let id = found.unwrap_or_else(|_| stem.to_owned());
+        // The file with the right name is the one that is read.
+        let is_first = id == stem;
+        let of = sources.entry(id).or_default();
+        of.insert(if is_first { 0 } else { of.len() }, path);
     }
-    Ok((sources.into_values().collect(), problems))
+    Ok((sources, problems))
 }
 
-fn not_found(error: io::Error) -> io::Result<()> {
-    if error.kind() == io::ErrorKind::NotFound { Ok(()) } else { Err(error) }
-}
-
-/// What a file is that is not called as a session's.
-fn foreign(path: &Path) -> &'static str {
+/// The session whose start is the first line of a file, or why there is none.
+fn session_of(path: &Path) -> Result<String, String> {
     const PACKED: [&str; 6] = ["gz", "zst", "xz", "bz2", "zip", "7z"];
     let end = path.extension().and_then(|end| end.to_str()).unwrap_or_default();
-    match () {
-        () if path.is_dir() => "is a directory: move it elsewhere",
-        () if PACKED.contains(&end) => "is packed: unpack it, or move it elsewhere",
-        () => "is no session's file: move it elsewhere",
-    }
-}
-
-/// The id of the session whose start is the first line of a file, or why there is none.
-fn first_line(path: &Path) -> Result<String, String> {
-    #[derive(Deserialize)]
-    struct Start {
-        session: Id,
-    }
-    #[derive(Deserialize)]
-    struct Id {
-        id: String,
-    }
-    let file = open_regular(path).map_err(|error| format!("cannot be read: {error}"))?;
-    let mut line = Vec::new();
-    let read = read_line(&mut BufReader::new(file), &mut line)
-        .map_err(|error| format!("cannot be read: {error}"))?;
-    if read.is_none() {
-        return Err("is empty: its session is lost".to_owned());
-    }
-    if line.starts_with(b"\x1f\x8b") || line.starts_with(b"\x28\xb5\x2f\xfd") {
-        return Err("is packed: unpack it".to_owned());
-    }
-    let start = head(&line, false).filter(|head| head.event == "session-started");
-    let id = start.and_then(|_| serde_json::from_slice::<Start>(&line).ok());
-    id.map(|start| start.session.id).ok_or_else(|| "its first line is not the start of a session".to_owned())
+    let what = match lines(path).and_then(|mut lines| lines.next().transpose()) {
+        _ if path.is_dir() => "is a directory: move it elsewhere",
+        _ if PACKED.contains(&end) => "is packed: unpack it, or move it elsewhere",
+        _ if end != "jsonl" => "is no session's file: move it elsewhere",
+        Err(error) => return Err(format!("cannot be read: {error}")),
+        Ok(None) => "is empty: its session is lost",
+        Ok(Some(Line { event, session, json, .. })) => match session["id"].as_str() {
+            Some(id) if event == "session-started" => return Ok(id.to_owned()),
+            _ if json.starts_with(b"\x1f\x8b") || json.starts_with(b"\x28\xb5\x2f\xfd") => {
+                "is packed: unpack it"
+            }
+            _ => "its first line is not the start of a session",
+        },
+    };
+    Err(what.to_owned())
 }
 
 /// What a file says of its session.
@@ -275,7 +194,7 @@ struct Scan {
     lines: Option<u64>,
     /// The number of the last line.
     number: u64,
-    /// Lines that are missing by their numbers, stand twice, or cannot be read.
+    /// Lines that are missing by their numbers, and those that stand twice.
     gone: u64,
     repeated: u64,
     unreadable: Problems,
@@ -286,130 +205,111 @@ struct Scan {
     open: BTreeMap<u64, RecordedPlay>,
     /// The hashes of the texts that it has.
     texts: HashSet<String>,
+    /// The plays that are asked for.
+    page: Option<Page>,
 }
 
 impl Scan {
-    /// Reads a file; `see` gets each line whose number follows the ones before.
-    fn of(source: &Source, mut see: impl FnMut(&str, &[u8])) -> Self {
-        let mut scan = Self::default();
-        scan.session.id.clone_from(&source.id);
-        let (path, mut unreadable) = (source.path.display(), Problems::default());
-        let read = each(
-            &source.path,
-            |head, line| {
-                let Some(number) = head.number else { return false };
-                if number <= scan.number {
-                    scan.repeated += 1;
-                    return true;
-                }
-                scan.gone += number - scan.number - 1;
-                scan.number = number;
-                let is_read = scan.see(&head.event, line).is_some();
-                if is_read {
-                    see(&head.event, line);
-                }
-                is_read
-            },
-            |at| unreadable.add(format!("{path}:{at}: not a line of a session")),
-        );
-        if let Err(error) = read {
-            unreadable.add(format!("{path}: cannot be read: {error}"));
-        }
-        // A line that cannot be read is not missing, too.
-        scan.gone = scan.gone.saturating_sub(unreadable.count);
-        scan.unreadable = unreadable;
-        if scan.gone + scan.repeated > 0 {
+    /// Reads the file of a session, if it has one, and adds what the daemon knows of it.
+    fn of(id: &str, path: Option<&PathBuf>, page: Option<Page>, known: &[Known]) -> Self {
+        let session = Session { id: id.to_owned(), ..Session::default() };
+        let mut scan = Self { session, page, ..Self::default() };
+        if let Some(path) = path {
+            let read = scan.read(path);
+            let path = path.display();
+            scan.unreadable.extend(read.err().map(|error| format!("{path}: cannot be read: {error}")));
+            // A line that cannot be read is not missing, too.
+            scan.gone = scan.gone.saturating_sub(scan.unreadable.count);
             let (gone, repeated) = (scan.gone, scan.repeated);
-            scan.unreadable
-                .add(format!("{path}: {gone} lines are missing inside, and {repeated} stand twice"));
+            let says = || format!("{path}: {gone} lines are missing inside, and {repeated} stand twice");
+            scan.unreadable.extend((gone + repeated > 0).then(says));
         }
+        scan.learn(known);
         scan
     }
 
-    fn see(&mut self, event: &str, line: &[u8]) -> Option<()> {
-        #[derive(Deserialize)]
-        struct Whole {
-            session: Session,
-            lines: Option<u64>,
+    fn read(&mut self, path: &Path) -> io::Result<()> {
+        for (line, at) in lines(path)?.zip(1..) {
+            let mut line = line?;
+            let seen = match line.number {
+                None => None,
+                Some(number) if number <= self.number => {
+                    self.repeated += 1;
+                    Some(())
+                }
+                Some(number) => {
+                    self.gone += number - self.number - 1;
+                    self.number = number;
+                    self.see(&mut line)
+                }
+            };
+            let says = || format!("{}:{at}: not a line of a session", path.display());
+            self.unreadable.extend(seen.is_none().then(says));
         }
-        #[derive(Deserialize)]
-        struct Lost {
-            entries: u64,
-            #[serde(default)]
-            plays: u64,
-        }
-        #[derive(Deserialize)]
-        struct Text {
-            sha256: String,
-        }
-        #[derive(Deserialize)]
-        struct End {
-            receipt: Play,
-        }
-        #[derive(Deserialize)]
-        struct Play {
-            id: u64,
-        }
-        match event {
-            "session-started" | "session-ended" => {
-                let Whole { session, lines } = serde_json::from_slice(line).ok()?;
+        Ok(())
+    }
+
+    /// Takes a line whose number follows the ones before. None: it cannot be read.
+    fn see(&mut self, line: &mut Line) -> Option<()> {
+        match (&*line.event, &mut self.page) {
+            ("", _) => return None,
+            ("session-started" | "session-ended", _) => {
+                let session: Session = from_value(line.session.take()).ok()?;
                 if session.id != self.session.id {
                     return None;
                 }
-                self.is_started |= event == "session-started";
-                self.lines = lines;
+                self.is_started |= line.event == "session-started";
+                self.lines = line.lines;
                 let (lost, release_in_s) = (Losses::default(), None);
                 self.session = Session { lost, release_in_s, ..session };
             }
-            "lost" => {
-                let Lost { entries, plays } = serde_json::from_slice(line).ok()?;
-                self.lost.entries += entries;
-                self.lost.plays += plays;
+            ("lost", _) => {
+                self.lost.entries += line.entries;
+                self.lost.plays += line.plays;
             }
-            "left-out" => {
-                self.left_out += serde_json::from_slice::<Lost>(line).ok()?.entries;
-            }
-            "pattern" => {
-                let end = memchr::memmem::find(line, b",\"text\":\"")?;
-                let head = [line.get(..end)?, b"}"].concat();
-                self.texts.insert(serde_json::from_slice::<Text>(&head).ok()?.sha256);
-            }
-            "command" if has(line, "\"play\":") => {
-                let entry = serde_json::from_slice::<Value>(line).ok()?;
-                let is_order = entry["asked"]["session"] == *self.session.id;
-                if let Some(play) =
-                    asked(&entry).filter(|play| is_order && !self.ended.contains(&play.receipt.id))
+            ("left-out", _) => self.left_out += line.entries,
+            ("pattern", _) => _ = self.texts.insert(line.sha256.take()?),
+            ("command", _) => {
+                if let Some(play) = asked(line, &self.session.id)
+                    && !self.ended.contains(&play.receipt.id)
                 {
                     self.open.insert(play.receipt.id, play);
                 }
             }
-            "ended" => {
-                let End { receipt: Play { id } } = serde_json::from_slice(line).ok()?;
+            ("ended", page) => {
+                let OfPlay { id } = line.receipt.take()?;
                 self.open.remove(&id);
                 self.ended.insert(id);
+                if let Some(page) = page {
+                    page.end(&self.session.id, line)?;
+                }
+            }
+            ("items", Some(page)) => {
+                let Items { items } = serde_json::from_slice(&line.json).ok()?;
+                page.items(line.id.as_u64()?, items, line.json.len());
+            }
+            ("answered", Some(page)) => {
+                let answer = from_value(line.answer.take()).ok()?;
+                page.answers.entry(line.play?).or_insert(answer);
             }
             _ => {}
         }
         Some(())
     }
 
-    /// Adds what the daemon knows of a session, of which the disk may lack lines.
-    fn learn(&mut self, known: &[Known], running: Option<&Session>) {
-        let id = self.session.id.clone();
-        let is_it = |session: &Session| session.id == id;
-        if let Some(known) = known.iter().rev().find(|known| is_it(&known.session)) {
+    /// Adds what the daemon knows, of which the disk may lack lines.
+    fn learn(&mut self, known: &[Known]) {
+        if let Some(known) = known.iter().rfind(|known| known.session.id == self.session.id) {
             self.is_started = true;
             self.lost = known.lost;
             self.session.clone_from(&known.session);
-        }
-        if let Some(running) = running.filter(|running| is_it(running)) {
-            self.session.clone_from(running);
         } else if self.session.reason.is_none() {
             // Its daemon ended without its end. The number of plays is nowhere else.
             self.session.reason = Some("unknown".to_owned());
             let all = self.ended.len() + self.open.len();
             self.session.plays = all as u64 + self.lost.plays;
         }
+        self.gone = self.gone.max(u64::from(!self.is_started));
         self.session.lost.entries = self.lost.entries + self.gone;
         if self.session.reason.is_some() {
             self.session.lost.plays = self.session.plays.saturating_sub(self.ended.len() as u64);
@@ -417,7 +317,7 @@ impl Scan {
     }
 
     /// What is missing of the session, one line each.
-    fn missing(&self, source: Option<&Source>) -> Vec<String> {
+    fn missing(&self, copies: &[PathBuf]) -> Vec<String> {
         let mut missing = Vec::new();
         match self.session.reason.as_deref() {
             None => missing.push("the session still runs: end it first".to_owned()),
@@ -447,7 +347,7 @@ impl Scan {
         if self.lines.is_some_and(|lines| lines != self.number) {
             missing.push("its end does not stand at the end, or has another number".to_owned());
         }
-        for copy in source.into_iter().flat_map(|source| &source.copies) {
+        for copy in copies {
             missing.push(format!("{} holds it, too: move one elsewhere", copy.display()));
         }
         missing
@@ -456,25 +356,9 @@ impl Scan {
 
 /// Whether `daemon.jsonl` and the older ones say that sessions have ended, by id.
 fn noted(dir: &Path) -> BTreeMap<String, bool> {
-    #[derive(Deserialize)]
-    struct Noted {
-        id: String,
-        ended: bool,
-    }
-    let mut noted = BTreeMap::new();
-    for path in daemon_files(dir) {
-        let see = |head: Head, line: &[u8]| {
-            if head.event == "session"
-                && let Ok(Noted { id, ended }) = serde_json::from_slice(line)
-            {
-                noted.insert(id, ended);
-            }
-            true
-        };
-        // Without a file, nothing is noted.
-        let _ = each(&path, see, |_| {});
-    }
-    noted
+    let lines = daemon_files(dir).flat_map(|path| readable(&path));
+    let sessions = lines.filter(|line| line.event == "session");
+    sessions.filter_map(|line| Some((line.id.as_str()?.to_owned(), line.ended))).collect()
 }
 
 /// The files of what belongs to no session, the oldest first.
@@ -483,53 +367,36 @@ fn daemon_files(dir: &Path) -> impl Iterator<Item = PathBuf> {
     old.chain([DAEMON.to_owned()]).map(|name| dir.join(name))
 }
 
-/// The sessions of the record. `known` are those of the running daemon of which the disk may lack
-/// lines; `running` is the running session.
+/// The sessions of the record; `known` are those of the running daemon of which the disk may lack lines.
 ///
 /// # Errors
 /// If its directory cannot be read.
-pub fn sessions(dir: &Path, known: &[Known], running: Option<&Session>) -> Result<Sessions, RecordError> {
+pub fn sessions(dir: &Path, known: &[Known]) -> io::Result<SessionList> {
     // Read first: what is noted there has a file by then.
     let noted = noted(dir);
-    let (sources, mut problems) = sources(dir)?;
-    let mut recorded = Vec::new();
-    for source in &sources {
-        let mut scan = Scan::of(source, |_, _| {});
-        let is_cut = scan.lines.is_none() && noted.get(&source.id) == Some(&true);
-        scan.learn(known, running);
-        if is_cut {
-            let path = source.path.display();
-            scan.unreadable.add(format!("{path}: is cut: the end of the session is gone"));
-        }
-        for copy in &source.copies {
-            let (copy, path) = (copy.display(), source.path.display());
-            problems.add(format!("{copy}: holds session {}, as {path} does", source.id));
-        }
-        problems.extend(std::mem::take(&mut scan.unreadable));
-        recorded.push(scan.session);
-    }
-    let is_there = |id: &str| recorded.iter().any(|session: &Session| session.id == id);
-    for id in noted.keys().filter(|id| !is_there(id)) {
+    let (mut sources, mut problems) = sources(dir)?;
+    for id in noted.keys().filter(|id| !sources.contains_key(*id)) {
         let path = dir.join(SESSIONS).join(format!("{id}.jsonl"));
-        problems.add(format!("{}: is missing, with session {id}", path.display()));
+        problems.extend([format!("{}: is missing, with session {id}", path.display())]);
     }
-    let mut more: Vec<Session> = Vec::new();
-    for session in known.iter().map(|known| &known.session).chain(running) {
-        if !is_there(&session.id) && !more.iter().any(|other| other.id == session.id) {
-            more.push(without_file(&session.id, known, running).session);
+    for known in known {
+        sources.entry(known.session.id.clone()).or_default();
+    }
+    let mut sessions = Vec::new();
+    for (id, paths) in &sources {
+        let scan = Scan::of(id, paths.first(), None, known);
+        if let Some((path, copies)) = paths.split_first() {
+            let path = path.display();
+            let says = |copy: &PathBuf| format!("{}: holds session {id}, as {path} does", copy.display());
+            problems.extend(copies.iter().map(says));
+            let is_cut = scan.lines.is_none() && noted.get(id) == Some(&true);
+            problems.extend(is_cut.then(|| format!("{path}: is cut: the end of the session is gone")));
+            problems.count += scan.unreadable.count - scan.unreadable.lines.len() as u64;
+            problems.extend(scan.unreadable.lines);
         }
+        sessions.push(scan.session);
     }
-    recorded.extend(more);
-    recorded.sort_by(|a, b| a.id.cmp(&b.id));
-    Ok(Sessions { recorded, problems })
-}
-
-/// A session of the running daemon that has no file.
-fn without_file(id: &str, known: &[Known], running: Option<&Session>) -> Scan {
-    let session = Session { id: id.to_owned(), ..Session::default() };
-    let mut scan = Scan { session, ..Scan::default() };
-    scan.learn(known, running);
-    scan
+    Ok(SessionList { sessions, unreadable: problems.count, problems: problems.lines })
 }
 
 /// The plays of a session from number `from` on, as many as 4 MiB of lines have, in the order of their
@@ -542,40 +409,32 @@ pub fn plays(
     dir: &Path,
     id: &str,
     known: &[Known],
-    running: Option<&Session>,
     from: usize,
-) -> Result<Option<(SessionPlays, HashSet<String>)>, RecordError> {
-    let (sources, _) = sources(dir)?;
-    let source = sources.iter().find(|source| source.id == id);
-    let mut answer = Answer { from, ..Answer::default() };
-    let mut scan = match source {
-        Some(source) => {
-            let mut scan = Scan::of(source, |event, line| answer.see(id, event, line));
-            scan.learn(known, running);
-            scan
-        }
-        None if known.iter().map(|known| &known.session).chain(running).any(|of| of.id == id) => {
-            without_file(id, known, running)
-        }
-        None => return Ok(None),
-    };
+) -> io::Result<Option<(SessionPlays, HashSet<String>)>> {
+    let paths = sources(dir)?.0.remove(id);
+    if paths.is_none() && !known.iter().any(|known| known.session.id == id) {
+        return Ok(None);
+    }
+    let paths = paths.unwrap_or_default();
+    let mut scan = Scan::of(id, paths.first(), Some(Page { from, ..Page::default() }), known);
+    let mut page = scan.page.take().unwrap_or_default();
     // The running daemon may still be playing these.
     if scan.session.reason.is_some() {
         let open = std::mem::take(&mut scan.open);
-        open.into_values().for_each(|play| answer.add(play, 0));
+        open.into_values().for_each(|play| page.add(play, 0));
     }
     // An answer comes after the end of its play, or before.
-    for play in &mut answer.plays {
-        play.answer = answer.answers.get(&play.receipt.id).cloned();
+    for play in &mut page.plays {
+        play.answer = page.answers.get(&play.receipt.id).cloned();
     }
-    let mut missing = scan.missing(source);
-    missing.extend(answer.short);
+    let mut missing = scan.missing(paths.get(1..).unwrap_or_default());
+    missing.extend(page.short);
     missing.truncate(MAX_LISTED);
     let plays = SessionPlays {
         complete: missing.is_empty(),
         missing,
-        more: answer.seen > from + answer.plays.len(),
-        plays: answer.plays,
+        more: page.seen > from + page.plays.len(),
+        plays: page.plays,
         plays_missing: scan.session.plays.saturating_sub(scan.ended.len() as u64),
         lost: scan.lost.entries + scan.gone,
         left_out: scan.left_out,
@@ -588,7 +447,7 @@ pub fn plays(
 
 /// The plays of an answer.
 #[derive(Default)]
-struct Answer {
+struct Page {
     from: usize,
     seen: usize,
     bytes: usize,
@@ -602,44 +461,35 @@ struct Answer {
     short: Vec<String>,
 }
 
-impl Answer {
-    /// Takes a line of a session's file. One that cannot be read has no play.
-    fn see(&mut self, id: &str, event: &str, line: &[u8]) {
-        if !matches!(event, "items" | "ended" | "answered") {
-            return;
+impl Page {
+    fn items(&mut self, of: u64, part: Vec<ItemRecord>, bytes: usize) {
+        if self.items.0 != of {
+            self.items = (of, Vec::new(), 0);
         }
-        let Ok(mut entry) = serde_json::from_slice::<Value>(line) else { return };
-        match event {
-            "items" => {
-                let part = serde_json::from_value::<Vec<ItemRecord>>(entry["items"].take());
-                let (Some(of), Ok(part)) = (entry["id"].as_u64(), part) else { return };
-                if self.items.0 != of {
-                    self.items = (of, Vec::new(), 0);
-                }
-                let room = MAX_ITEMS.saturating_sub(self.items.1.len());
-                self.items.1.extend(part.into_iter().take(room));
-                self.items.2 += line.len();
-            }
-            "answered" => {
-                let answer = serde_json::from_value::<PlayAnswer>(entry["answer"].take());
-                if let (Some(play), Ok(answer)) = (entry["play"].as_u64(), answer) {
-                    self.answers.entry(play).or_insert(answer);
-                }
-            }
-            _ => {
-                let Ok(mut receipt) = serde_json::from_value::<Receipt>(entry["receipt"].take()) else {
-                    return;
-                };
-                if receipt.session() != Some(id) {
-                    return;
-                }
-                let (of, listed, bytes) = std::mem::take(&mut self.items);
-                if receipt.items.is_none() && of == receipt.id {
-                    receipt.items = Some(listed.into());
-                }
-                self.add(played(&entry, receipt), bytes + line.len());
-            }
+        let room = MAX_ITEMS.saturating_sub(self.items.1.len());
+        self.items.1.extend(part.into_iter().take(room));
+        self.items.2 += bytes;
+    }
+
+    /// Adds a play from its recorded end.
+    fn end(&mut self, session: &str, line: &mut Line) -> Option<()> {
+        let Ended { mut receipt } = serde_json::from_slice(&line.json).ok()?;
+        if receipt.session() != Some(session) {
+            return Some(());
         }
+        let (of, listed, bytes) = std::mem::take(&mut self.items);
+        if receipt.items.is_none() && of == receipt.id {
+            receipt.items = Some(listed.into());
+        }
+        let after_ns = receipt.onset.and_then(|onset| line.monotonic_ns?.checked_sub(onset.monotonic_ns));
+        let wall = line.time.parse::<Timestamp>().ok();
+        let wall_ns = wall.and_then(|wall| i64::try_from(wall.as_nanosecond()).ok());
+        let onset_wall_ns = wall_ns.zip(after_ns).and_then(|(wall, after)| wall.checked_sub_unsigned(after));
+        let reported_after_s = after_ns.map(|after| after as f64 / 1e9);
+        let user = line.user.take();
+        let play = RecordedPlay { receipt, user, onset_wall_ns, reported_after_s, ..RecordedPlay::default() };
+        self.add(play, bytes + line.json.len());
+        Some(())
     }
 
     /// Adds a play whose lines have so many bytes.
@@ -662,59 +512,28 @@ impl Answer {
     }
 }
 
-/// A play whose end is missing, from its recorded command.
-fn asked(entry: &Value) -> Option<RecordedPlay> {
-    let asked = &entry["asked"];
+/// A play of a session whose end is missing, from its recorded command.
+fn asked(line: &mut Line, session: &str) -> Option<RecordedPlay> {
+    let mut asked = line.asked.take();
     let name = asked["pattern"].as_str().or(asked["name"].as_str()).unwrap_or(UNNAMED);
     let mut receipt = Receipt::new(name, "", 1, &Terms::default());
-    receipt.id = entry["play"].as_u64()?;
+    receipt.id = line.play?;
     receipt.state = PlayState::Unknown;
     receipt.order.items = asked["items"].as_u64().unwrap_or(1);
     let terms = &mut receipt.order.terms;
-    terms.session = asked["session"].as_str().map(str::to_owned);
+    terms.session = Some(asked["session"].as_str().filter(|of| *of == session)?.to_owned());
     terms.trial = asked["trial"].as_u64();
-    terms.labels = serde_json::from_value(asked["labels"].clone()).unwrap_or_default();
-    let user = entry["user"].as_str().map(str::to_owned);
-    Some(RecordedPlay { receipt, user, ..RecordedPlay::default() })
-}
-
-/// A play from its recorded end.
-fn played(entry: &Value, receipt: Receipt) -> RecordedPlay {
-    let after_ns =
-        receipt.onset.and_then(|onset| entry["monotonic_ns"].as_u64()?.checked_sub(onset.monotonic_ns));
-    let wall = entry["time"].as_str().and_then(|time| time.parse::<Timestamp>().ok());
-    let wall_ns = wall.and_then(|wall| i64::try_from(wall.as_nanosecond()).ok());
-    let at_onset = wall_ns.zip(after_ns).and_then(|(wall, after)| wall.checked_sub_unsigned(after));
-    RecordedPlay {
-        user: entry["user"].as_str().map(str::to_owned),
-        onset_wall_ns: at_onset,
-        reported_after_s: after_ns.map(|after| after as f64 / 1e9),
-        receipt,
-        ..RecordedPlay::default()
-    }
+    terms.labels = from_value(asked["labels"].take()).unwrap_or_default();
+    Some(RecordedPlay { receipt, user: line.user.take(), ..RecordedPlay::default() })
 }
 
 /// Whether the record has plays of a day: in `daemon.jsonl`, or in a session that began about then.
-#[must_use]
 pub fn has_plays(dir: &Path, day: Date) -> bool {
-    let near = [day.yesterday().ok(), Some(day), day.tomorrow().ok()];
-    let near = near.map(|day| day.map(|day| day.strftime("%Y%m%d").to_string()));
-    let is_near = |path: &PathBuf| {
-        let name = path.file_name().and_then(|name| name.to_str()).unwrap_or_default();
-        near.iter().flatten().any(|day| name.starts_with(day.as_str()))
-    };
-    let sessions = fs::read_dir(dir.join(SESSIONS)).into_iter().flatten().flatten();
-    let sessions = sessions.map(|entry| entry.path()).filter(is_near);
-    let time = format!("{{\"time\":\"{day}T");
-    daemon_files(dir).chain(sessions).any(|path| {
-        let mut found = false;
-        let see = |head: Head, line: &[u8]| {
-            found |= head.event == "began" && line.starts_with(time.as_bytes());
-            true
-        };
-        let _ = each(&path, see, |_| {});
-        found
-    })
+    let since = dir.join(SESSIONS).join(day.yesterday().unwrap_or(day).strftime("%Y%m%d").to_string());
+    let sessions = files(&dir.join(SESSIONS)).unwrap_or_default().into_iter();
+    let time = format!("{day}T");
+    let began = |line: Line| line.event == "began" && line.time.starts_with(&time);
+    daemon_files(dir).chain(sessions.filter(|path| *path >= since)).any(|path| readable(&path).any(began))
 }
 
 /// The text of this SHA-256, which must be hexadecimal, as a session's file has it; the caller must
@@ -725,39 +544,20 @@ pub fn has_plays(dir: &Path, day: Date) -> bool {
 pub fn read_text(dir: &Path, sha256: &str) -> io::Result<Vec<u8>> {
     /// The file that had the last one: an export asks for all texts of a session.
     static LAST: Mutex<Option<PathBuf>> = Mutex::new(None);
-    let mut paths = Vec::new();
-    for entry in fs::read_dir(dir.join(SESSIONS))? {
-        paths.push(entry?.path());
-    }
-    paths.sort();
-    let mut last = LAST.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
-    paths.extend(last.clone().filter(|path| path.starts_with(dir)));
-    for path in paths.into_iter().rev() {
-        if let Ok(Some(text)) = open_regular(&path).and_then(|file| text_in(file, sha256)) {
-            *last = Some(path);
-            return Ok(text);
-        }
-    }
-    Err(io::ErrorKind::NotFound.into())
-}
-
-/// The text of this SHA-256 in a session's file.
-fn text_in(file: File, sha256: &str) -> io::Result<Option<Vec<u8>>> {
     #[derive(Deserialize)]
     struct Pattern {
         text: String,
     }
-    let (mut file, mut line) = (BufReader::with_capacity(1 << 16, file), Vec::new());
-    let wanted = format!(",\"event\":\"pattern\",\"sha256\":\"{sha256}\",\"text\":\"");
-    loop {
-        line.clear();
-        if Read::by_ref(&mut file).take(MAX_TEXT_LINE).read_until(b'\n', &mut line)? == 0 {
-            return Ok(None);
-        }
-        // A line begins with its times and number.
-        if has(line.get(..line.len().min(300)).unwrap_or_default(), &wanted) {
-            let read = serde_json::from_slice::<Pattern>(&line);
-            return Ok(read.ok().map(|pattern| pattern.text.into_bytes()));
+    let mut paths = files(&dir.join(SESSIONS))?;
+    let mut last = LAST.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+    paths.extend(last.clone().filter(|path| path.starts_with(dir)));
+    for path in paths.into_iter().rev() {
+        let is_it = |line: &Line| line.event == "pattern" && line.sha256.as_deref() == Some(sha256);
+        let text = readable(&path).find(is_it).and_then(|line| serde_json::from_slice(&line.json).ok());
+        if let Some(Pattern { text }) = text {
+            *last = Some(path);
+            return Ok(text.into_bytes());
         }
     }
+    Err(io::ErrorKind::NotFound.into())
 }

@@ -38,7 +38,6 @@ impl Users {
     }
 
     /// A user's name, without a look-up; the outer `None` means that the user was never looked up.
-    #[must_use]
     pub fn known(&self, uid: u32) -> Option<Option<String>> {
         self.lock().get(&uid).map(|known| known.name.clone())
     }

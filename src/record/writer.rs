@@ -7,25 +7,27 @@
 //! Invariants: after each message each file ends with a whole line; the numbers of the lines of a
 //! session's file are 1, 2, 3 and so on, and its last line says how many there are.
 
-use super::disk::{DAEMON, Disk, Failure, Left, OLD, Open, SESSIONS, at, is_name, lock, make_dir};
+use super::disk::{DAEMON, Disk, Left, OLD, Open, SESSIONS, at, is_name, lock, make_dir};
 use super::entry::Entry;
-use super::queue::{Added, Inner, Known, Location, Message, REPORT_AFTER, STALL, Stamp};
+use super::queue::{Added, Inner, Location, Message, STALL, Stamp};
 use super::users::Users;
 use super::{json, reader};
 use crate::clock;
 use crate::exposure;
 use crossbeam_channel::{Receiver, RecvTimeoutError};
 use jiff::tz::TimeZone;
+use meissner_api::Losses;
 use meissner_stream::time::{HostInstant, is_virtual};
 use serde::Serialize;
-use std::fs::{self, DirBuilder, File};
+use std::fs::{DirBuilder, File};
 use std::io;
 use std::mem;
 use std::os::unix::fs::DirBuilderExt;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::thread;
-use std::time::{Duration, Instant};
+use std::time::Duration;
+use tokio::sync::oneshot;
 use tracing::{info, warn};
 
 /// How long after its writing a line is made durable: half a second, which leaves a slow disk another
@@ -33,9 +35,6 @@ use tracing::{info, warn};
 const SYNC_AFTER: Duration = Duration::from_millis(500);
 /// Time between tries on a disk that failed, and between looks at the running session's file.
 const RETRY_AFTER: Duration = Duration::from_secs(1);
-/// How long an entry waits for its user's name. After a look-up took longer, entries no longer wait,
-/// because the directory service may hang.
-const NAME_TIMEOUT: Duration = Duration::from_millis(200);
 /// The size of `daemon.jsonl` when it is renamed.
 const MAX_DAEMON: u64 = 16 << 20;
 
@@ -50,27 +49,36 @@ struct Line<'a> {
     entry: &'a Entry,
 }
 
-/// A session's file that has not all of its lines yet, or whose lines are not durable.
-#[derive(Debug)]
-struct SessionFile {
+/// A file: a session's that has not all of its lines yet, or whose lines are not durable, or
+/// `daemon.jsonl`.
+#[derive(Debug, Default)]
+struct Lines {
+    /// The session; empty: `daemon.jsonl`.
     id: Arc<str>,
+    path: PathBuf,
     open: Option<Open>,
-    /// As it was left when it was open last.
+    /// As it was left when it was open last, and its length before the last line.
     left: Option<Left>,
+    before: u64,
     /// The number of its last line.
     number: u64,
     /// Its first line.
-    start: (Stamp, Entry),
+    start: Option<(Stamp, Entry)>,
+    /// Whether `daemon.jsonl` says that it has begun.
+    is_noted: bool,
     /// Its last line, once it is known.
     end: Option<(Stamp, Entry)>,
     is_over: bool,
 }
 
+/// The place of `daemon.jsonl` among the files.
+const REST: usize = 0;
+
 /// The work of the thread.
 #[derive(Debug)]
 pub struct Recorder {
     inner: Arc<Inner>,
-    make_parents: bool,
+    location: Location,
     queue: Receiver<Message>,
     users: Arc<Users>,
     /// Names of users come too slowly to wait for each.
@@ -79,14 +87,14 @@ pub struct Recorder {
     zone: TimeZone,
     /// The locked directory.
     lock: Option<File>,
-    daemon: Option<Open>,
-    sessions: Vec<SessionFile>,
-    /// When to try a failing disk again.
-    retry: Option<HostInstant>,
+    /// `daemon.jsonl`, then the sessions'.
+    files: Vec<Lines>,
+    /// Whether the disk has refused what it was given last.
+    fails: bool,
+    /// When to try a failing disk again, or look whether a session's file is as it was left.
+    look: Option<HostInstant>,
     /// When lines must be made durable.
     sync: Option<HostInstant>,
-    /// When to look whether the running session's file is as it was left.
-    look: Option<HostInstant>,
 }
 
 impl Recorder {
@@ -97,25 +105,10 @@ impl Recorder {
         users: Arc<Users>,
         disk: Box<dyn Disk>,
     ) -> Self {
-        let (retry, sync, look) = Default::default();
-        let make_parents = location.make_parents;
-        let (slow, lock, daemon, sessions) = (false, None, None, Vec::new());
+        let (slow, lock, fails, look, sync) = Default::default();
+        let files = vec![Lines { path: location.dir.join(DAEMON), ..Lines::default() }];
         let zone = clock::zone();
-        Self {
-            inner,
-            make_parents,
-            queue,
-            users,
-            slow,
-            disk,
-            zone,
-            lock,
-            daemon,
-            sessions,
-            retry,
-            sync,
-            look,
-        }
+        Self { inner, location, queue, users, slow, disk, zone, lock, files, fails, look, sync }
     }
 
     /// Works until it is closed.
@@ -146,37 +139,29 @@ impl Recorder {
     }
 
     fn due(&self) -> Option<HostInstant> {
-        let report = self.inner.lock().left_out_since.map(|since| since + REPORT_AFTER);
-        [self.retry, self.sync, self.look, report].into_iter().flatten().min()
+        self.look.into_iter().chain(self.sync).min()
     }
 
     fn wake(&mut self) {
         let now = HostInstant::now();
-        if self.retry.take_if(|at| *at <= now).is_some() {
-            match self.all() {
-                Ok(()) => self.recovered(),
+        if self.look.take_if(|at| *at <= now).is_some() {
+            match self.bring_all() {
+                Ok(()) if self.fails => self.recovered(),
+                Ok(()) => {}
                 Err(failure) => self.fail(&failure),
             }
-        }
-        if self.look.take_if(|at| *at <= now).is_some() {
-            if let Err(failure) = self.look() {
-                self.fail(&failure);
-            }
-            self.look = self.sessions.iter().any(|of| !of.is_over).then(|| now + RETRY_AFTER);
+            let runs = self.files.iter().skip(1).any(|of| !of.is_over);
+            self.look = self.look.or(runs.then(|| now + RETRY_AFTER));
         }
         if self.sync.take_if(|at| *at <= now).is_some() {
             self.make_durable();
-        }
-        let report = self.inner.lock().left_out_since.take_if(|at| *at + REPORT_AFTER <= now);
-        if report.is_some() && self.retry.is_none() {
-            self.report();
         }
     }
 
     fn take(&mut self, message: Message) {
         match message {
             Message::Exposure(text, saved) => {
-                let path = self.inner.dir.join(exposure::FILE);
+                let path = self.location.dir.join(exposure::FILE);
                 let replaced = self.ready().and_then(|()| self.disk.replace(&path, text.as_bytes()));
                 // Perhaps nothing waits for it any more.
                 let _ = saved.send(replaced.is_ok());
@@ -185,10 +170,10 @@ impl Recorder {
                 }
             }
             Message::Written(waiting) => drop(waiting),
-            Message::Look | Message::Close => {}
+            Message::Close => {}
             Message::Entry(mut added) => {
                 let (users, slow) = (&self.users, &mut self.slow);
-                added.entry.name_users(|uid| name(users, uid, slow));
+                added.entry.name_user(|uid| name(users, uid, slow));
                 self.write(*added);
             }
         }
@@ -202,104 +187,80 @@ impl Recorder {
 
     /// Writes an entry, or counts it as lost.
     fn write(&mut self, added: Added) {
-        let Added { stamp, session, entry, told } = added;
-        let id = session.as_deref();
-        if let (Some(id), Entry::SessionStarted { .. }) = (&session, &entry) {
-            self.sessions.push(SessionFile {
-                id: Arc::clone(id),
-                open: None,
-                left: None,
-                number: 0,
-                start: (stamp, entry.clone()),
-                end: None,
-                is_over: false,
-            });
-            self.look = Some(HostInstant::now() + RETRY_AFTER);
-        }
-        let is_needed = told.is_some();
-        let is_end = matches!(entry, Entry::SessionEnded { .. });
-        if is_end && let Some(at) = self.place(id) {
-            self.sessions[at].end = Some((stamp, entry.clone()));
-        }
-        if self.retry.is_some() {
-            self.lost(id, &entry, is_needed);
+        let Added { stamp, file: id, entry, told } = added;
+        if told.as_ref().is_some_and(oneshot::Sender::is_closed) {
+            // Its client has the answer that there is no line.
             return;
         }
-        match self.try_write(id, stamp, &entry) {
-            // Its client has the answer that there is no line.
-            Ok(()) if told.is_some_and(|told| told.send(()).is_err()) => self.take_back(id),
-            Ok(()) => self.inner.lock().no_longer_waits(&entry),
-            Err(failure) => {
-                self.fail(&failure);
-                self.lost(id, &entry, is_needed);
+        let is_needed = told.is_some();
+        if let Entry::SessionStarted { .. } = &entry {
+            let path = self.location.dir.join(SESSIONS).join(format!("{id}.jsonl"));
+            let (id, start) = (Arc::clone(&id), Some((stamp, entry.clone())));
+            self.files.push(Lines { id, path, start, ..Lines::default() });
+            self.look.get_or_insert_with(|| HostInstant::now() + RETRY_AFTER);
+        }
+        let place = self.place(&id);
+        if place != REST
+            && let Entry::SessionEnded { .. } = &entry
+        {
+            self.files[place].end = Some((stamp, entry.clone()));
+        }
+        if !self.fails {
+            match self.bring(place, Some((stamp, &entry))) {
+                Ok(()) if told.is_some_and(|told| told.send(()).is_err()) => return self.take_back(place),
+                Ok(()) => return self.inner.lock().no_longer_waits(&entry),
+                Err(failure) => self.fail(&failure),
             }
         }
-    }
-
-    /// Notes that an entry has no line. Starts and ends of sessions get theirs later, but a start that
-    /// somebody waits for is refused.
-    fn lost(&mut self, id: Option<&str>, entry: &Entry, is_needed: bool) {
-        match entry {
-            Entry::SessionStarted { .. } if is_needed => self.remove(id),
+        match &entry {
+            // They get their lines later, but a start that somebody waits for is refused.
+            Entry::SessionStarted { .. } if is_needed => self.remove(&id),
             Entry::SessionStarted { .. } | Entry::SessionEnded { .. } => {}
             // The client knows that it is not recorded.
             Entry::Answered { .. } if is_needed => {}
-            _ => self.inner.lock().lose(id, entry),
+            _ => self.inner.lock().lose(&id, &entry),
         }
         self.inner.changed.notify_one();
     }
 
+    /// The place of a session's file, or of `daemon.jsonl`.
+    fn place(&self, id: &str) -> usize {
+        self.files.iter().rposition(|of| *of.id == *id).unwrap_or(REST)
+    }
+
     /// Removes the file of a session that was not started.
-    fn remove(&mut self, id: Option<&str>) {
-        let name = format!("{}.jsonl", id.unwrap_or_default());
-        // Perhaps there is none.
-        let _ = self.disk.remove(&self.inner.dir.join(SESSIONS).join(name));
-        self.sessions.retain(|of| Some(&*of.id) != id);
-    }
-
-    fn place(&self, id: Option<&str>) -> Option<usize> {
-        self.sessions.iter().position(|of| Some(&*of.id) == id)
-    }
-
-    fn try_write(&mut self, id: Option<&str>, stamp: Stamp, entry: &Entry) -> Result<(), Failure> {
-        let Some(at) = self.place(id) else { return self.write_to_daemon(stamp, entry) };
-        match entry {
-            Entry::SessionStarted { .. } | Entry::SessionEnded { .. } => self.complete(at),
-            entry => {
-                self.complete(at)?;
-                self.write_to_session(at, stamp, entry)
-            }
+    fn remove(&mut self, id: &str) {
+        let is_it = |of: &mut Lines| *of.id == *id;
+        for of in self.files.extract_if(REST + 1.., is_it) {
+            // Perhaps there is none.
+            let _ = self.disk.remove(&of.path);
         }
     }
 
     /// Takes the last line of a file back.
-    fn take_back(&mut self, id: Option<&str>) {
-        let Some(of) = self.place(id).and_then(|at| self.sessions.get_mut(at)) else { return };
+    fn take_back(&mut self, place: usize) {
+        let of = &mut self.files[place];
         let Some(open) = &mut of.open else { return };
         if of.number == 1 {
-            return self.remove(id);
+            let id = Arc::clone(&of.id);
+            return self.remove(&id);
         }
-        let mut whole = || {
-            let text = fs::read(&open.path)?;
-            let before = text.get(..text.len().saturating_sub(1)).unwrap_or_default();
-            let whole = memchr::memrchr(b'\n', before).map_or(0, |at| at as u64 + 1);
-            self.disk.cut(&open.file, whole)?;
-            open.left.2 = whole;
-            io::Result::Ok(())
-        };
-        match whole() {
-            Ok(()) => of.number -= 1,
-            Err(error) => warn!("{}: a line cannot be taken back: {error}", open.path.display()),
+        match self.disk.cut(&open.file, of.before) {
+            Ok(()) => {
+                open.left.2 = of.before;
+                (of.left, of.number) = (Some(open.left), of.number - 1);
+            }
+            Err(error) => warn!("{}: a line cannot be taken back: {error}", of.path.display()),
         }
     }
 
     /// Locks the directory, if it is not locked.
-    fn ready(&mut self) -> Result<(), Failure> {
+    fn ready(&mut self) -> io::Result<()> {
         if self.lock.is_some() {
             return Ok(());
         }
-        let dir = &self.inner.dir;
-        if let Some(parent) = dir.parent().filter(|_| self.make_parents) {
+        let dir = &self.location.dir;
+        if let Some(parent) = dir.parent().filter(|_| self.location.make_parents) {
             DirBuilder::new().recursive(true).mode(0o700).create(parent).map_err(at(parent))?;
         }
         self.disk.takes(0).map_err(at(dir))?;
@@ -311,209 +272,144 @@ impl Recorder {
     }
 
     /// Cuts off the half lines that a killed daemon or machine has left in sessions' files.
-    fn end_half_lines(&self, dir: &Path) -> Result<(), Failure> {
+    fn end_half_lines(&self, dir: &Path) -> io::Result<()> {
         make_dir(dir)?;
-        for entry in fs::read_dir(dir).map_err(at(dir))? {
-            let entry = entry.map_err(at(dir))?;
-            let is_file = entry.file_type().is_ok_and(|kind| kind.is_file());
-            let is_own = entry.file_name().to_str().is_some_and(is_name);
-            let ends_well = is_file && is_own && ends_with_line(&entry.path()).unwrap_or(true);
-            if !is_file || !is_own || ends_well {
+        for path in reader::files(dir).map_err(at(dir))? {
+            let name = path.file_name().and_then(|name| name.to_str());
+            if !name.is_some_and(is_name) || ends_with_line(&path).unwrap_or(true) {
                 continue;
             }
-            let (open, cut) = self.disk.open(&entry.path())?;
-            let path = open.path.display();
-            warn!("{path}: cut off {cut} bytes of a line that was never finished");
-            if open.left.2 == 0 {
+            if self.disk.open(&path)?.left.2 == 0 {
                 // Nothing was acknowledged.
-                self.disk.remove(&open.path).map_err(at(&open.path))?;
+                self.disk.remove(&path).map_err(at(&path))?;
             }
         }
         Ok(())
     }
 
     /// Brings all files to where they should be.
-    fn all(&mut self) -> Result<(), Failure> {
-        self.open_daemon()?;
-        (0..self.sessions.len()).try_for_each(|at| self.complete(at))
+    fn bring_all(&mut self) -> io::Result<()> {
+        (0..self.files.len()).try_for_each(|place| self.bring(place, None))
     }
 
-    /// Opens a session's file, and writes what it lacks: its start, what was lost, its end.
-    fn complete(&mut self, place: usize) -> Result<(), Failure> {
-        self.ready()?;
-        let Some(of) = self.sessions.get_mut(place).filter(|of| !of.is_over) else { return Ok(()) };
-        let id = Arc::clone(&of.id);
-        if of.open.as_ref().is_some_and(|open| !open.is_as_left()) {
-            let path = of.open.take().map(|open| open.path).unwrap_or_default();
-            let gone = "somebody has moved, removed, cut or replaced the file of the session";
-            return Err(at(&path)(io::Error::other(gone)));
+    /// Opens a file, and writes what it lacks: its start, what was lost, this entry, and its end.
+    fn bring(&mut self, place: usize, entry: Option<(Stamp, &Entry)>) -> io::Result<()> {
+        if self.files[place].is_over {
+            return Ok(());
         }
+        self.open(place)?;
+        let Lines { id, number, start, is_noted, end, .. } = &self.files[place];
+        let (id, end) = (Arc::clone(id), end.clone());
+        match start {
+            Some((stamp, start)) if *number == 0 => self.append(place, *stamp, &start.clone())?,
+            // Somebody may have waited for the start, and have gone.
+            Some(_) if !is_noted => {
+                self.note(&id, false)?;
+                self.files[place].is_noted = true;
+            }
+            _ => {}
+        }
+        let (lost, left_out) = self.inner.lock().file(&id).unsaid;
+        if lost.any() {
+            let Losses { entries, plays } = lost;
+            self.append(place, Stamp::now(), &Entry::Lost { entries, plays })?;
+            let mut shared = self.inner.lock();
+            let unsaid = &mut shared.file(&id).unsaid.0;
+            (unsaid.entries, unsaid.plays) = (unsaid.entries - entries, unsaid.plays - plays);
+        }
+        // Only with an entry, of which there are few.
+        if left_out > 0 && entry.is_some() {
+            self.append(place, Stamp::now(), &Entry::LeftOut { entries: left_out })?;
+            self.inner.lock().file(&id).unsaid.1 -= left_out;
+        }
+        match (entry, end) {
+            (_, Some((stamp, Entry::SessionEnded { session, .. }))) => {
+                let lines = self.files[place].number + 1;
+                self.append(place, stamp, &Entry::SessionEnded { session, lines })?;
+                self.files[place].is_over = true;
+                self.inner.lock().file(&id).is_written = true;
+                self.note(&id, true)
+            }
+            (Some((_, Entry::SessionStarted { .. })) | None, _) => Ok(()),
+            (Some((stamp, entry)), _) => self.append(place, stamp, entry),
+        }
+    }
+
+    /// Opens a file where it was left.
+    fn open(&mut self, place: usize) -> io::Result<()> {
+        self.ready()?;
+        let of = &mut self.files[place];
+        if place == REST && of.left.is_some_and(|left| left.2 >= MAX_DAEMON) {
+            let old = |n: u32| self.location.dir.join(format!("daemon.{n}.jsonl"));
+            for n in (1..OLD).rev() {
+                // A file that is not there yet.
+                let _ = self.disk.rename(&old(n), &old(n + 1));
+            }
+            self.disk.rename(&of.path, &old(1)).map_err(at(&of.path))?;
+            (of.open, of.left) = (None, None);
+        }
+        if of.open.take_if(|open| !open.is_as_left(&of.path)).is_some() {
+            if place != REST {
+                let gone = "somebody has moved, removed, cut or replaced the file of the session";
+                return Err(at(&of.path)(io::Error::other(gone)));
+            }
+            // Somebody may have moved the directory.
+            self.lock = None;
+            self.ready()?;
+        }
+        let of = &mut self.files[place];
         if of.open.is_none() {
-            let path = self.inner.dir.join(SESSIONS).join(format!("{id}.jsonl"));
-            let (open, _) = self.disk.open(&path)?;
-            if of.left.is_some_and(|left| left != open.left) {
+            let open = self.disk.open(&of.path)?;
+            if place != REST && of.left.is_some_and(|left| left != open.left) {
                 // What is left of it is not known: at least one line is gone.
-                let last = reader::last_number(&path).unwrap_or(0);
+                let last = reader::last_number(&of.path);
                 let gone = of.number.saturating_sub(last).max(1);
                 of.number = last;
-                let mut shared = self.inner.lock();
-                shared.lost += gone;
-                if let Some(known) = shared.known(&id) {
-                    known.lost.entries += gone;
-                }
+                self.inner.lock().lack(&of.id, gone, 0);
             }
             (of.left, of.open) = (Some(open.left), Some(open));
-        }
-        if of.number == 0 {
-            let (stamp, start) = of.start.clone();
-            self.write_to_session(place, stamp, &start)?;
-            self.note(&id, false)?;
-        }
-        self.say_lost(place, &id)?;
-        let Some((stamp, end)) = self.sessions[place].end.clone() else { return Ok(()) };
-        if let Some(left_out) = self.left_out(Some(&id)) {
-            self.write_to_session(place, stamp, &left_out)?;
-        }
-        let lines = self.sessions[place].number + 1;
-        let Entry::SessionEnded { session, .. } = end else { return Ok(()) };
-        self.write_to_session(place, stamp, &Entry::SessionEnded { session, lines })?;
-        self.sessions[place].is_over = true;
-        if let Some(known) = self.inner.lock().known(&id) {
-            known.is_written = true;
-        }
-        self.note(&id, true)
-    }
-
-    /// Writes what a session's file has lost and does not say.
-    fn say_lost(&mut self, place: usize, id: &str) -> Result<(), Failure> {
-        let unsaid = |known: &mut Known| {
-            let (lost, said) = (known.lost, known.said);
-            (lost != said).then(|| (lost, lost.entries - said.entries, lost.plays - said.plays))
-        };
-        let unsaid = self.inner.lock().known(id).and_then(unsaid);
-        let Some((lost, entries, plays)) = unsaid else { return Ok(()) };
-        self.write_to_session(place, Stamp::now(), &Entry::Lost { entries, plays })?;
-        if let Some(known) = self.inner.lock().known(id) {
-            known.said = lost;
         }
         Ok(())
     }
 
     /// Notes in `daemon.jsonl` that a session has begun or ended, so that a missing file is noticed.
-    fn note(&mut self, id: &str, ended: bool) -> Result<(), Failure> {
+    fn note(&mut self, id: &str, ended: bool) -> io::Result<()> {
         let entry = Entry::Session { id: id.to_owned(), ended };
-        let noted = self.write_to_daemon(Stamp::now(), &entry);
-        noted.inspect_err(|_| self.inner.lock().lose(None, &entry))
+        let noted = self.bring(REST, Some((Stamp::now(), &entry)));
+        noted.inspect_err(|_| self.inner.lock().lose("", &entry))
     }
 
-    fn write_to_session(&mut self, place: usize, stamp: Stamp, entry: &Entry) -> Result<(), Failure> {
-        let Some(of) = self.sessions.get_mut(place) else { return Ok(()) };
-        let Some(open) = &mut of.open else {
-            return Err(at(Path::new(&*of.id))(io::Error::other("the file is not open")));
-        };
-        let line = line(&self.zone, stamp, Some(of.number + 1), entry).map_err(at(&open.path))?;
-        self.disk.append(open, &line)?;
+    /// Appends a line to an open file.
+    fn append(&mut self, place: usize, stamp: Stamp, entry: &Entry) -> io::Result<()> {
+        let of = &mut self.files[place];
+        let Some(open) = &mut of.open else { return Err(at(&of.path)(io::Error::other("is not open"))) };
+        let number = (place != REST).then_some(of.number + 1);
+        let line = line(&self.zone, stamp, number, entry).map_err(at(&of.path))?;
+        of.before = open.left.2;
+        self.disk.append(open, &line).map_err(at(&of.path))?;
         (of.number, of.left) = (of.number + 1, Some(open.left));
         self.sync.get_or_insert_with(|| HostInstant::now() + SYNC_AFTER);
         Ok(())
     }
 
-    /// Opens `daemon.jsonl`, and writes what it has lost and does not say.
-    fn open_daemon(&mut self) -> Result<(), Failure> {
-        self.ready()?;
-        let path = self.inner.dir.join(DAEMON);
-        if self.daemon.as_ref().is_some_and(|open| open.left.2 >= MAX_DAEMON) {
-            let old = |n: u32| self.inner.dir.join(format!("daemon.{n}.jsonl"));
-            for n in (1..OLD).rev() {
-                // A file that is not there yet.
-                let _ = self.disk.rename(&old(n), &old(n + 1));
-            }
-            self.disk.rename(&path, &old(1)).map_err(at(&path))?;
-            self.daemon = None;
-        }
-        if self.daemon.as_ref().is_none_or(|open| !open.is_as_left()) {
-            // Somebody may have moved the directory.
-            (self.lock, self.daemon) = (None, None);
-            self.ready()?;
-            let (open, cut) = self.disk.open(&path)?;
-            if cut > 0 {
-                let path = path.display();
-                warn!("{path}: cut off {cut} bytes of a line that was never finished");
-            }
-            self.daemon = Some(open);
-        }
-        let entries = self.inner.lock().unsaid;
-        if entries > 0 {
-            self.append_daemon(Stamp::now(), &Entry::Lost { entries, plays: 0 })?;
-            self.inner.lock().unsaid -= entries;
-        }
-        Ok(())
-    }
-
-    fn write_to_daemon(&mut self, stamp: Stamp, entry: &Entry) -> Result<(), Failure> {
-        self.open_daemon()?;
-        self.append_daemon(stamp, entry)
-    }
-
-    fn append_daemon(&mut self, stamp: Stamp, entry: &Entry) -> Result<(), Failure> {
-        let Some(open) = &mut self.daemon else { return Ok(()) };
-        let line = line(&self.zone, stamp, None, entry).map_err(at(&open.path))?;
-        self.disk.append(open, &line)?;
-        self.sync.get_or_insert_with(|| HostInstant::now() + SYNC_AFTER);
-        Ok(())
-    }
-
-    /// Takes the line about what was left out of a session's file, or of `daemon.jsonl`.
-    fn left_out(&mut self, id: Option<&str>) -> Option<Entry> {
-        let mut entry = self.inner.lock().left_out(id)?;
-        let (users, slow) = (&self.users, &mut self.slow);
-        entry.name_users(|uid| name(users, uid, slow));
-        Some(entry)
-    }
-
-    /// Writes the lines about what was left out.
-    fn report(&mut self) {
-        let ids: Vec<_> = self.sessions.iter().map(|of| Some(Arc::clone(&of.id))).collect();
-        for id in ids.into_iter().chain([None]) {
-            let Some(entry) = self.left_out(id.as_deref()) else { continue };
-            if let Err(failure) = self.try_write(id.as_deref(), Stamp::now(), &entry) {
-                self.fail(&failure);
-                self.inner.lock().lose(None, &entry);
-            }
-        }
-    }
-
-    /// Fails if somebody has changed the running session's file or its directory.
-    fn look(&mut self) -> Result<(), Failure> {
-        if self.retry.is_some() {
-            return Ok(());
-        }
-        let running = (0..self.sessions.len()).filter(|at| !self.sessions[*at].is_over);
-        running.collect::<Vec<_>>().into_iter().try_for_each(|at| self.complete(at))
-    }
-
     fn make_durable(&mut self) {
-        let sync = |open: &Open| self.disk.sync(&open.file).map_err(at(&open.path));
-        let mut failed = self.daemon.as_ref().and_then(|open| sync(open).err());
-        for of in &self.sessions {
-            if let Some(failure) = of.open.as_ref().and_then(|open| sync(open).err()) {
-                failed = Some(failure);
+        let mut failed = None;
+        for of in &self.files {
+            let synced = of.open.as_ref().map_or(Ok(()), |open| self.disk.sync(&open.file));
+            if let Err(failure) = synced.map_err(at(&of.path)) {
                 // Nobody knows which of its last lines the disk has.
-                let mut shared = self.inner.lock();
-                shared.lost += 1;
-                if let Some(known) = shared.known(&of.id) {
-                    known.lost.entries += 1;
-                }
+                self.inner.lock().lack(&of.id, 1, 0);
+                failed = Some(failure);
             }
         }
-        self.sessions.retain(|of| !of.is_over);
+        self.files.retain(|of| !of.is_over);
         if let Some(failure) = failed {
             self.fail(&failure);
         }
     }
 
-    fn fail(&mut self, failure: &Failure) {
-        let dir = self.inner.dir.display();
+    fn fail(&mut self, failure: &io::Error) {
+        let dir = self.location.dir.display();
         if self.inner.lock().failure.is_none() {
             warn!(
                 "the session record cannot be written: {failure}; free space in {dir}, let the daemon \
@@ -522,31 +418,29 @@ impl Recorder {
             );
         }
         // Afterwards everything is opened anew: somebody may have moved the directory.
-        (self.lock, self.daemon) = (None, None);
-        self.sessions.iter_mut().for_each(|of| of.open = None);
-        self.sessions.retain(|of| !of.is_over);
+        self.lock = None;
+        self.files.iter_mut().for_each(|of| of.open = None);
+        self.files.retain(|of| !of.is_over);
         let after = RETRY_AFTER / if is_virtual() { 10 } else { 1 };
-        self.retry.get_or_insert_with(|| HostInstant::now() + after);
-        let mut shared = self.inner.lock();
-        let problem = Some(failure.to_string());
-        if shared.failure != problem {
-            shared.failure = problem;
-            self.inner.changed.notify_one();
+        if !mem::replace(&mut self.fails, true) || self.look.is_none() {
+            self.look = Some(HostInstant::now() + after);
         }
+        self.inner.lock().failure = Some(failure.to_string());
+        self.inner.changed.notify_one();
     }
 
-    fn recovered(&self) {
+    fn recovered(&mut self) {
+        self.fails = false;
         let mut shared = self.inner.lock();
         shared.failure = None;
         self.inner.changed.notify_one();
-        let (dir, lost) = (self.inner.dir.display(), shared.lost);
+        let (dir, lost) = (self.location.dir.display(), shared.lost);
         info!("the session record in {dir} is written again; {lost} entries are missing since the start");
     }
 
     /// Writes what the files lack, and makes it durable.
     fn finish(mut self) {
-        self.report();
-        let all = self.all();
+        let all = self.bring_all();
         self.make_durable();
         if let Err(failure) = all {
             warn!("the last entries of the session record are missing: {failure}");
@@ -571,16 +465,17 @@ fn ends_with_line(path: &Path) -> io::Result<bool> {
     Ok(byte == *b"\n")
 }
 
-/// A user's name, if it is known within [`NAME_TIMEOUT`].
+/// A user's name, if it is known within 200 ms. After that entries do not wait for names any more: the
+/// directory service may hang.
 fn name(users: &Arc<Users>, uid: u32, slow: &mut bool) -> Option<String> {
-    let until = Instant::now() + NAME_TIMEOUT;
-    loop {
+    for _ in 0..200 {
         users.look_up(uid);
         match users.known(uid) {
             Some(known) => return known,
             None if *slow => return None,
-            None => *slow = Instant::now() >= until,
+            None => thread::sleep(Duration::from_millis(1)),
         }
-        thread::sleep(Duration::from_millis(1));
     }
+    *slow = true;
+    None
 }

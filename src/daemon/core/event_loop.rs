@@ -19,7 +19,6 @@ use std::sync::Arc;
 use std::time::Duration;
 use tokio::io::Interest;
 use tokio::io::unix::AsyncFd;
-use tokio::sync::Notify;
 use tokio::time::Instant;
 
 /// How long after a calibration's end the loop wakes the streamer: by then the device has measured the last bursts.
@@ -61,7 +60,7 @@ impl Engine {
             tokio::select! {
                 ready = readable.readable() => ready?.clear_ready(),
                 () = self.changed.notified() => {}
-                () = changed(record) => {}
+                () = record.notified() => {}
                 () = wait => {}
             }
             {
@@ -133,14 +132,6 @@ impl Engine {
         let Some((pattern, options)) = self.lock().plays.endless(*id) else { return };
         let counts = counts_until(&pattern, &options, outcome.cut_after.unwrap_or(0));
         self.lock().plays.receipts.set_ordered(*id, counts);
-    }
-}
-
-/// Waits until this is notified.
-async fn changed(record: Option<Arc<Notify>>) {
-    match record {
-        Some(changed) => changed.notified().await,
-        None => std::future::pending().await,
     }
 }
 

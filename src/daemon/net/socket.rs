@@ -2,8 +2,7 @@
 //! over by a service manager.
 //!
 //! The lock (`SOCKET.lock`, flock) decides between daemons that start at the same time, and ends with its process. The lock file
-//! stays, because removing it would be a race; it is replaced only if other users may have it open. A socket file that no process
-//! answers is replaced. This module makes no directories.
+//! stays, because removing it would be a race. A socket file that no process answers is replaced.
 //!
 //! Invariant: while a [`Bound`] lives, no other daemon is bound to its path.
 
@@ -21,54 +20,36 @@ use tracing::warn;
 
 /// Owner and group may connect, so that members of the group may drive the motors.
 const MODE: u32 = 0o660;
-/// How often the daemon replaces a lock file, or finds it replaced, before it gives up.
-const LOCK_TRIES: u32 = 4;
-
 /// Why the daemon has no socket.
 #[derive(Debug, thiserror::Error)]
-pub enum SocketError {
-    /// Another daemon has it.
-    #[error("a daemon is running on {}{}: stop it, or choose another with --socket", .socket.display(), pid_text(*.pid))]
-    Taken {
-        /// Where.
-        socket: PathBuf,
-        /// The daemon's process, if known.
-        pid: Option<i32>,
-    },
-    /// Another user's daemon has it.
-    #[error("{} belongs to another user, usually the installed service: use that daemon, or choose another socket with --socket", .socket.display())]
-    Foreign {
-        /// Where.
-        socket: PathBuf,
-    },
-    /// The path is another kind of file.
-    #[error("{} is not a socket: remove it, or choose another with --socket", .socket.display())]
-    NotASocket {
-        /// Where.
-        socket: PathBuf,
-    },
-    /// The path is longer than the system allows.
-    #[error("{}: a socket's path has at most {MAX_SOCKET_PATH} bytes: choose a shorter one with --socket", .socket.display())]
-    TooLong {
-        /// Where.
-        socket: PathBuf,
-    },
-    /// The service manager handed over something else.
-    #[error(
-        "the service manager handed over something other than a listening Unix socket: {source}; see ListenStream= in meissner.socket"
-    )]
-    HandedOver {
-        /// What is wrong with it.
-        source: io::Error,
-    },
-    /// The directory or the permissions are wrong.
-    #[error("{}: {source}; check that its directory exists and that you may write there, or choose another with --socket", .path.display())]
-    Io {
-        /// Where.
-        path: PathBuf,
-        /// The system's error.
-        source: io::Error,
-    },
+#[error("{0}")]
+pub struct SocketError(String);
+
+/// The path, or what stands there, cannot be used.
+fn unfit(path: &Path, what: &str) -> SocketError {
+    SocketError(format!("{}{what} with --socket", path.display()))
+}
+
+/// The directory or the permissions are wrong.
+fn wrong(path: &Path) -> impl Fn(io::Error) -> SocketError {
+    move |error| {
+        let check = "check that its directory exists and that you may write there, or choose another";
+        unfit(path, &format!(": {error}; {check}"))
+    }
+}
+
+/// The service manager handed over something else.
+fn handed_over(error: io::Error) -> SocketError {
+    SocketError(format!(
+        "the service manager handed over something other than a listening Unix socket: {error}; \
+         see ListenStream= in meissner.socket"
+    ))
+}
+
+/// Another daemon has it.
+fn taken(socket: &Path, pid: Option<i32>) -> SocketError {
+    let (socket, pid) = (socket.display(), pid_text(pid));
+    SocketError(format!("a daemon is running on {socket}{pid}: stop it, or choose another with --socket"))
 }
 
 fn pid_text(pid: Option<i32>) -> String {
@@ -96,9 +77,9 @@ impl Bound {
     /// The sockets on which the service manager listens for this process, if it does. A connection starts the daemon, and the
     /// service manager sets the files' mode and group, and removes them.
     pub(in crate::daemon) fn take_over(wanted: &Path) -> Result<Option<Self>, SocketError> {
-        let mut handed_over = ListenFd::from_env();
-        let Some(first) = next_listener(&mut handed_over, 0)? else { return Ok(None) };
-        let second = next_listener(&mut handed_over, 1)?;
+        let mut given = ListenFd::from_env();
+        let Some(first) = next_listener(&mut given, 0)? else { return Ok(None) };
+        let second = next_listener(&mut given, 1)?;
         // The two may come in either order.
         let ((listener, socket), other) = match second {
             Some(second) if first.1 == estop_socket(&second.1) => (second, Some(first)),
@@ -107,7 +88,7 @@ impl Bound {
         if let Some((_, other)) = other.as_ref().filter(|(_, path)| *path != estop_socket(&socket)) {
             let what =
                 format!("{} is not the socket for emergency stops of {}", other.display(), socket.display());
-            return Err(SocketError::HandedOver { source: io::Error::other(what) });
+            return Err(handed_over(io::Error::other(what)));
         }
         if socket != wanted {
             warn!(
@@ -133,7 +114,7 @@ impl Bound {
 
     pub(in crate::daemon) fn new(socket: &Path) -> Result<Self, SocketError> {
         check(socket)?;
-        make_dir(socket).map_err(|source| SocketError::Io { path: socket.to_owned(), source })?;
+        make_dir(socket).map_err(wrong(socket))?;
         let lock = lock(socket)?;
         // Bind the socket for emergency stops first, so that it exists before any client connects.
         let (estop, estop_file) = bind(&estop_socket(socket))?;
@@ -144,32 +125,30 @@ impl Bound {
 }
 
 /// The socket of this index that the service manager hands over, and its path.
-fn next_listener(
-    handed_over: &mut ListenFd,
-    index: usize,
-) -> Result<Option<(UnixListener, PathBuf)>, SocketError> {
-    let wrong = |source| SocketError::HandedOver { source };
-    if index >= handed_over.len() {
+fn next_listener(given: &mut ListenFd, index: usize) -> Result<Option<(UnixListener, PathBuf)>, SocketError> {
+    if index >= given.len() {
         return Ok(None);
     }
-    let Some(listener) = handed_over.take_unix_listener(index).map_err(wrong)? else { return Ok(None) };
-    if !socket_acceptconn(&listener).map_err(io::Error::from).map_err(wrong)? {
-        return Err(wrong(io::Error::other("it does not listen")));
-    }
-    listener.set_nonblocking(true).map_err(wrong)?;
-    let address = listener.local_addr().map_err(wrong)?;
-    let path = address.as_pathname().unwrap_or(Path::new("a socket without a file")).to_owned();
+    let Some(listener) = given.take_unix_listener(index).map_err(handed_over)? else { return Ok(None) };
+    let path = || {
+        if !socket_acceptconn(&listener)? {
+            return Err(io::Error::other("it does not listen"));
+        }
+        listener.set_nonblocking(true)?;
+        let address = listener.local_addr()?;
+        Ok(address.as_pathname().unwrap_or(Path::new("a socket without a file")).to_owned())
+    };
+    let path = path().map_err(handed_over)?;
     Ok(Some((listener, path)))
 }
 
 fn bind(path: &Path) -> Result<(UnixListener, SocketFile), SocketError> {
     clear(path)?;
-    let wrong = |source| SocketError::Io { path: path.to_owned(), source };
     // Until the mode is set, the umask decides, which is stricter by default.
-    let listener = UnixListener::bind(path).map_err(wrong)?;
+    let listener = UnixListener::bind(path).map_err(wrong(path))?;
     let file = SocketFile { path: path.to_owned(), identity: identity(path) };
-    fs::set_permissions(path, Permissions::from_mode(MODE)).map_err(wrong)?;
-    listener.set_nonblocking(true).map_err(wrong)?;
+    let set = fs::set_permissions(path, Permissions::from_mode(MODE));
+    set.and_then(|()| listener.set_nonblocking(true)).map_err(wrong(path))?;
     Ok((listener, file))
 }
 
@@ -197,83 +176,69 @@ fn identity(path: &Path) -> Option<(u64, u64)> {
 /// Whether a socket can have this path.
 pub(in crate::daemon) fn check(socket: &Path) -> Result<(), SocketError> {
     if socket.as_os_str().len() > MAX_SOCKET_PATH {
-        return Err(SocketError::TooLong { socket: socket.to_owned() });
+        let what = format!(": a socket's path has at most {MAX_SOCKET_PATH} bytes: choose a shorter one");
+        return Err(unfit(socket, &what));
     }
     Ok(())
 }
 
-/// Takes the lock. The directory may be one where others write: the file must be a regular file of this user, and its content
-/// changes only if no other user can open it and it has no other name.
+/// Takes the lock. The directory may be one where others write: the file must be a regular file of this user without another
+/// name, so that nobody else can open it. Follows no link, and does not wait for a pipe.
 fn lock(socket: &Path) -> Result<File, SocketError> {
     let mut path = socket.as_os_str().to_owned();
     path.push(".lock");
-    let path = PathBuf::from(path);
-    let wrong = |source| SocketError::Io { path: path.clone(), source };
-    for _ in 0..LOCK_TRIES {
-        let mut file = open_lock(socket, &path)?;
-        let found = file.metadata().map_err(wrong)?;
-        let private = found.mode() & 0o077 == 0 && found.nlink() == 1;
-        match flock(&file, FlockOperation::NonBlockingLockExclusive) {
-            Ok(()) if private && identity(&path) == Some((found.dev(), found.ino())) => {
-                file.set_len(0).and_then(|()| writeln!(file, "{}", std::process::id())).map_err(wrong)?;
-                return Ok(file);
-            }
-            Err(rustix::io::Errno::WOULDBLOCK) if private || UnixStream::connect(socket).is_ok() => {
-                let mut pid = String::new();
-                // The process id is needed only for the message.
-                let _ = (&mut file).take(16).read_to_string(&mut pid);
-                return Err(SocketError::Taken { socket: socket.to_owned(), pid: pid.trim().parse().ok() });
-            }
-            // Another daemon has replaced the file: take the new one.
-            Ok(()) if private => {}
-            // Other users may have it open and hold a lock on it. No daemon answers, so this daemon replaces it.
-            Ok(()) | Err(rustix::io::Errno::WOULDBLOCK) => fs::remove_file(&path).map_err(wrong)?,
-            Err(errno) => return Err(wrong(errno.into())),
-        }
-    }
-    Err(wrong(io::Error::other("another process replaces it again and again")))
-}
-
-/// Opens the lock file, or makes it for this user alone. Follows no link, and does not wait for a pipe.
-fn open_lock(socket: &Path, path: &Path) -> Result<File, SocketError> {
-    let wrong = |source| SocketError::Io { path: path.to_owned(), source };
+    let (path, wrong) = (PathBuf::from(&path), wrong(Path::new(&path)));
+    let foreign =
+        " belongs to another user, usually the installed service: use that daemon, or choose another socket";
     let mut options = OpenOptions::new();
     options.read(true).write(true).create(true).truncate(false).mode(0o600);
     options.custom_flags((OFlags::NOFOLLOW | OFlags::NONBLOCK).bits().cast_signed());
-    let file = options.open(path);
+    let file = options.open(&path);
     let found = match &file {
         Ok(file) => file.metadata(),
-        Err(_) => fs::symlink_metadata(path),
+        Err(_) => fs::symlink_metadata(&path),
     };
-    match (file, found) {
-        (_, Ok(found)) if !found.is_file() => Err(wrong(io::Error::other("not a regular file: remove it"))),
-        (_, Ok(found)) if found.uid() != geteuid().as_raw() => {
-            Err(SocketError::Foreign { socket: socket.to_owned() })
+    let mut file = match (file, found) {
+        (_, Ok(found)) if !found.is_file() || found.nlink() != 1 => {
+            return Err(wrong(io::Error::other("not a regular file: remove it")));
         }
+        (_, Ok(found)) if found.uid() != geteuid().as_raw() => return Err(unfit(socket, foreign)),
         (Err(error), _) if error.kind() == io::ErrorKind::PermissionDenied && socket.exists() => {
-            Err(SocketError::Foreign { socket: socket.to_owned() })
+            return Err(unfit(socket, foreign));
         }
-        (file, _) => file.map_err(wrong),
+        (file, _) => file.map_err(&wrong)?,
+    };
+    match flock(&file, FlockOperation::NonBlockingLockExclusive) {
+        Ok(()) => {
+            let kept = file.set_permissions(Permissions::from_mode(0o600)).and_then(|()| file.set_len(0));
+            kept.and_then(|()| writeln!(file, "{}", std::process::id())).map_err(wrong)?;
+            Ok(file)
+        }
+        Err(rustix::io::Errno::WOULDBLOCK) => {
+            let mut pid = String::new();
+            // The process id is needed only for the message.
+            let _ = (&mut file).take(16).read_to_string(&mut pid);
+            Err(taken(socket, pid.trim().parse().ok()))
+        }
+        Err(errno) => Err(wrong(errno.into())),
     }
 }
 
 /// Removes a stale socket. This process holds the lock, so a process that answers here has lost its lock or never had one.
 fn clear(socket: &Path) -> Result<(), SocketError> {
-    let wrong = |source| SocketError::Io { path: socket.to_owned(), source };
     match fs::symlink_metadata(socket) {
         Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(()),
-        Err(error) => return Err(wrong(error)),
+        Err(error) => return Err(wrong(socket)(error)),
         Ok(found) if !found.file_type().is_socket() => {
-            return Err(SocketError::NotASocket { socket: socket.to_owned() });
+            return Err(unfit(socket, " is not a socket: remove it, or choose another"));
         }
         Ok(_) => {}
     }
     if let Ok(stream) = UnixStream::connect(socket) {
         let peer = rustix::net::sockopt::socket_peercred(&stream).ok();
-        let pid = peer.map(|peer| peer.pid.as_raw_nonzero().get());
-        return Err(SocketError::Taken { socket: socket.to_owned(), pid });
+        return Err(taken(socket, peer.map(|peer| peer.pid.as_raw_nonzero().get())));
     }
-    fs::remove_file(socket).map_err(wrong)
+    fs::remove_file(socket).map_err(wrong(socket))
 }
 
 #[cfg(test)]
@@ -303,12 +268,12 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let socket = dir.path().join("m.sock");
         let listener = UnixListener::bind(&socket).unwrap();
-        let taken = Bound::new(&socket).unwrap_err();
-        assert!(matches!(taken, SocketError::Taken { pid: Some(_), .. }), "it answers without a lock");
+        let line = Bound::new(&socket).unwrap_err().to_string();
+        assert!(line.contains("a daemon is running on") && line.contains("(pid "), "without a lock: {line}");
         drop(listener);
         drop(Bound::new(&socket).unwrap());
         fs::write(&socket, "precious").unwrap();
-        assert!(matches!(Bound::new(&socket), Err(SocketError::NotASocket { .. })));
+        assert!(Bound::new(&socket).unwrap_err().to_string().contains("m.sock is not a socket: remove it"));
         assert_eq!(fs::read_to_string(&socket).unwrap(), "precious");
     }
 
@@ -325,39 +290,12 @@ mod tests {
         std::os::unix::fs::symlink(dir.path().join("nothing"), &lock).unwrap();
         assert!(Bound::new(&socket).is_err() && !dir.path().join("nothing").exists());
         fs::remove_file(&lock).unwrap();
-        for mode in [0o600, 0o644] {
-            fs::set_permissions(&precious, Permissions::from_mode(mode)).unwrap();
-            fs::hard_link(&precious, &lock).unwrap();
-            drop(Bound::new(&socket).unwrap());
-            fs::remove_file(&lock).unwrap();
-        }
+        fs::hard_link(&precious, &lock).unwrap();
+        assert!(Bound::new(&socket).is_err());
+        fs::remove_file(&lock).unwrap();
         assert_eq!(fs::read_to_string(&precious).unwrap(), "precious");
         rustix::fs::mknodat(rustix::fs::CWD, &lock, rustix::fs::FileType::Fifo, 0o600.into(), 0).unwrap();
         assert!(Bound::new(&socket).unwrap_err().to_string().contains("not a regular file"));
-    }
-
-    /// Somebody may make the file readable for all users, and a reader may lock it.
-    #[test]
-    fn a_readers_lock_does_not_stop_the_daemon() {
-        let dir = tempfile::tempdir().unwrap();
-        let (socket, lock) = (dir.path().join("m.sock"), dir.path().join("m.sock.lock"));
-        fs::write(&lock, "12\n").unwrap();
-        fs::set_permissions(&lock, Permissions::from_mode(0o644)).unwrap();
-        let reader = File::open(&lock).unwrap();
-        flock(&reader, FlockOperation::NonBlockingLockShared).unwrap();
-        let bound = Bound::new(&socket).unwrap();
-        assert_eq!(fs::metadata(&lock).unwrap().mode() & 0o777, 0o600);
-        assert_eq!(fs::read_to_string(&lock).unwrap(), format!("{}\n", std::process::id()));
-        assert!(matches!(Bound::new(&socket), Err(SocketError::Taken { pid: Some(_), .. })));
-        drop(bound);
-        drop(Bound::new(&socket).unwrap());
-        // A daemon that runs keeps its lock.
-        let listener = UnixListener::bind(&socket).unwrap();
-        fs::set_permissions(&lock, Permissions::from_mode(0o644)).unwrap();
-        let older = File::open(&lock).unwrap();
-        flock(&older, FlockOperation::NonBlockingLockExclusive).unwrap();
-        assert!(matches!(Bound::new(&socket), Err(SocketError::Taken { pid: Some(_), .. })));
-        drop(listener);
     }
 
     #[test]
@@ -369,7 +307,7 @@ mod tests {
         let (socket, lock) = (dir.path().join("m.sock"), dir.path().join("m.sock.lock"));
         fs::write(&lock, "precious").unwrap();
         std::os::unix::fs::chown(&lock, Some(12_345), None).unwrap();
-        assert!(matches!(Bound::new(&socket), Err(SocketError::Foreign { .. })));
+        assert!(Bound::new(&socket).unwrap_err().to_string().contains("m.sock belongs to another user"));
         assert_eq!(fs::read_to_string(&lock).unwrap(), "precious");
     }
 

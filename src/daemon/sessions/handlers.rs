@@ -7,8 +7,7 @@ use crate::daemon::net::app::{App, Call};
 use crate::daemon::net::body;
 use crate::daemon::net::request_log::LoggedRequest;
 use crate::daemon::sessions::state::no_session;
-use crate::record::reader::{self, Problems, RecordError, Sessions};
-use crate::record::{Known, has_line};
+use crate::record::{Known, has_line, reader};
 use crate::store::Store;
 use axum::Json;
 use axum::body::Body;
@@ -16,10 +15,11 @@ use axum::extract::State;
 use axum::http::{StatusCode, Uri};
 use axum::response::Response;
 use meissner_api::{
-    Code, ItemRecord, Problem, RecordedPlay, Session, SessionList, SessionRequest, SessionStarted,
-    parse_empty,
+    Code, ItemRecord, MAX_LISTED, Problem, RecordedPlay, Session, SessionList, SessionRequest,
+    SessionStarted, parse_empty,
 };
 use std::collections::{HashMap, HashSet};
+use std::io;
 use std::path::Path as FilePath;
 use std::sync::Arc;
 use std::time::Duration;
@@ -107,45 +107,57 @@ pub(in crate::daemon) async fn look_for_losses(engine: &Engine, within: Duration
 }
 
 /// Calls `read` on the reader's thread once the disk has taken the newest entries, or has not `within` this time, which it is told. It
-/// also gets the record's directory, the daemon's sessions of which the disk may lack lines, and the running one. None: nothing is
-/// recorded.
+/// also gets the record's directory, and what the daemon knows of its sessions. None: nothing is recorded.
 async fn reads<T: Send + 'static>(
     engine: &Engine,
     within: Duration,
-    read: impl FnOnce(&FilePath, &[Known], Option<&Session>, bool) -> Result<T, RecordError> + Send + 'static,
+    read: impl FnOnce(&FilePath, &[Known], bool) -> io::Result<T> + Send + 'static,
 ) -> Answer<Option<T>> {
     let record = engine.record();
     let Some(dir) = record.dir() else { return Ok(None) };
     let written = record.written(within).await;
     let running = engine.lock().session();
-    let read = move || read(&dir, &record.known(), running.as_ref(), written);
+    let read = move || {
+        let mut known = record.known();
+        if let Some(running) = running {
+            // The record knows it as it began.
+            let is_it = |known: &&mut Known| known.session.id == running.id && known.session.reason.is_none();
+            known.iter_mut().filter(is_it).for_each(|known| known.session.clone_from(&running));
+        }
+        read(&dir, &known, written).map_err(|error| {
+            let detail = format!(
+                "the session record in {} cannot be read: {error}; check that it is there and that the \
+                 daemon may read it",
+                dir.display()
+            );
+            Problem::new(Code::Store, detail)
+        })
+    };
     Ok(Some(reading(read).await??))
 }
 
 /// All sessions, with the present problem of the record. None: nothing is recorded.
-async fn recorded(engine: &Engine, within: Duration) -> Answer<Option<Sessions>> {
+async fn recorded(engine: &Engine, within: Duration) -> Answer<Option<SessionList>> {
     let record = engine.record();
-    reads(engine, within, move |dir, known, running, written| {
-        let mut sessions = reader::sessions(dir, known, running)?;
+    reads(engine, within, move |dir, known, written| {
+        let mut list = reader::sessions(dir, known)?;
         if written && record.problem().is_none() {
-            record.set_found(sessions.missing());
+            record.set_found(reader::missing(&list));
         }
         for problem in (!written).then(slow_disk).into_iter().chain(record.problem()) {
-            sessions.problems.add(problem);
+            list.unreadable += 1;
+            list.problems.push(problem);
         }
-        Ok(sessions)
+        list.problems.truncate(MAX_LISTED);
+        Ok(list)
     })
     .await
 }
 
 pub(in crate::daemon) async fn list(State(app): State<App>) -> Answer<Response> {
     let running = app.engine.lock().session();
-    let list = match recorded(&app.engine, WRITTEN).await? {
-        Some(Sessions { recorded, problems: Problems { count, lines } }) => {
-            SessionList { sessions: recorded, unreadable: count, problems: lines }
-        }
-        None => SessionList { sessions: running.into_iter().collect(), ..SessionList::default() },
-    };
+    let unrecorded = || SessionList { sessions: running.into_iter().collect(), ..SessionList::default() };
+    let list = recorded(&app.engine, WRITTEN).await?.unwrap_or_else(unrecorded);
     // Ten thousand sessions would take milliseconds of the runtime's only thread.
     let json = computing(move || serde_json::to_vec(&list).unwrap_or_default());
     Ok(json_response(json.await?))
@@ -161,8 +173,8 @@ pub(in crate::daemon) async fn show(State(app): State<App>, id: PathPart) -> Ans
         return Err(no_session(&id).into());
     }
     let asked = id.clone();
-    let found = reads(&app.engine, WRITTEN, move |dir, known, running, _| {
-        Ok(reader::plays(dir, &asked, known, running, usize::MAX)?.map(|(plays, _)| plays.session))
+    let found = reads(&app.engine, WRITTEN, move |dir, known, _| {
+        Ok(reader::plays(dir, &asked, known, usize::MAX)?.map(|(plays, _)| plays.session))
     });
     Ok(Json(found.await?.flatten().ok_or_else(|| not_recorded(&id))?))
 }
@@ -180,8 +192,8 @@ pub(in crate::daemon) async fn plays(State(app): State<App>, uri: Uri, id: PathP
         return Err(no_session(&id).into());
     }
     let (asked, store) = (id.clone(), Arc::clone(&app.store));
-    let json = reads(&app.engine, WRITTEN, move |dir, known, running, written| {
-        let found = reader::plays(dir, &asked, known, running, from)?;
+    let json = reads(&app.engine, WRITTEN, move |dir, known, written| {
+        let found = reader::plays(dir, &asked, known, from)?;
         Ok(found.map(|(mut plays, texts)| {
             if !written {
                 plays.lack(slow_disk());
@@ -227,10 +239,4 @@ fn from(query: Option<&str>) -> Result<usize, Problem> {
         let detail = "the address: after the question mark there must be `from=` and a number of plays, 0 to 1000000000";
         Problem::new(Code::BadRequest, detail)
     })
-}
-
-impl From<RecordError> for Problem {
-    fn from(error: RecordError) -> Self {
-        Self::new(Code::Store, error.to_string())
-    }
 }

@@ -211,6 +211,49 @@ fn no_session_starts_while_its_start_cannot_be_recorded_unless_its_record_is_opt
     }
 }
 
+#[test]
+fn an_optional_session_that_starts_while_the_record_fails_counts_what_it_lost() {
+    for (what, damage, repair, _, is_seen) in FAILURES {
+        for repaired in ["before", "after", "never"] {
+            if is_seen || what == "stands still" {
+                continue;
+            }
+            let daemon = Bench::start();
+            let mut client = daemon.armed();
+            daemon.advance(Duration::from_secs(1));
+            damage(Path::new(""), Path::new(""));
+            let order = json!({"participant": "P07", "record": "optional"});
+            let started: Value = client.post("/v1/sessions", &order).unwrap();
+            client.set_token(started["token"].as_str().map(str::to_owned));
+            play(&client, 2);
+            let repair = || {
+                repair(Path::new(""), Path::new(""));
+                daemon.advance(Duration::from_secs(1));
+            };
+            if repaired == "before" {
+                repair();
+            }
+            let over = end(&client);
+            // Of each play its command, its pattern, and that it was queued, began and ended.
+            assert_eq!((over.lost.plays, over.lost.entries), (2, 10), "{what}, {repaired}: {over:?}");
+            if repaired == "after" {
+                repair();
+            }
+            let listed = list(&daemon).sessions.remove(0);
+            assert_eq!(listed.lost, over.lost, "{what}, {repaired}: {listed:?}");
+            drop(client);
+            let daemon = daemon.again();
+            for listed in list(&daemon).sessions {
+                // If the disk took only the file's name, at least the start is lost.
+                let lost = if repaired == "never" { listed.lost.any() } else { listed.lost == over.lost };
+                assert!(lost, "{what}, {repaired}: {listed:?}");
+            }
+            ROOM.set(usize::MAX);
+            FAILS.set(false);
+        }
+    }
+}
+
 /// A whole session, what happens to its file, what is said of it, and whether the session is whole.
 type Found = (Damage, &'static str, bool);
 
