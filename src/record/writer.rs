@@ -2,7 +2,8 @@
 //! durable, and survives a failing disk.
 //!
 //! Once the disk refuses a line, lines are lost for [`RETRY_AFTER`]. Then it is tried again: each file
-//! gets what it lacks, which is its start, a line `lost`, and its end.
+//! gets what it lacks, which is its start, a line `lost`, and its end; that of the vibration's sums the
+//! newest ones.
 //!
 //! Invariants: after each message each file ends with a whole line; the numbers of the lines of a
 //! session's file are 1, 2, 3 and so on, and its last line says how many there are.
@@ -81,6 +82,8 @@ pub struct Recorder {
     lock: Option<File>,
     daemon: Option<Open>,
     sessions: Vec<SessionFile>,
+    /// Sums of the vibration that the disk has refused.
+    sums: Option<String>,
     /// When to try a failing disk again.
     retry: Option<HostInstant>,
     /// When lines must be made durable.
@@ -99,7 +102,7 @@ impl Recorder {
     ) -> Self {
         let (retry, sync, look) = Default::default();
         let make_parents = location.make_parents;
-        let (slow, lock, daemon, sessions) = (false, None, None, Vec::new());
+        let (slow, lock, daemon, sessions, sums) = (false, None, None, Vec::new(), None);
         let zone = clock::zone();
         Self {
             inner,
@@ -112,6 +115,7 @@ impl Recorder {
             lock,
             daemon,
             sessions,
+            sums,
             retry,
             sync,
             look,
@@ -176,8 +180,8 @@ impl Recorder {
     fn take(&mut self, message: Message) {
         match message {
             Message::Exposure(text, saved) => {
-                let path = self.inner.dir.join(exposure::FILE);
-                let replaced = self.ready().and_then(|()| self.disk.replace(&path, text.as_bytes()));
+                self.sums = Some(text);
+                let replaced = self.save_sums();
                 // Perhaps nothing waits for it any more.
                 let _ = saved.send(replaced.is_ok());
                 if let Err(failure) = replaced {
@@ -332,8 +336,19 @@ impl Recorder {
         Ok(())
     }
 
+    /// Replaces the file of the vibration's sums by the newest ones, unless the disk has them.
+    fn save_sums(&mut self) -> Result<(), Failure> {
+        self.ready()?;
+        if let Some(text) = &self.sums {
+            self.disk.replace(&self.inner.dir.join(exposure::FILE), text.as_bytes())?;
+            self.sums = None;
+        }
+        Ok(())
+    }
+
     /// Brings all files to where they should be.
     fn all(&mut self) -> Result<(), Failure> {
+        self.save_sums()?;
         self.open_daemon()?;
         (0..self.sessions.len()).try_for_each(|at| self.complete(at))
     }
