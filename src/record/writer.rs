@@ -2,7 +2,8 @@
 //! durable, and survives a failing disk.
 //!
 //! Once the disk refuses a line, lines are lost for [`RETRY_AFTER`]. Then it is tried again: each file
-//! gets what it lacks, which is its start, a line `lost`, and its end.
+//! gets what it lacks, which is its start, a line `lost`, and its end; that of the vibration's sums the
+//! newest ones.
 //!
 //! Invariants: after each message each file ends with a whole line; the numbers of the lines of a
 //! session's file are 1, 2, 3 and so on, and its last line says how many there are.
@@ -89,6 +90,8 @@ pub struct Recorder {
     lock: Option<File>,
     /// `daemon.jsonl`, then the sessions'.
     files: Vec<Lines>,
+    /// Sums of the vibration that the disk has refused.
+    sums: Option<String>,
     /// Whether the disk has refused what it was given last.
     fails: bool,
     /// When to try a failing disk again, or look whether a session's file is as it was left.
@@ -105,10 +108,10 @@ impl Recorder {
         users: Arc<Users>,
         disk: Box<dyn Disk>,
     ) -> Self {
-        let (slow, lock, fails, look, sync) = Default::default();
+        let (slow, lock, sums, fails, look, sync) = Default::default();
         let files = vec![Lines { path: location.dir.join(DAEMON), ..Lines::default() }];
         let zone = clock::zone();
-        Self { inner, location, queue, users, slow, disk, zone, lock, files, fails, look, sync }
+        Self { inner, location, queue, users, slow, disk, zone, lock, files, sums, fails, look, sync }
     }
 
     /// Works until it is closed.
@@ -161,8 +164,8 @@ impl Recorder {
     fn take(&mut self, message: Message) {
         match message {
             Message::Exposure(text, saved) => {
-                let path = self.location.dir.join(exposure::FILE);
-                let replaced = self.ready().and_then(|()| self.disk.replace(&path, text.as_bytes()));
+                self.sums = Some(text);
+                let replaced = self.save_sums();
                 // Perhaps nothing waits for it any more.
                 let _ = saved.send(replaced.is_ok());
                 if let Err(failure) = replaced {
@@ -287,8 +290,19 @@ impl Recorder {
         Ok(())
     }
 
+    /// Replaces the file of the vibration's sums by the newest ones, unless the disk has them.
+    fn save_sums(&mut self) -> io::Result<()> {
+        self.ready()?;
+        if let Some(text) = &self.sums {
+            self.disk.replace(&self.location.dir.join(exposure::FILE), text.as_bytes())?;
+            self.sums = None;
+        }
+        Ok(())
+    }
+
     /// Brings all files to where they should be.
     fn bring_all(&mut self) -> io::Result<()> {
+        self.save_sums()?;
         (0..self.files.len()).try_for_each(|place| self.bring(place, None))
     }
 

@@ -93,6 +93,7 @@ pub(in crate::daemon) async fn reset(Call { app, by }: Call, body: Body) -> Answ
         let timeout = if keep { TIMEOUT } else { app.engine.home_timeout() };
         let status = carry_out(&app, &by, Command::Reset { estops_seen, keep }, timeout).await?;
         app.engine.estops.reset(guard);
+        app.engine.on_disk().await;
         Ok(status)
     }
     .await;
@@ -120,6 +121,7 @@ pub(in crate::daemon) async fn arm(Call { app, by }: Call, body: Body) -> Answer
             (assume_rest, _) => Command::Arm { assume_rest },
         };
         watch::arm(&app.engine, &by, command, silence).await?;
+        app.engine.on_disk().await;
         Ok(Json(report::status(&app.engine, Some(&by))))
     }
     .await;
@@ -147,7 +149,9 @@ pub(in crate::daemon) async fn disarm(Call { app, by }: Call, body: Body) -> Ans
 /// Answers when the pins are at rest.
 pub(in crate::daemon) async fn home(Call { app, by }: Call, body: Body) -> Answer<Json<Status>> {
     let timeout = app.engine.home_timeout();
-    simple_command(&app, &by, body, "home", Command::Home, timeout).await
+    let done = simple_command(&app, &by, body, "home", Command::Home, timeout).await?;
+    app.engine.on_disk().await;
+    Ok(done)
 }
 
 /// Makes an edge at the trigger input of a simulated array.

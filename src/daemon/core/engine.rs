@@ -37,6 +37,8 @@ use tokio::sync::{Notify, broadcast, watch};
 use tracing::{error, warn};
 
 /// How long to wait for the streamer's answer. The streamer itself gives up after 1 s, and its answer counts: a client must not get
+/// How long an order waits for the disk: less than the shortest time from an order to its requested onset.
+pub(in crate::daemon) const DISK: Duration = Duration::from_millis(300);
 /// a timeout while the motors are being armed.
 pub(in crate::daemon) const TIMEOUT: Duration = Duration::from_millis(1250);
 /// How long clients wait for the first device.
@@ -170,6 +172,11 @@ impl Engine {
     ) -> Result<(), Problem> {
         let reply = self.send(Some(by), command)?;
         answer(reply, timeout).await
+    }
+
+    /// Waits until what counts as vibration so far is on the disk, for [`DISK`] at most: what was answered survives a kill.
+    pub(in crate::daemon) async fn on_disk(&self) {
+        self.record().written(DISK).await;
     }
 
     /// How long to wait for an answer that may come after a seek of the lower stop.

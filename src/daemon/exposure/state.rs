@@ -23,8 +23,6 @@ pub(in crate::daemon) struct Exposure {
     pub(super) saved: Option<(HostInstant, Date)>,
     /// Receives the disk's late answer, after a play has waited for it in vain.
     silent: Option<Receiver<bool>>,
-    /// Whether the sums for which a play has waited last are missing on the disk.
-    unsaved: bool,
 }
 
 impl Exposure {
@@ -32,20 +30,14 @@ impl Exposure {
         Self { account, ..Self::default() }
     }
 
-    /// The problem with the sums or their file.
+    /// The problem with the sums or their file, unless the disk has refused them: the record says that.
     pub(in crate::daemon) fn problem(&self) -> Option<String> {
         let silent = || {
             self.silent.as_ref().filter(|silent| silent.is_empty() && !silent.is_terminated()).map(|_| {
                 "the disk of the session record is silent: after a kill the day's vibration would count too little".to_owned()
             })
         };
-        let unsaved = || {
-            self.unsaved.then(|| {
-                "the vibration's sums are not on the disk: after a kill they would count too little"
-                    .to_owned()
-            })
-        };
-        self.account.problem(Now::read()).or_else(silent).or_else(unsaved)
+        self.account.problem(Now::read()).or_else(silent)
     }
 
     /// Whether the disk has not answered yet since a play waited for it in vain.
@@ -57,12 +49,9 @@ impl Exposure {
         silent
     }
 
-    /// Notes whether the disk has taken the sums for which a play has waited; if it has not answered, `late` receives its answer.
-    pub(in crate::daemon) fn disk_answered(&mut self, answer: Option<bool>, late: Receiver<bool>) {
-        self.unsaved = answer == Some(false);
-        if answer.is_none() {
-            self.silent = Some(late);
-        }
+    /// Notes that a play has waited in vain for the disk to take the sums; `late` receives its answer.
+    pub(in crate::daemon) fn disk_is_silent(&mut self, late: Receiver<bool>) {
+        self.silent = Some(late);
     }
 
     /// Refuses an amplitude that is too large for a participant.

@@ -8,7 +8,7 @@
 //! answer for [`DISK`] does not stop plays.
 
 use crate::daemon::core::commands::Reply;
-use crate::daemon::core::engine::{Engine, TIMEOUT, answer};
+use crate::daemon::core::engine::{DISK, Engine, TIMEOUT, answer};
 use crate::daemon::core::state::State;
 use crate::daemon::plays::state::NewPlay;
 use crate::daemon::sessions::caller::Asker;
@@ -21,12 +21,8 @@ use meissner_stream::queues::{At, Command, Play};
 use meissner_stream::time::HostInstant;
 use meissner_stream::{Settings, Source};
 use std::sync::Arc;
-use std::time::Duration;
 use tokio::sync::MutexGuard;
 use tracing::warn;
-
-/// How long a play waits for the disk: less than the shortest time from an order to its requested onset.
-const DISK: Duration = Duration::from_millis(300);
 
 /// A play that is compiled, and what the daemon checks and keeps of it.
 #[derive(Debug)]
@@ -180,13 +176,12 @@ async fn hold<'e>(
         (Held { engine, number, breaks: by.breaks, _turn: turn }, saved.filter(|_| waits))
     };
     if let Some(mut saved) = saved {
-        let answer = tokio::time::timeout(DISK, &mut saved).await.ok().map(|saved| saved == Ok(true));
-        if answer.is_none() {
+        if tokio::time::timeout(DISK, &mut saved).await.is_err() {
             warn!(
                 "the disk of the session record has not taken the vibration's sums for {DISK:?}; playing goes on"
             );
+            engine.lock().exposure.disk_is_silent(saved);
         }
-        engine.lock().exposure.disk_answered(answer, saved);
     }
     Ok(held)
 }

@@ -2,6 +2,7 @@
 
 use super::bench::{Bench, ended, problem, refusal};
 use super::live::{Updates, start};
+use crate::record::simulated_disk::ROOM;
 use meissner_api::{DoctorReport, EndCause, PlayState, Status};
 use serde_json::{Value, json};
 use std::fs;
@@ -118,6 +119,24 @@ fn a_restart_and_a_kill_keep_the_days_sum() {
     assert!(daemon.log().contains(says) && told(&daemon).contains(says), "{}", daemon.log());
     let doctor: DoctorReport = daemon.client().get("/v1/doctor").unwrap();
     assert!(doctor.findings.iter().any(|finding| finding.found.contains(says)), "{doctor:?}");
+}
+
+/// The disk gets sums that it has refused as soon as it works: nobody has to play for that.
+#[test]
+fn a_kill_after_a_full_disk_leaves_no_smaller_sum() {
+    let daemon = limited(SHORT);
+    let status = |daemon: &Bench| daemon.client().get::<Status>("/v1/status").unwrap();
+    ROOM.set(0);
+    let _ = daemon.client().played(&json!({"pattern": "pin-60", "seconds": 0.4}));
+    daemon.advance(Duration::from_secs(60));
+    assert!(status(&daemon).daemon.logbook_problem.is_some());
+    ROOM.set(usize::MAX);
+    daemon.advance(Duration::from_secs(2));
+    let before = status(&daemon);
+    assert_eq!(before.daemon.logbook_problem, None);
+    let daemon = daemon.again();
+    let (before_s, after_s) = (before.participant.day_used_s, status(&daemon).participant.day_used_s);
+    assert!(before_s > 0.3 && after_s >= before_s - 1e-6, "{before_s} s were {after_s} s");
 }
 
 #[test]

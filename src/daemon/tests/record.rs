@@ -102,6 +102,8 @@ fn answer(client: &Client, play: u64) -> Result<Value, Problem> {
 fn a_record_that_fails_is_said_at_once_and_its_session_takes_no_plays() {
     for (what, damage, repair, loses, is_seen) in FAILURES {
         let daemon = Bench::start();
+        // The look at the start, which takes a session that begins meanwhile for an old one, is over.
+        daemon.advance(Duration::from_millis(10));
         let (client, started) = owner(&daemon, "P07", false);
         play(&client, 1);
         let file = daemon.session(&started.id);

@@ -81,11 +81,18 @@ struct Life {
     estopped_s: Option<f64>,
     /// Since when the motors have been off by the status, s.
     unarmed_s: Option<f64>,
+    /// Since when pins come down by the status, s.
+    returning_s: Option<f64>,
     /// When a client was heard last, and when one has ordered something, s.
     heard_s: f64,
     ordered_s: f64,
     /// What the wall clock was set by when the daemon began, ns.
     wall_set: i64,
+    /// When a client died before the answer to its order, s.
+    unanswered_s: f64,
+    /// Entries lost by the last status, and whether the record has named a problem since that or in it.
+    lost: Option<u64>,
+    disk_says: bool,
     /// Whether the disk has taken all so far.
     disk_was_good: bool,
     /// Whether the array and its line were good so far.
@@ -224,6 +231,7 @@ impl World {
         }
         let Some((status, answer)) = answer else {
             assert!(patience < NEVER, "{method} {path} {text} is never answered");
+            self.life.unanswered_s = self.life.heard_s;
             self.trace(&format!("{method} {path} {text} -> nobody"));
             return None;
         };
@@ -272,6 +280,7 @@ impl World {
             let now_s = self.now_s();
             match serde_json::from_str(data).unwrap() {
                 Event::Began { id, .. } => assert!(self.life.began.insert(id), "play {id} begins twice"),
+                Event::RecordProblem { problem, .. } => self.life.disk_says |= problem.is_some(),
                 Event::Ended { receipt } => {
                     let before = self.life.ended.insert(receipt.id, now_s);
                     assert!(before.is_none(), "play {} ends twice", receipt.id);
@@ -358,8 +367,11 @@ impl World {
             return;
         }
         // Who says that pins are at rest has looked.
-        let body =
-            if rules::are_down(self) { json!({"assume_rest": true, "checked": "Ada"}) } else { json!({}) };
+        let body = if rules::look_at_rest(self) {
+            json!({"assume_rest": true, "checked": "Ada"})
+        } else {
+            json!({})
+        };
         let answer = self.call::<Value>(client, patience, ("POST", "/v1/arm", &body));
         rules::keeps_out(open, "arm", matches!(answer, Some(Ok(_))));
     }
@@ -464,6 +476,7 @@ impl World {
         match self.asked::<Status>(client, "/v1/estop", &json!({})) {
             Ok(stopped) => {
                 assert_eq!(stopped.state, "faulted", "an emergency stop latches");
+                assert!(!is_good || stopped.play.is_none() && stopped.queued.is_empty(), "{stopped:?}");
                 self.life.estopped_s = Some(self.now_s());
             }
             // Over a bad line nobody may know whether the array has heard it.

@@ -15,9 +15,11 @@ const DAY_OVER_S: f64 = 4.0;
 /// By how much more than the status says a pin may be off its rest, µm: a pulse.
 const PULSE_UM: f64 = 0.95 / 7.0;
 /// A cut burst that was corrected has moved its pin by up to 30 % more than its level, which is at most `max_amplitude_um`. The status
-/// says so as long as telemetry comes, µm.
+/// says so as long as telemetry comes, µm. A bad line loses corrections, each burst's: only the status bounds their sum.
 const CORRECTED_UM: f64 = 30.0;
 
+/// A return of all pins, and the report of it, s.
+const RETURN_S: f64 = 0.2;
 /// Reports that do not come within this time close the link, and with it the plays, s.
 const REPORTED_S: f64 = 5.0;
 /// What waits for the disk is written within this time, s: the writer pauses for a millisecond, and the runtime ends pauses at whole ones.
@@ -27,7 +29,7 @@ const WRITTEN_S: f64 = 0.002;
 #[derive(Debug)]
 pub(super) struct Before {
     at_s: f64,
-    /// Vibration of the day, of whom and when, if the disk has it.
+    /// Vibration of the day, if the disk has it.
     day_used_s: Option<f64>,
     /// Whether an order is so young that what it has written may still wait for the disk.
     is_young: bool,
@@ -85,10 +87,13 @@ pub(super) fn hold(world: &mut World) {
     let status = world.status();
     let (now_s, good) = (world.now_s(), world.trouble.array_is_good(world.now_s()));
     world.state.clone_from(&status.state);
+    let returning_s = world.life.returning_s.unwrap_or(now_s);
+    world.life.returning_s = (status.state == "returning").then_some(returning_s);
     world.truth.person = status.session.as_ref().map(|session| session.participant.clone());
     nothing_plays_unarmed(world, &status, now_s);
     silence_disarms(world, &status, now_s);
     trouble_of_the_disk_is_said(world, &status, now_s);
+    losses_are_said(world, &status);
     if good {
         no_pin_stays_up(world, &status, now_s);
     }
@@ -119,13 +124,23 @@ fn trouble_of_the_disk_is_said(world: &mut World, status: &Status, now_s: f64) {
     assert!(!due || status.daemon.logbook_problem.is_some(), "the disk takes nothing since {since_s}");
 }
 
+/// Entries are lost only while the record names a problem.
+fn losses_are_said(world: &mut World, status: &Status) {
+    let (lost, problem) = (status.daemon.logbook_lost, &status.daemon.logbook_problem);
+    let life = &mut world.life;
+    let is_said = life.disk_says || problem.is_some() || life.lost.is_none_or(|before| lost <= before);
+    assert!(is_said, "{lost} entries are lost, {:?} before, and no problem", life.lost);
+    (life.lost, life.disk_says) = (Some(lost), problem.is_some());
+}
+
 /// No pin stays up without a move: a minute in a play, and seconds outside of one, but after an emergency stop or a fault.
 fn no_pin_stays_up(world: &World, status: &Status, now_s: f64) {
     let is_idle = status.play.is_none() && status.queued.is_empty();
     let longest_s = if is_idle { 5.0 } else { 65.0 };
     let cut = ["estop", "output", "panic", "watchdog"].contains(&&*status.cause);
     // A pin that stood while its place was not known comes down after the next `arm`.
-    let may_stand = status.state == "faulted" && cut || status.state == "returning";
+    let returns = world.life.returning_s.is_some_and(|since_s| now_s < since_s + RETURN_S);
+    let may_stand = status.state == "faulted" && cut || returns;
     for motor in 0..status.motors.len() {
         let rests_s = now_s - world.truth.pulsed_s[motor].max(world.life.began_s);
         let is_due = rests_s > longest_s && status.position == "known" && !may_stand;
@@ -139,8 +154,9 @@ pub(super) fn before_kill(world: &mut World) -> Before {
     let (status, at_s) = (world.status(), world.now_s());
     let is_set = world.machine.wall_set != world.life.wall_set;
     let is_young = at_s <= world.life.ordered_s + WRITTEN_S;
-    // The sum of a young order counts what it has reserved, and a play begins when that is on the disk.
-    let known = status.session.is_none() && world.trouble.disk_is_good(at_s) && !is_set && !is_young;
+    // What was answered is on the disk.
+    let is_answered = at_s > world.life.unanswered_s + WRITTEN_S;
+    let known = status.session.is_none() && world.trouble.disk_is_good(at_s) && !is_set && is_answered;
     let day_used_s = known.then_some(status.participant.day_used_s);
     let lost = status.daemon.logbook_lost;
     Before { at_s, day_used_s, is_young, stalls: world.trouble.disk_stalls(at_s), lost }
@@ -241,9 +257,16 @@ fn sessions_are_whole_or_not_complete(world: &mut World, before: &Before, life: 
 fn off_um(world: &World, status: &Status, motor: usize) -> Option<f64> {
     let (of, height_um) = (&status.motors[motor], world.daemon.faults().heights_um[motor].abs());
     let says = of.source != ErrorSource::None && status.standing.is_none();
-    let most_um = if world.telemetry { CORRECTED_UM } else { 0.0 };
-    let said_um = if says { f64::from(of.rest_error_um).abs() } else { most_um };
+    let once_um = if world.telemetry { CORRECTED_UM } else { 0.0 };
+    let sums_up = world.telemetry && !world.life.array_was_good;
+    let most_um = if sums_up { f64::INFINITY } else { once_um };
+    let said_um = if says { f64::from(of.rest_error_um).abs() } else { once_um };
     (height_um > said_um.min(most_um) + PULSE_UM).then_some(height_um)
+}
+
+/// Whether a person who looks sees all pins at rest.
+pub(super) fn look_at_rest(world: &World) -> bool {
+    world.daemon.faults().heights_um.iter().all(|um| um.abs() <= PULSE_UM)
 }
 
 /// Whether every pin is at rest, as far as the status says.
@@ -276,7 +299,7 @@ pub(super) fn at_rest(world: &mut World) {
             "a play that was accepted and has an end passes no limit: {receipt:?}"
         );
     }
-    if !are_down {
+    if !look_at_rest(world) {
         return;
     }
     let armed = world.asked::<Value>(&client, "/v1/arm", &json!({"assume_rest": true, "checked": "Ada"}));

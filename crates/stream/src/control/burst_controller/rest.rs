@@ -28,6 +28,12 @@ impl BurstController {
         let um_per_pulse = self.um_per_pulse();
         let highest = self.queue.front().map_or(self.level, |first| self.level.max(first.level));
         let unsure = self.estimator.scatter() * f64::from(highest) * um_per_pulse;
+        // A bad line may have lost the corrections of bursts that no sample has shown.
+        let unseen = self.queue.iter().skip(self.begun).take_while(|queued| queued.burst.start < tick);
+        let corrections =
+            unseen.map(|Queued { burst, planned, .. }| f64::from(burst.pulses.abs_diff(*planned)));
+        let corrected = corrections.map(|pulses| (pulses * um_per_pulse).powi(2)).sum::<f64>();
+        let variance = 2.0 * unsure * unsure + corrected;
         self.queue.clear();
         (self.begun, self.finalised, self.pending, self.level) = (0, 0, [0; 2], 0);
         self.bursts = Bursts::default();
@@ -35,8 +41,8 @@ impl BurstController {
             // The return ends at the stop, too.
             self.estimator.rest_at(mean, variance);
         } else {
-            self.estimator.rest_at(rest_um, self.estimator.variance() + 2.0 * unsure * unsure);
-            self.reckoned.scatter(2.0 * unsure * unsure);
+            self.estimator.rest_at(rest_um, self.estimator.variance() + variance);
+            self.reckoned.scatter(variance);
         }
         (self.anchored, self.move_from) = (false, None);
     }
@@ -220,7 +226,31 @@ impl BurstController {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use firmware_protocol::moves::Move;
     use meissner_array::spec::Array;
+    use meissner_array::strokes::Step;
+
+    /// A bad line delivers a correction or loses it: the pin is by so much elsewhere.
+    #[test]
+    fn a_cut_counts_corrections_that_no_sample_has_shown() {
+        let second = |n: u64| Tick(n * 85_000);
+        let mut pin = BurstController::new(Array::paper(), &Gains::default());
+        pin.assume_rest();
+        pin.telemetry(second(1), 0.0, |_| ());
+        let up = Move { motor: 0, tick: second(2), level: 500, surplus: 0 };
+        pin.sent(&Step::Move { of: up, from: 0 }, true, second(9), |_, _| ());
+        pin.accepted(up.tick);
+        let mut more = 0;
+        let amend = |_, pulses: u16| {
+            more = pulses - up.level;
+            true
+        };
+        pin.correct(Tick(up.tick.0 - 200), || second(9), true, true, amend);
+        assert!(more > 100, "after a rest it is longer: {more}");
+        pin.cut(second(3));
+        let (said_um, more_um) = (pin.dead_reckoning_um(), f64::from(more) * pin.um_per_pulse());
+        assert!(said_um >= more_um, "{said_um} um, and {more_um} um may be lost");
+    }
 
     #[test]
     fn a_move_down_ends_at_the_lower_stop() {
