@@ -1,9 +1,9 @@
 //! Amendments: which of them change a burst, and until when.
 
-use crate::bench::{Bench, FIRMWARE, burst, stroke, to};
+use crate::bench::{Bench, FIRMWARE, burst, stroke};
 use Direction::{Down, Up};
 use firmware_protocol::batch::Stroke;
-use firmware_protocol::message::{HostMessage, Op};
+use firmware_protocol::message::Op;
 use firmware_protocol::stroke::Direction;
 use firmware_protocol::tick::Tick;
 
@@ -73,64 +73,6 @@ fn the_newest_generation_wins_per_move_and_across_the_wrap() {
     assert_eq!(amended.played(), (24, 19, 2, 3));
 }
 
-#[test]
-fn an_amendment_is_taken_until_its_burst_is_rendered() {
-    for direction in [Up, Down] {
-        for event in 100..280 {
-            let mut one = Amended::new();
-            one.bench.run(event);
-            let taken = u64::from(one.bench.device.rendered() <= one.tick(direction));
-            one.amend(1, direction, 18);
-            let (up, down, amended, ignored) = one.played();
-            assert_eq!((amended, ignored), (taken, 1 - taken), "{direction:?} {event}");
-            let other = u16::from(taken > 0) * 2;
-            assert_eq!((up, down), if direction == Up { (20 - other, 20) } else { (20, 20 - other) });
-        }
-    }
-}
-
-#[test]
-fn an_amendment_needs_room() {
-    let mut bench = Bench::armed_without_stop(FIRMWARE);
-    let first = stroke(1, bench.now + 200, 45, 2, 45);
-    bench.strokes(&[first, stroke(1, first.down.0 + 45 + 3, 45, 0, 45)]);
-    let (up, down) = (first.up, first.down);
-    for (generation, tick, pulses) in [(1, up, 48), (2, up, 47), (3, down, 49), (4, down, 48)] {
-        bench.amend(generation, 1, tick, pulses);
-    }
-    assert_eq!(bench.device.counters().amendments_ignored, 2);
-    bench.run(500);
-    let bursts = bench.bursts(1);
-    assert_eq!((bursts[0].pulses, bursts[1].pulses, bursts[2].pulses), (47, 48, 45));
-    assert_eq!(bench.device.counters().shortened, 0);
-}
-
-#[test]
-fn an_amendment_without_its_move_is_counted_and_ignored() {
-    let Amended { mut bench, first } = Amended::new();
-    bench.amend(1, 1, first.up + 1, 18);
-    bench.amend(2, 2, first.up, 18);
-    bench.amend(3, 31, first.up, 18);
-    let (epoch, base) = (bench.epoch, first.up.wire());
-    // One that ends within its item, and one with bits that no amendment has.
-    bench.send(&HostMessage::Amend { epoch, generation: 4, base, items: &[1, 0] });
-    bench.send(&HostMessage::Amend { epoch, generation: 4, base, items: &[0x41, 0, 18] });
-    assert_eq!(bench.device.counters().amendments_ignored, 5);
-    // Amendments of another epoch are not even counted.
-    for epoch in [epoch.wrapping_sub(1), epoch.wrapping_add(1)] {
-        bench.send(&HostMessage::Amend { epoch, generation: 5, base, items: &[1, 0, 18] });
-    }
-    assert_eq!(Amended { bench, first }.played(), (20, 20, 0, 5));
-
-    // Bursts of a return cannot be amended.
-    let Amended { mut bench, first } = Amended::new();
-    bench.run(220 - 64);
-    bench.control(Op::Stop);
-    bench.amend(1, 1, first.down, 18);
-    bench.settle();
-    assert_eq!((bench.device.counters().amendments_ignored, bench.net(1)), (1, 0));
-}
-
 /// A burst up that a stop cuts is undone, up to the level of its move. A burst down to rest that runs ends as amended. What is between
 /// them is undone as planned: a correction is no height.
 #[test]
@@ -185,39 +127,4 @@ fn no_amendment_exceeds_the_limits_of_a_move() {
     assert_eq!(bench.device.counters().amendments_ignored, 1);
     bench.run(8_000);
     assert_eq!(bench.bursts(1).iter().map(|burst| burst.pulses).collect::<Vec<_>>(), [3_000, 3_900]);
-}
-
-/// Moves between two levels count from the level before, not from rest.
-#[test]
-fn a_correction_is_a_share_of_the_distance() {
-    for (pulses, taken) in [(69, false), (70, true), (130, true), (131, false)] {
-        let mut bench = Bench::armed_without_stop(FIRMWARE);
-        let at = bench.soon() + 100;
-        bench.moves(&[
-            to(1, at, 1_000),
-            to(1, at + 1_200, 1_100),
-            to(1, at + 1_500, 1_000),
-            to(1, at + 1_800, 0),
-        ]);
-        bench.amend(1, 1, Tick(at + 1_200), pulses);
-        bench.run(3_500);
-        let found = bench.bursts(1)[1].pulses;
-        assert_eq!((found, bench.device.counters().amended), if taken { (pulses, 1) } else { (100, 0) });
-        // At the end of its burst the pin has its level. So the other moves are as planned.
-        assert_eq!((bench.bursts(1)[2].pulses, bench.bursts(1)[3].pulses), (100, 1_000));
-    }
-}
-
-/// A correction was made for the distance that was planned.
-#[test]
-fn a_move_from_another_height_than_planned_is_not_corrected() {
-    let mut bench = Bench::armed_without_stop(FIRMWARE);
-    let at = bench.soon() + 100;
-    bench.moves(&[to(1, at, 200), to(1, at + 100, 50), to(1, at + 400, 0)]);
-    bench.amend(1, 1, Tick(at + 100), 120);
-    bench.amend(1, 1, Tick(at + 400), 60);
-    bench.run(1_500);
-    assert_eq!(bench.bursts(1), [burst(at, Up, 100), burst(at + 100, Down, 50), burst(at + 400, Down, 60)]);
-    let counters = bench.device.counters();
-    assert_eq!((counters.shortened, counters.amended), (1, 1));
 }

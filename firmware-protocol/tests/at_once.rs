@@ -1,8 +1,7 @@
 //! The limits on motors that have pulses at once. [`Bench`] counts them in every tick of every test here.
 
 use crate::bench::{
-    Bench, FIRMWARE, HOST_TIMEOUT, MAX_SEEK, MOTORS, NO_LIMITS, PAPER, SHELLS, STOP, Shell, burst, layouts,
-    stroke, to,
+    Bench, FIRMWARE, HOST_TIMEOUT, MAX_SEEK, MOTORS, NO_LIMITS, PAPER, SHELLS, STOP, Shell, layouts, stroke,
 };
 use Direction::{Down, Up};
 use firmware_protocol::array::Layout;
@@ -17,10 +16,6 @@ fn at_once(rail_at_once: u8, chip_at_once: u8) -> PowerLimits {
     PowerLimits { rail_at_once, chip_at_once, ..NO_LIMITS }
 }
 
-fn armed(shell: Shell, limits: PowerLimits) -> Bench {
-    armed_of(shell, PAPER, limits)
-}
-
 fn armed_of(shell: Shell, layout: Layout, limits: PowerLimits) -> Bench {
     Bench::without_stop(Bench::of(shell, layout, Tick::BOOT), HOST_TIMEOUT, limits)
 }
@@ -29,44 +24,6 @@ fn armed_of(shell: Shell, layout: Layout, limits: PowerLimits) -> Bench {
 fn at_once_of(layout: &Layout, rail_at_once: u8, chip_at_once: u8) -> PowerLimits {
     let most = layout.no_limits();
     most.min(PowerLimits { rail_at_once, chip_at_once, ..most })
-}
-
-/// A burst that the motor's next move ends early makes room for those that wait, a tick later at most.
-#[test]
-fn a_burst_that_ends_early_makes_room() {
-    for shell in SHELLS {
-        // The next move turns the pin, or a limit refuses it, or the pin is where it should be.
-        for (level, free) in [(50, true), (60, true), (400, false)] {
-            let mut bench = armed(shell, at_once(1, 2));
-            let at = bench.soon();
-            bench.moves(&[to(4, at, 20), to(3, at + 100, 300), to(4, at + 120, 0), to(3, at + 160, level)]);
-            bench.run(1_000);
-            let begins = bench.bursts(4)[1].start.0;
-            // While a pin waits, none goes up.
-            let reports = bench.reports().len();
-            let end = at + if level == 50 { 170 } else { 160 };
-            assert_eq!(reports, usize::from(!free), "{level} {shell:?}");
-            assert!((end..=end + 1).contains(&begins), "{level}: {} ticks later, {shell:?}", begins - end);
-        }
-    }
-}
-
-/// More pulses than planned delay others, and refuse moves up.
-#[test]
-fn a_corrected_burst_keeps_the_limit() {
-    for shell in SHELLS {
-        let mut bench = armed(shell, at_once(1, 2));
-        let at = bench.soon() + 100;
-        let (one, other) = (stroke(3, at, 20, 200, 20), stroke(4, at + 50, 10, 180, 10));
-        bench.strokes(&[one, other, stroke(5, at + 242, 5, 100, 5)]);
-        assert_eq!((one.down.0, other.down.0), (at + 220, at + 240));
-        bench.amend(1, 3, one.down, 26);
-        bench.run(1_000);
-        assert_eq!(bench.bursts(3)[1..], [burst(at + 220, Down, 26)]);
-        assert_eq!(bench.bursts(4)[1..], [burst(at + 246, Down, 10)]);
-        let refused = Report::Refused { motor: 5, tick: Tick(at + 242).wire(), reason: Refusal::RailAtOnce };
-        assert_eq!((bench.reports(), bench.bursts(5)), (vec![refused], vec![]), "{shell:?}");
-    }
 }
 
 /// What a motor does, tick by tick.

@@ -4,9 +4,10 @@
 //! controller in the tick `now`, whose lines are already out (except in [`MOCK`]). In each tick it checks the driver enable, and counts
 //! the motors of each rail and chip that have pulses at once.
 
+use crate::rule::Rule;
 use firmware_protocol::array::{ArrayId, Layout, MotorSet, Name};
 use firmware_protocol::batch::{Amendment, BATCH_BYTES, Packer, Stroke};
-use firmware_protocol::controller::{BLOCK, Controller, DRIVER_TAIL, HORIZON, Identity, REORDER_WINDOW, Run};
+use firmware_protocol::controller::{BLOCK, Controller, DRIVER_TAIL, HORIZON, Identity, Run};
 use firmware_protocol::frame::{Decoder, MAX_FRAME, encode};
 use firmware_protocol::limits::PowerLimits;
 use firmware_protocol::message::{
@@ -66,7 +67,7 @@ const fn chips_of_eights() -> [u8; 64] {
 
 /// Arrays of several sizes and carriers: the paper's; one supply; groups of all sizes, with gaps in their numbers and motors in no order;
 /// as many motors as there may be, where the build has room for them.
-const LAYOUTS: &[Layout] = &[
+pub(crate) const LAYOUTS: &[Layout] = &[
     PAPER,
     layout("two-by-three", 20_000, &[0; 6], &grouped::<6>(2), 3_000),
     layout("three-by-three", 70_000, &[0, 7, 0, 7, 0, 7, 7, 0, 7], &[1, 9, 1, 9, 1, 63, 9, 4, 63], 500),
@@ -154,6 +155,10 @@ pub(crate) struct Bench {
     /// Number of the last report read. Sent as `seen` while `reading`.
     pub(crate) seen: u16,
     pub(crate) reading: bool,
+    /// Prints the host's messages.
+    pub(crate) prints: bool,
+    /// Judges every tick, if it is there.
+    pub(crate) rule: Option<Box<Rule>>,
 }
 
 pub(crate) fn stroke(motor: u8, up: u64, pulses: u16, hold: u64, down_pulses: u16) -> Stroke {
@@ -218,6 +223,8 @@ impl Bench {
             seq: 0,
             seen: 0,
             reading: true,
+            prints: false,
+            rule: None,
         };
         bench.fill(bench.now + shell.ahead);
         if shell.ahead > 0 {
@@ -266,6 +273,9 @@ impl Bench {
             let refuses = taken_back > std::mem::replace(&mut self.taken_back, taken_back)
                 || run_begins < self.shift_by;
             assert!(run.ticks > 0, "rendering makes progress");
+            if let Some(rule) = &mut self.rule {
+                (run_begins..).take(run.ticks as usize).for_each(|tick| rule.render(tick, run));
+            }
             self.ahead.extend((0..run.ticks).map(|_| (Run { ticks: 1, ..run }, refuses)));
         }
         assert!(self.device.rendered() - Tick(self.now) <= u64::from(HORIZON));
@@ -286,6 +296,15 @@ impl Bench {
         assert!(lines.pulsing().without(all).is_empty(), "a line that does not exist");
         self.check_at_once(lines.pulsing());
         if lines != Lines::OFF {
+            let state = self.device.state();
+            assert!(
+                !matches!(state, State::Faulted | State::Disarmed),
+                "a pulse while {state:?} at {}",
+                self.now
+            );
+            if let Some(rule) = &mut self.rule {
+                rule.play(lines);
+            }
             self.log.push((self.now, lines));
         }
     }
@@ -335,16 +354,33 @@ impl Bench {
         }
         self.now += 1;
         if (self.now - self.start).is_multiple_of(self.shell.block) {
+            let before = self.device.state();
             if self.in_pieces {
                 self.device.advance(Tick(self.now));
             } else {
                 self.device.poll(Tick(self.now));
             }
+            self.changed_from(before);
             self.fill(self.now + self.shell.ahead);
             self.drain();
         }
         if self.shell.ahead > 0 {
             self.play();
+        }
+    }
+
+    /// What came of an event.
+    pub(crate) fn changed_from(&mut self, before: State) {
+        let after = self.device.state();
+        if after == State::Faulted {
+            // A shell forces the drivers off at once.
+            (self.enabled, self.enabled_idle) = (0, 0);
+        }
+        let Some(rule) = &mut self.rule else { return };
+        match (before, after) {
+            (State::Armed, State::Returning | State::Disarmed) => rule.come_down(false),
+            (State::Armed | State::Returning | State::Disarmed, State::Faulted) => rule.turn_off(),
+            _ => {}
         }
     }
 
@@ -392,6 +428,7 @@ impl Bench {
     }
 
     pub(crate) fn bytes(&mut self, mut bytes: &[u8]) {
+        let before = self.device.state();
         if self.in_pieces {
             while !bytes.is_empty() {
                 self.device.read(Tick(self.now), &mut bytes);
@@ -399,22 +436,20 @@ impl Bench {
         } else {
             self.device.receive(Tick(self.now), bytes);
         }
-        if self.device.state() == State::Faulted {
-            // A shell forces the drivers off at once.
-            (self.enabled, self.enabled_idle) = (0, 0);
-        }
+        self.changed_from(before);
         self.drain();
     }
 
     /// Has the device take its buffered frames that are next in order, one with each poll.
     pub(crate) fn follow(&mut self) {
-        for _ in 0..REORDER_WINDOW {
-            self.device.poll(Tick(self.now));
-        }
+        while self.device.poll(Tick(self.now)) {}
         self.drain();
     }
 
     pub(crate) fn send(&mut self, message: &HostMessage<'_>) {
+        if self.prints {
+            println!("{} {:?}: {message:?}", self.now, self.device.state());
+        }
         self.bytes(&frame(message));
     }
 

@@ -131,21 +131,6 @@ fn what_matters_more_ends_a_self_test() {
 }
 
 #[test]
-fn questions_feed_the_host_watchdog_and_need_a_session() {
-    let mut bench = Bench::new(FIRMWARE);
-    bench.send(&HostMessage::Board { window: 1 });
-    bench.send(&HostMessage::SelfTest { run: 1 });
-    assert_eq!(bench.inbox, [DeviceMessage::NoSession; 2]);
-    assert!(!bench.device.is_testing());
-    let mut bench = Bench::armed(FIRMWARE);
-    for window in 0..5 {
-        bench.run(u64::from(crate::bench::HOST_TIMEOUT) / 2);
-        bench.ask(window);
-    }
-    assert_eq!(bench.device.state(), State::Armed);
-}
-
-#[test]
 fn the_longest_frame_is_one() {
     let mut out = [0; MAX_FRAME];
     let len = longest_frame(&PAPER, &mut out);

@@ -1,8 +1,8 @@
 //! Edges of the trigger input: numbered, reported once each, and harmless.
 
-use crate::bench::{Bench, FIRMWARE, PAPER, frame, stroke};
+use crate::bench::{Bench, FIRMWARE, PAPER, stroke};
 use firmware_protocol::controller::REPORTS;
-use firmware_protocol::message::{HostMessage, Op, Report, State};
+use firmware_protocol::message::{Op, Report};
 use firmware_protocol::tick::Tick;
 
 const DEAD: u64 = PAPER.edge_dead_time() as u64;
@@ -33,25 +33,6 @@ fn edges_count_once_in_each_dead_time_and_in_any_state() {
     assert_eq!(edges(&bench), [(first, 1), (first + DEAD, 2), (first + 3 * DEAD, 3), (latched, 4)]);
 }
 
-#[test]
-fn an_edge_changes_nothing_that_is_played() {
-    let [with, without] = [true, false].map(|edges| {
-        let mut bench = Bench::armed(FIRMWARE);
-        let at = bench.soon();
-        bench.onset(at, &[stroke(3, at, 40, 5, 40)]);
-        for _ in 0..20 {
-            if edges {
-                bench.device.edge(Tick(bench.now));
-            }
-            bench.run(10);
-        }
-        assert_eq!(bench.device.state(), State::Armed);
-        (bench.bursts(3), bench.device.counters().pulses)
-    });
-    assert_eq!(with, without);
-    assert_eq!(with.1, 80);
-}
-
 /// The host reads nothing: edges leave the places of onsets and cuts, and their numbers show what is missing.
 #[test]
 fn edges_take_no_place_of_onsets_and_cuts() {
@@ -80,21 +61,4 @@ fn edges_take_no_place_of_onsets_and_cuts() {
     bench.run(100);
     let numbers: Vec<_> = edges(&bench).into_iter().map(|(_, number)| number).collect();
     assert_eq!(numbers, (1..=kept).chain([101]).collect::<Vec<_>>());
-}
-
-/// Without a session edges are counted. A new session learns of none of them but by the number of its first edge.
-#[test]
-fn edges_without_a_host_are_numbered() {
-    let mut bench = Bench::new(FIRMWARE);
-    bench.device.edge(Tick(bench.now));
-    bench.run(DEAD);
-    bench.hello(3);
-    assert_eq!(edges(&bench), []);
-    bench.run(DEAD);
-    bench.device.edge(Tick(bench.now));
-    let tick = bench.now;
-    bench.run(DEAD);
-    bench.bytes(&frame(&HostMessage::Ping { token: 1, seen: bench.seen }));
-    bench.run(DEAD);
-    assert_eq!(edges(&bench), [(tick, 2)]);
 }

@@ -8,7 +8,7 @@ use crate::bench::{
 use Direction::{Down, Up};
 use firmware_protocol::batch::{BATCH_BYTES, Packer, Stroke};
 use firmware_protocol::controller::POOL;
-use firmware_protocol::message::{Cause, Counters, Op, State};
+use firmware_protocol::message::{Cause, Op, State};
 use firmware_protocol::moves::Move;
 use firmware_protocol::stroke::Direction;
 use firmware_protocol::tick::Tick;
@@ -238,60 +238,6 @@ fn an_e_stop_or_a_fault_at_every_phase_ends_with_its_tick_and_keeps_the_return_p
 }
 
 #[test]
-fn an_e_stop_at_every_phase_of_a_return_leaves_the_rest_outstanding() {
-    for shell in SHELLS {
-        let due = queued(shell, 7).1;
-        for stop in (due.up.0 - 66..end(&due)).step_by(3) {
-            for delay in 0..80 {
-                let (mut bench, _) = queued(shell, 7);
-                bench.run_to(stop);
-                bench.control(Op::Stop);
-                bench.run(delay);
-                bench.control(Op::EStop);
-                bench.run(200);
-                assert_eq!(bench.net(3), bench.outstanding() as i64, "{stop} + {delay}, {shell:?}");
-                let counters = bench.device.counters();
-                assert_eq!((counters.played + counters.dropped, counters.pulses), (4, bench.total()));
-                bench.control(Op::Reset);
-                bench.arm(false);
-                bench.settle();
-                assert_eq!((bench.net(3), bench.outstanding()), (0, 0));
-            }
-        }
-    }
-}
-
-#[test]
-fn a_pin_held_for_more_than_16_bits_of_ticks_is_returned_or_outstanding() {
-    for (event, down) in [(Op::Stop, true), (Op::EStop, false)] {
-        let mut bench = Bench::armed(FIRMWARE);
-        let held = stroke(3, bench.soon(), 50, 100_000, 50);
-        // A play that allows it.
-        bench.onset(held.up.0, &[held]);
-        bench.run(70_000);
-        bench.control(event);
-        bench.run(40_000);
-        assert_eq!(bench.net(3), if down { 0 } else { 50 });
-        assert_eq!(bench.outstanding(), if down { 0 } else { 50 });
-        assert_eq!(bench.device.counters().pulses, bench.total());
-    }
-}
-
-#[test]
-fn a_starved_shell_counts_as_played_up_to_the_rendered_end() {
-    let mut bench = Bench::armed(FIRMWARE);
-    let starved = stroke(3, bench.soon(), 200, 50, 200);
-    bench.strokes(&[starved]);
-    bench.run(80);
-    let rendered = bench.device.rendered();
-    bench.device.poll(rendered + 1_000);
-    bench.device.fault(rendered + 1_000, Cause::Starved);
-    assert_eq!(u64::from(bench.device.outstanding(3)), rendered - starved.up);
-    assert_eq!(bench.device.counters().pulses, rendered - starved.up);
-    assert_eq!((bench.device.counters().played, bench.device.counters().dropped), (1, 1));
-}
-
-#[test]
 fn an_e_stop_seen_before_its_frame_takes_effect_once_and_at_once() {
     let mut bench = Bench::armed(FIRMWARE);
     let first = stroke(1, bench.soon(), 200, 5, 200);
@@ -346,21 +292,6 @@ fn an_e_stop_latches_although_its_session_has_ended() {
     alone.device.e_stop(Tick(alone.now), 1);
     assert_eq!(alone.device.epoch(), None);
     alone.is(State::Faulted, Cause::EStop);
-}
-
-/// The clock is a little ahead of the lines, and so may be the time that an earlier call has passed to the controller.
-#[test]
-fn an_e_stop_counts_the_pulses_by_its_own_tick() {
-    let (mut bench, stroke) = queued(FIRMWARE, 7);
-    bench.run_to(stroke.up.0 + 3);
-    bench.device.poll(Tick(bench.now + 1));
-    let epoch = bench.epoch.wrapping_add(1);
-    bench.device.e_stop(Tick(bench.now), epoch);
-    bench.is(State::Faulted, Cause::EStop);
-    // Those of the ticks before, and the one of its tick.
-    assert_eq!((bench.device.counters().pulses, bench.outstanding()), (4, 4));
-    bench.drain();
-    assert_eq!(bench.status().epoch, epoch);
 }
 
 /// Moves with corrections both ways, one of which does not fit, and a surplus: the height at each tick by the design's rule, from the
@@ -426,87 +357,6 @@ fn an_e_stop_at_every_phase_of_corrected_moves_keeps_the_height_between_both_lev
             bench.settle();
             bench.last_cut();
             assert_eq!((bench.outstanding(), bench.device.counters().pulses), (0, bench.total()));
-        }
-    }
-}
-
-/// The ticks that the first e-stop took back are not taken back again.
-#[test]
-fn a_second_e_stop_within_the_horizon_of_the_first_takes_back_nothing_twice() {
-    for shell in SHELLS {
-        for between in 0..70 {
-            let mut bench = Bench::armed(shell);
-            let up = bench.soon();
-            bench.strokes(&[stroke(3, up, 200, 5, 200)]);
-            bench.run_to(up + 120);
-            bench.control(Op::EStop);
-            let height = bench.device.outstanding(3);
-            for _ in 0..3 {
-                bench.control(Op::Reset);
-                bench.arm(false);
-                bench.run(between);
-                bench.control(Op::EStop);
-            }
-            bench.run(200);
-            assert_eq!(bench.net(3), i64::from(bench.device.outstanding(3)), "{between}, {shell:?}");
-            assert!(bench.device.outstanding(3) <= height);
-            assert_eq!(bench.device.counters().pulses, bench.total());
-        }
-    }
-}
-
-/// The correction of a burst says nothing of the ticks after its early end.
-#[test]
-fn an_e_stop_after_a_corrected_move_was_cut_by_the_next_keeps_the_height() {
-    for shell in SHELLS {
-        for event in 0..200 {
-            let mut bench = Bench::armed(shell);
-            let at = bench.soon();
-            bench.moves(&[to(3, at, 30)]);
-            bench.amend(1, 3, Tick(at), 39);
-            // Queued afterwards, so that the correction had room.
-            bench.moves(&[to(3, at + 20, 5), to(3, at + 110, 0)]);
-            bench.run_to(at - 68 + event);
-            bench.control(Op::EStop);
-            bench.run(100);
-            let message = format!("{event}, {shell:?}");
-            assert_eq!(bench.net(3), i64::from(bench.device.outstanding(3)), "{message}");
-            assert_eq!(
-                (bench.device.counters().pulses, bench.total() <= 40),
-                (bench.total(), true),
-                "{message}"
-            );
-        }
-    }
-}
-
-/// What is rendered and not played counts neither as shortened nor as amended, in a status and after an e-stop.
-#[test]
-fn moves_count_as_shortened_and_amended_when_they_are_played() {
-    for shell in SHELLS {
-        for offset in 0..140 {
-            let mut bench = Bench::armed(shell);
-            let at = bench.soon();
-            bench.moves(&[to(1, at, 200), to(2, at + 70, 20), to(1, at + 100, 50)]);
-            bench.amend(1, 2, Tick(at + 70), 23);
-            bench.run_to(at + offset);
-            let begun = |until: u64| [0, 70, 100].map(|begin| u64::from(begin < until));
-            let check = |counters: Counters, until| {
-                let begun = begun(until);
-                let wanted = (begun.iter().sum(), begun[1], begun[2]);
-                assert_eq!(
-                    (counters.played, counters.amended, counters.shortened),
-                    wanted,
-                    "{shell:?} {offset}"
-                );
-            };
-            bench.ping(1);
-            check(bench.status().counters, offset);
-            bench.control(Op::EStop);
-            // The tick being played is out already, in a shell that renders ahead.
-            let until = offset + u64::from(shell.ahead > 0);
-            check(bench.device.counters(), until);
-            assert_eq!(bench.device.counters().dropped, 3 - begun(until).iter().sum::<u64>());
         }
     }
 }

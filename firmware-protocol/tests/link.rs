@@ -2,16 +2,13 @@
 //!
 //! Sequence numbers, epochs, sessions, reports, and frames that cannot be read.
 
-use crate::bench::{
-    Bench, FIRMWARE, HOST_TIMEOUT, NO_LIMITS, ONSET, SHELLS, TICK_HZ, frame, pack, stroke, to,
-};
+use crate::bench::{Bench, FIRMWARE, NO_LIMITS, ONSET, TICK_HZ, frame, pack, stroke};
 use crate::interruptions::planned;
-use firmware_protocol::array::MotorSet;
-use firmware_protocol::batch::{BATCH_BYTES, MAX_BATCH, Packer, Stroke};
+use firmware_protocol::batch::{MAX_BATCH, Stroke};
 use firmware_protocol::controller::{POOL, REORDER_WINDOW, REPORTS};
 use firmware_protocol::frame::PROTOCOL;
 use firmware_protocol::limits::Refusal;
-use firmware_protocol::message::{Cause, DeviceMessage, HostMessage, Mark, MarkKind, Op, Report, State};
+use firmware_protocol::message::{Cause, DeviceMessage, HostMessage, Op, Report, State};
 use firmware_protocol::stroke::Direction;
 use firmware_protocol::tick::Tick;
 
@@ -227,45 +224,6 @@ fn a_full_ring_takes_no_strokes_and_loses_the_newest_report() {
     assert_eq!(bench.bursts(1), planned(&next));
 }
 
-/// Pins whose holds end one after the other, while the host reads nothing: onsets and cuts find their places, and each pin is named unless a cut
-/// brings all down.
-#[test]
-fn reports_of_lowered_pins_take_no_place_of_onsets_and_cuts() {
-    for stops in [0, 4] {
-        let mut bench = Bench::without_stop(Bench::new(FIRMWARE), 10 * TICK_HZ, NO_LIMITS);
-        bench.reading = false;
-        let at = bench.soon();
-        let mut packer = Packer::<BATCH_BYTES>::new(Tick(at));
-        // The device looks every 1 024 ticks.
-        (0..24).for_each(|motor| packer.moves(&to(motor, at + 1_100 * u64::from(motor), 9)).unwrap());
-        bench.frame(Some(Mark { hold: 0, ..ONSET }), at, packer.bytes());
-        let last = at + 24 * 1_100 + 20_000;
-        for item in 0..7 {
-            bench.frame(Some(Mark { kind: MarkKind::Item, ..ONSET }), last + 100 * item, &[]);
-        }
-        bench.run_to(last + 1_000);
-        (0..stops).for_each(|_| bench.control(Op::Stop));
-        assert_eq!(bench.device.counters().reports_lost, 0);
-        bench.reading = true;
-        bench.run(850);
-        for token in 0..3 {
-            bench.ping(token);
-            bench.run(850);
-        }
-        let (mut onsets, mut cuts, mut pins) = (0, 0, MotorSet::EMPTY);
-        for report in bench.reports() {
-            match report {
-                Report::Onset { .. } => onsets += 1,
-                Report::Cut(_) => cuts += 1,
-                Report::Lowered { held, .. } => pins |= held,
-                other => panic!("{other:?}"),
-            }
-        }
-        assert_eq!((onsets, cuts), (8, stops));
-        assert!(stops > 0 || pins == MotorSet::from_bits((1 << 24) - 1), "{pins:?}");
-    }
-}
-
 #[test]
 fn the_numbers_of_reports_wrap() {
     let mut bench = Bench::armed(FIRMWARE);
@@ -456,75 +414,6 @@ fn bytes_come_in_any_chunks_and_a_lost_link_forgets_the_half_frame() {
     bench.hello(3);
     assert_eq!(bench.device.counters().bad_frames, 0);
     assert!(bench.inbox.iter().any(|m| matches!(m, DeviceMessage::Hello(hello) if hello.session == 3)));
-}
-
-#[test]
-fn strokes_and_amendments_cross_the_wrap_of_the_wire_tick() {
-    for shell in SHELLS {
-        for before in (0..260).step_by(5) {
-            let start = (1 << 32) - 400;
-            let bench = Bench::starting_at(shell, Tick(start));
-            let mut bench = Bench::without_stop(bench, HOST_TIMEOUT, NO_LIMITS);
-            let first = stroke(1, (1 << 32) - before, 100, 60, 100);
-            bench.onset(first.up.0, &[first, stroke(2, first.up.0 + 10, 9, 50, 9)]);
-            bench.amend(1, 1, first.down, 110);
-            bench.run(900);
-            let mut expected = planned(&first);
-            expected[1].pulses = 110;
-            assert_eq!(bench.bursts(1), expected);
-            assert_eq!((bench.net(2), bench.device.counters().amended), (0, 1));
-            assert!(matches!(bench.reports()[..], [Report::Onset { tick, .. }] if tick == first.up.wire()));
-            // Now it is in the past, although its low bits may look newer.
-            bench.strokes(&[first]);
-            assert_eq!(bench.device.counters().late, 2);
-        }
-    }
-}
-
-/// Of a corrected move, too, whose height does not follow from its pulses.
-#[test]
-fn stops_and_e_stops_cross_the_wrap_of_the_wire_tick() {
-    for shell in SHELLS {
-        for (before, op) in (0..130).step_by(3).flat_map(|before| [(before, Op::Stop), (before, Op::EStop)]) {
-            let wrap = 1_u64 << 32;
-            let bench = Bench::starting_at(shell, Tick(wrap - 400));
-            let mut bench = Bench::without_stop(bench, HOST_TIMEOUT, NO_LIMITS);
-            let up = wrap - before;
-            let corrected = stroke(1, up, 60, 30, 60);
-            bench.strokes(&[corrected, stroke(2, up + 10, 9, 50, 9)]);
-            bench.amend(1, 1, corrected.up, 75);
-            bench.run_to(wrap + 3);
-            bench.control(op);
-            let at = if op == Op::EStop { wrap + 4 } else { bench.device.rendered().0 };
-            let at = at.min(bench.device.rendered().0);
-            let ups = |up: u64, level: u64, pulses: u64| match at.saturating_sub(up) {
-                done if done >= pulses => level,
-                done => done.min(level),
-            };
-            let height = ups(up, 60, 75) - at.saturating_sub(corrected.down.0).min(60);
-            let other = ups(up + 10, 9, 9) - at.saturating_sub(up + 69).min(9);
-            assert_eq!(
-                u64::from(bench.last_cut().outstanding),
-                height + other,
-                "{before}, {op:?}, {shell:?}"
-            );
-            assert_eq!(bench.last_cut().at, Tick(at).wire());
-            bench.run(500);
-            assert_eq!(bench.device.counters().pulses, bench.total());
-            if op == Op::EStop {
-                assert_eq!(bench.outstanding(), height + other);
-                bench.control(Op::Reset);
-                bench.control(Op::Arm {
-                    assume_rest: false,
-                    host_timeout: HOST_TIMEOUT,
-                    limits: NO_LIMITS,
-                    lower_stop: None,
-                });
-                bench.settle();
-            }
-            assert_eq!((bench.device.state(), bench.outstanding(), bench.net(2)), (State::Armed, 0, 0));
-        }
-    }
 }
 
 #[test]

@@ -8,10 +8,9 @@ use crate::taking::verdict;
 use Direction::{Down, Up};
 use firmware_protocol::batch::Stroke;
 use firmware_protocol::limits::Refusal;
-use firmware_protocol::message::{Cause, Cut, LowerStop, Op, Report, State};
+use firmware_protocol::message::{Cause, LowerStop, Op, State};
 use firmware_protocol::moves::Move;
 use firmware_protocol::stroke::Direction;
-use firmware_protocol::tick::Tick;
 
 fn arm(assume_rest: bool, lower_stop: Option<LowerStop>) -> Op {
     Op::Arm { assume_rest, host_timeout: 10 * TICK_HZ, limits: NO_LIMITS, lower_stop }
@@ -174,73 +173,6 @@ fn pushes_that_a_correction_leaves_are_limited() {
     }
 }
 
-/// A pin that is lower than its level, because of a correction, is at the stop before it gets to a low level.
-#[test]
-fn a_way_down_that_pushes_before_it_is_at_rest_counts_once() {
-    for shell in SHELLS {
-        for (limit, pulses) in [(100, [70, 70, 10, 20]), (30, [70, 70, 10, 20]), (12, [88, 70, 10, 20])] {
-            let mut bench = bench(shell, stop(limit, 0));
-            let at = bench.soon();
-            bench.moves(&[to(3, at, 100), to(3, at + 200, 30), to(3, at + 400, 20), to(3, at + 600, 0)]);
-            bench.amend(1, 3, Tick(at), 70);
-            bench.run(1_000);
-            let found: Vec<u16> = bench.bursts(3).iter().map(|burst| burst.pulses).collect();
-            assert_eq!(found, pulses, "{shell:?} {limit}");
-            assert_eq!((bench.above_stop(3), bench.device.counters().shortened), (0, 0));
-            let left = limit as u16 - (100 - pulses[0]);
-            bench.strokes(&[stroke(3, bench.soon(), 100, 5, 200)]);
-            bench.run(600);
-            assert_eq!(bench.bursts(3).last().map(|down| down.pulses), Some(100 + left), "{shell:?} {limit}");
-        }
-    }
-}
-
-/// A longer way up does not make room for other pushes.
-#[test]
-fn a_correction_of_the_way_up_leaves_the_pushes_as_they_are() {
-    for shell in SHELLS {
-        let mut bench = bench(shell, stop(6, 0));
-        let one = stroke(3, bench.now + 300, 20, 10, 26);
-        bench.strokes(&[one, stroke(3, one.down.0 + 60, 20, 70, 21)]);
-        bench.amend(1, 3, one.up, 26);
-        bench.run(600);
-        let found: Vec<u16> = bench.bursts(3).iter().map(|burst| burst.pulses).collect();
-        assert_eq!(found, [26, 26, 20, 20], "{shell:?}");
-    }
-}
-
-/// A stroke that is cut before it pushes, or while it does, must leave nothing counted for ever.
-#[test]
-fn the_count_of_a_stroke_that_an_e_stop_cuts_is_right() {
-    for shell in SHELLS {
-        for cut in [12, 110, 130, 193, 200, 205] {
-            let mut bench = bench(shell, stop(40, 0));
-            let one = stroke(3, bench.now + 300, 100, 10, 110);
-            bench.strokes(&[one]);
-            bench.amend(1, 3, one.up, 80);
-            bench.run_to(one.up.0 + cut);
-            bench.control(Op::EStop);
-            bench.control(Op::Reset);
-            bench.run(u64::from(TICK_HZ) + 2_000);
-            let (above, before) = (bench.above_stop(3), bench.total());
-            bench.control(arm(false, stop(40, 0)));
-            bench.settle();
-            // A return pushes by what the correction has left.
-            let pushed = (bench.total() - before - above) as u16;
-            assert!(pushed <= 20 && bench.above_stop(3) == 0, "{pushed}");
-            for surplus in [40 - pushed, 0] {
-                bench.strokes(&[stroke(3, bench.soon(), 140, 5, 180)]);
-                bench.run(600);
-                assert_eq!(
-                    bench.bursts(3).last().map(|down| down.pulses),
-                    Some(140 + surplus),
-                    "{cut} {shell:?}"
-                );
-            }
-        }
-    }
-}
-
 /// What is over the limit is left out. The way down is not.
 #[test]
 fn pushes_are_limited_in_every_sliding_second() {
@@ -320,120 +252,5 @@ fn a_seek_that_may_not_reach_the_stop_is_refused_and_changes_nothing() {
         assert_eq!(bench.outstanding(), 0);
         bench.control(Op::Move { motor: 5, direction: Up, pulses: 3_000 });
         assert_eq!(bench.status().refusal, None);
-    }
-}
-
-#[test]
-fn a_pin_that_a_move_drives_against_the_stop_goes_no_further() {
-    for shell in SHELLS {
-        let shift = |direction, pulses| Op::Move { motor: 5, direction, pulses };
-        let mut bench = bench(shell, stop(500, 0));
-        bench.control(shift(Up, 100));
-        bench.run(300);
-        // 100 of these take the pin to the stop, 400 push.
-        bench.control(shift(Down, 500));
-        assert_eq!(bench.status().refusal, None);
-        bench.run(700);
-        bench.control(shift(Down, 101));
-        assert_eq!(bench.status().refusal, Some(Refusal::Pushing));
-        bench.control(shift(Down, 100));
-        assert_eq!(bench.status().refusal, None);
-        bench.run(300);
-        // The pin is at the stop, not below it: it may rise by its travel.
-        bench.control(shift(Up, 3_001));
-        assert_eq!(bench.status().refusal, Some(Refusal::Travel));
-        bench.control(shift(Up, 3_000));
-        assert_eq!(bench.status().refusal, None);
-
-        // An e-stop leaves what a pin is above the stop, and nothing to push. What was pushed counts.
-        for (raised, cut) in (0..40).flat_map(|cut| [(0, 15 * cut), (100, 15 * cut)]) {
-            let mut bench = self::bench(shell, stop(500, 0));
-            bench.control(shift(Up, raised));
-            bench.run(300);
-            let before = bench.net(5);
-            bench.control(shift(Down, 500 + raised));
-            bench.run(cut);
-            // A stop drives it to its end, and says how long that takes.
-            if cut % 2 == 1 {
-                bench.control(Op::Stop);
-                let cut = bench.last_report();
-                bench.settle();
-                assert_eq!(before - bench.net(5), i64::from(500 + raised), "{raised} {shell:?}");
-                let Report::Cut(Cut { at, return_ticks: Some(ticks), .. }) = cut else { panic!("{cut:?}") };
-                let at = at.near(Tick(bench.now)).0;
-                assert!(bench.last_pulse().is_none_or(|last| last < at + u64::from(ticks)));
-                continue;
-            }
-            bench.control(Op::EStop);
-            bench.control(Op::Reset);
-            let played = before - bench.net(5);
-            let left = (i64::from(raised) - played).max(0);
-            assert_eq!(i64::from(bench.device.outstanding(5)), left, "{raised} {cut} {shell:?}");
-            bench.control(arm(false, stop(500, 0)));
-            bench.settle();
-            assert_eq!(before - bench.net(5), played + left, "{raised} {cut} {shell:?}");
-            let pushed = (played - i64::from(raised)).clamp(0, 500) as u16;
-            bench.control(shift(Down, 500 - pushed + 1));
-            assert_eq!(bench.status().refusal, Some(Refusal::Pushing), "{raised} {cut} {shell:?}");
-            bench.control(shift(Down, 500 - pushed));
-            assert_eq!(bench.status().refusal, None, "{raised} {cut} {shell:?}");
-        }
-    }
-}
-
-/// Pushes from before an `arm` without a stop do not make the device refuse strokes that push nothing.
-#[test]
-fn an_array_without_a_stop_plays_right_after_one_with_a_stop() {
-    for shell in SHELLS {
-        let mut bench = bench(shell, stop(MAX_PUSHES_PER_S, WHOLE_TRAVEL));
-        bench.settle();
-        bench.control(Op::Disarm(Cause::Request));
-        bench.settle();
-        bench.control(arm(false, None));
-        bench.strokes(&[stroke(1, bench.soon(), 10, 5, 10)]);
-        bench.run(300);
-        assert_eq!((bench.device.counters().played, bench.device.counters().refused), (2, 0));
-        bench.control(Op::Move { motor: 1, direction: Up, pulses: 10 });
-        assert_eq!(bench.status().refusal, None);
-    }
-}
-
-/// The device's own fault drops the ways down of all pins, at any moment. It keeps their heights: after a reset the next `arm` returns them, or
-/// seeks the stop from there.
-#[test]
-fn a_fault_that_drops_ways_down_keeps_the_return_pulses() {
-    for (shell, seek) in SHELLS.into_iter().flat_map(|shell| [0, 451].map(|seek| (shell, seek))) {
-        for event in [-100_i64, -1, 0, 1, 150, 298] {
-            let mut bench = bench(shell, stop(MAX_PUSHES_PER_S, 0));
-            let up = bench.soon();
-            let down = up + 800;
-            let motors = || 0..MOTORS as u8;
-            bench.moves(&motors().map(|motor| to(motor, up, 300)).collect::<Vec<_>>());
-            let ways = motors().map(|motor| Move { surplus: 74, ..to(motor, down, 0) });
-            bench.moves(&ways.collect::<Vec<_>>());
-            bench.run_to(down.wrapping_add_signed(event));
-            let played = (bench.now + 1).min(bench.device.rendered().0);
-            bench.device.fault(Tick(bench.now), Cause::Starved);
-            bench.is(State::Faulted, Cause::Starved);
-            bench.run(200);
-            let up = |bench: &Bench| motors().map(|motor| bench.net(motor).unsigned_abs()).sum::<u64>();
-            let left = up(&bench);
-            assert!(left > 0 && bench.outstanding() == left, "{event}: {left}");
-            let dropped = if played <= down { 24 } else { 0 };
-            assert_eq!(bench.device.counters().dropped, dropped, "{event}");
-            bench.control(Op::Reset);
-            bench.ping(1);
-            assert_eq!((u64::from(bench.status().outstanding), bench.status().position_known), (left, true));
-            bench.control(arm(false, stop(MAX_PUSHES_PER_S, seek)));
-            bench.is(State::Returning, Cause::Request);
-            bench.settle();
-            bench.is(State::Armed, Cause::Request);
-            assert_eq!((bench.outstanding(), bench.device.counters().pulses), (0, bench.total()));
-            let below = motors().map(|motor| bench.net(motor)).collect::<Vec<_>>();
-            assert!(
-                below.iter().all(|&net| if seek == 0 { net == 0 } else { net < 0 }),
-                "{event}: {below:?}"
-            );
-        }
     }
 }

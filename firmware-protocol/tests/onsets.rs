@@ -1,12 +1,12 @@
 //! The first frame of a play or of a later item: reported at its onset, with the trigger output.
 
 use crate::bench::{Bench, FIRMWARE, NO_LIMITS, ONSET, PULSE, SHELLS, TICK_HZ, pack, stroke, to};
-use crate::interruptions::{end, planned};
+use crate::interruptions::planned;
 use firmware_protocol::array::MotorSet;
 use firmware_protocol::batch::{BATCH_BYTES, MAX_FIRST_BATCH, Packer};
 use firmware_protocol::controller::POOL;
 use firmware_protocol::limits::Refusal;
-use firmware_protocol::message::{Mark, MarkKind, Op, Report, State, Trigger};
+use firmware_protocol::message::{Mark, MarkKind, Report, State, Trigger};
 use firmware_protocol::tick::Tick;
 
 #[test]
@@ -46,104 +46,6 @@ fn an_onset_is_all_or_nothing_and_reported_when_it_has_passed() {
         );
         assert_eq!((bench.device.counters().late, bench.device.counters().refused), (0, 2));
     }
-}
-
-#[test]
-fn the_trigger_rises_with_each_onset_and_stays_for_10_ms() {
-    let ms_10 = u64::from(PULSE.width);
-    for shell in SHELLS {
-        let mut bench = Bench::armed(shell);
-        let base = bench.soon();
-        // The third comes while the trigger is high from the second: one long pulse.
-        let onsets = [base, base + 2_000, base + 2_500, base + 5_000];
-        for onset in onsets {
-            bench.onset(onset, &[stroke(1, onset + 3, 9, 5, 9)]);
-        }
-        bench.run_to(base + 5_100);
-        bench.control(Op::EStop);
-        let end = bench.now;
-        bench.run(2_000);
-        let high: Vec<u64> = (base..base + ms_10)
-            .chain(base + 2_000..base + 2_500 + ms_10)
-            .chain(base + 5_000..=end)
-            .collect();
-        let ends_with_the_tick = usize::from(shell.ahead == 0);
-        assert_eq!(bench.triggered, high[..high.len() - ends_with_the_tick]);
-        // A trigger that an e-stop ends does not continue after a reset.
-        bench.control(Op::Reset);
-        bench.arm(true);
-        let onset = bench.soon();
-        bench.onset(onset, &[]);
-        bench.run_to(onset + 200);
-        bench.control(Op::EStop);
-        let seen = bench.triggered.len();
-        bench.run(100);
-        bench.control(Op::Reset);
-        bench.run(2_000);
-        assert_eq!(bench.triggered.len(), seen);
-    }
-}
-
-#[test]
-fn an_onset_counts_what_was_played_before_it_even_if_a_cut_comes_first() {
-    let mut bench = Bench::armed(FIRMWARE);
-    let rendered = bench.device.rendered().0 + 200;
-    let ends = stroke(1, rendered - 40, 10, 5, 10);
-    assert_eq!(end(&ends), rendered - 15);
-    bench.strokes(&[ends]);
-    bench.onset(rendered - 5, &[]);
-    // Both are rendered already when the stop comes, and are played.
-    bench.run_to(rendered - 20);
-    bench.control(Op::Stop);
-    bench.run(300);
-    let onset = bench.reports().into_iter().find_map(|report| match report {
-        Report::Onset { counters, .. } => Some((counters.played, counters.pulses)),
-        _ => None,
-    });
-    assert_eq!(onset, Some((2, 20)));
-}
-
-#[test]
-fn onsets_flushed_by_a_cut_are_not_reported() {
-    for (shell, event) in SHELLS.iter().flat_map(|&shell| [(shell, Op::Stop), (shell, Op::EStop)]) {
-        let mut bench = Bench::armed(shell);
-        // Out of order, as a faulty host may send them.
-        for ahead in [5_000, 90, 3_000] {
-            bench.onset(bench.now + ahead, &[]);
-        }
-        bench.run(200);
-        bench.control(event);
-        bench.run(6_000);
-        assert!(!bench.reports().iter().any(
-            |report| matches!(report, Report::Onset { tick, .. } if tick.near(Tick(bench.now)).0 > bench.now - 4_000)
-        ));
-    }
-}
-
-#[test]
-fn an_e_stop_in_the_tick_before_an_onset_leaves_it_unplayed_and_unreported() {
-    for shell in SHELLS {
-        let mut bench = Bench::armed(shell);
-        let first = stroke(1, bench.soon(), 9, 5, 9);
-        bench.onset(first.up.0, &[first]);
-        bench.run(99);
-        bench.control(Op::EStop);
-        bench.run(200);
-        assert_eq!((bench.total(), bench.reports().len()), (0, 1));
-        assert!(matches!(bench.last_report(), Report::Cut(cut) if cut.flushed == 2));
-    }
-}
-
-#[test]
-fn at_most_eight_onsets_wait() {
-    let mut bench = Bench::armed(FIRMWARE);
-    for k in 0..9 {
-        bench.onset(bench.soon() + k, &[]);
-    }
-    assert_eq!(bench.status().next_seq, 8);
-    bench.run_to(bench.soon() + 2);
-    bench.onset(bench.soon(), &[]);
-    assert_eq!(bench.status().next_seq, 9);
 }
 
 #[test]
@@ -227,25 +129,6 @@ fn the_first_frame_of_a_play_has_a_bounded_number_of_moves() {
         bench.run(300);
         assert_eq!(bench.device.counters().played - before, count as u64);
     }
-}
-
-/// Its frame comes while a pin is held.
-#[test]
-fn the_hold_of_a_play_counts_until_the_next_one_begins() {
-    let mut bench = Bench::without_stop(Bench::new(FIRMWARE), 10 * TICK_HZ, NO_LIMITS);
-    let at = bench.soon();
-    let next = at + u64::from(TICK_HZ) / 2;
-    for (hold, at, level, until) in [(TICK_HZ, at, 50, next - 8_000), (0, next, 40, next - 100)] {
-        let mut packer = Packer::<BATCH_BYTES>::new(Tick(at));
-        packer.moves(&to(3, at, level)).unwrap();
-        bench.frame(Some(Mark { hold, ..ONSET }), at, packer.bytes());
-        bench.run_to(until);
-    }
-    assert_eq!(bench.net(3), 50);
-    bench.run(17_000);
-    assert_eq!(bench.net(3), 40);
-    bench.run(2_000);
-    assert_eq!(bench.net(3), 0);
 }
 
 /// Only the mark of a play says for how long pins may be held, from its tick on.

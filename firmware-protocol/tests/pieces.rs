@@ -2,9 +2,8 @@
 //!
 //! [`half_taken`] is the beginning of each test: a frame of 64 moves, 32 strokes, of which the device takes one piece in each block.
 
-use crate::bench::{Bench, FIRMWARE, HOST_TIMEOUT, ONSET, frame, pack, stroke};
-use firmware_protocol::array::MotorSet;
-use firmware_protocol::batch::{BATCH_BYTES, MAX_BATCH, MAX_FIRST_BATCH, Packer, Stroke};
+use crate::bench::{Bench, FIRMWARE, ONSET, frame, pack, stroke};
+use firmware_protocol::batch::{MAX_BATCH, MAX_FIRST_BATCH, Stroke};
 use firmware_protocol::controller::{BLOCK, HORIZON};
 use firmware_protocol::message::{Cause, Counters, HostMessage, Mark, Op, Report, State};
 use firmware_protocol::tick::Tick;
@@ -106,88 +105,5 @@ fn an_e_stop_between_pieces_keeps_what_was_counted() {
         bench.run(BLOCKS * u64::from(BLOCK));
         bench.is(State::Disarmed, Cause::Request);
         check(&mut bench, taken, "after the reset");
-    }
-}
-
-#[test]
-fn a_silent_host_or_a_lost_link_between_pieces_refuses_the_rest() {
-    for blocks in 2..BLOCKS {
-        let events: [fn(&mut Bench); 2] = [
-            |bench| bench.device.link_lost(Tick(bench.now)),
-            |bench| {
-                bench.device.advance(Tick(bench.now + u64::from(HOST_TIMEOUT) + 1));
-            },
-        ];
-        for (event, cause) in events.into_iter().zip([Cause::LinkLost, Cause::HostTimeout]) {
-            let (mut bench, _) = half_taken(500, blocks);
-            event(&mut bench);
-            bench.is(State::Returning, cause);
-            check(&mut bench, 32, "return");
-            bench.is(State::Disarmed, cause);
-            // The move up had begun; the pin came down by itself.
-            assert_eq!((bench.device.counters().played, bench.net(23)), (1, 0));
-        }
-    }
-}
-
-#[test]
-fn a_hello_of_another_session_between_pieces_ends_the_frame() {
-    for blocks in 2..BLOCKS {
-        let (mut bench, _) = half_taken(500, blocks);
-        bench.device.open_session(Tick(bench.now), 2);
-        bench.is(State::Returning, Cause::NewHost);
-        check(&mut bench, taken(blocks), "hello");
-        assert_eq!(
-            bench.reports().iter().filter(|report| matches!(report, Report::Verdict { .. })).count(),
-            0
-        );
-    }
-}
-
-#[test]
-fn a_duplicate_between_pieces_is_taken_once() {
-    for blocks in 0..BLOCKS {
-        let (mut bench, bytes) = half_taken(500, blocks);
-        bench.bytes(&bytes);
-        bench.run(BLOCKS * u64::from(BLOCK));
-        check(&mut bench, 32, "duplicate");
-        assert_eq!((bench.device.counters().played, bench.status().next_seq), (66, bench.seq + 1));
-    }
-}
-
-#[test]
-fn a_verdict_names_the_rendered_end_of_the_first_late_stroke() {
-    let (mut bench, _) = half_taken(SOON, 0);
-    // The second piece is late: it comes after three blocks to unpack the frame, one for its head, and one for the first piece.
-    let second = bench.device.rendered() + 5 * u64::from(BLOCK);
-    bench.run(BLOCKS * u64::from(BLOCK));
-    let Report::Verdict { late, rendered, .. } = bench.last_report() else { panic!("a verdict") };
-    // The first piece has five strokes, of two moves each; 22 strokes begin together.
-    assert_eq!((late & 0xfff_ffff_ffff, rendered), (0xfff_ffff_fc00, second.wire()));
-    check(&mut bench, 32, "late");
-}
-
-/// Rows have more moves than a piece; each of them is taken or left by itself.
-#[test]
-fn rows_are_taken_in_pieces_of_ten_moves_and_each_move_counts_once() {
-    for blocks in 0..BLOCKS {
-        let mut bench = busy();
-        let at = bench.now + 500;
-        let motors = MotorSet::from_bits((1 << 21) - 1);
-        let mut packer = Packer::<BATCH_BYTES>::new(Tick(at));
-        for (k, level) in [(0, 90), (100, 40), (300, 0)] {
-            packer.row(Tick(at + k), motors, &[level; 21]).unwrap();
-        }
-        let (epoch, seq, seen, base) = (bench.epoch, bench.seq, bench.seen(), Tick(at).wire());
-        let batch = packer.bytes();
-        let row = HostMessage::Moves { epoch, seq, seen, mark: None, withdraw: None, base, batch };
-        bench.bytes(&frame(&row));
-        bench.run(blocks * u64::from(BLOCK));
-        bench.device.e_stop(Tick(bench.now), epoch.wrapping_add(1));
-        // Items are unpacked whole: two blocks for three rows, and one for the head.
-        let taken = (10 * blocks.saturating_sub(3)).min(63);
-        assert_eq!(counted(bench.device.counters()), 2 + taken, "{blocks} blocks");
-        bench.run(1_000);
-        assert_eq!(bench.device.counters().pulses, bench.total());
     }
 }

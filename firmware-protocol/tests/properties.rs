@@ -1,15 +1,20 @@
-//! Random requests, faults and noise in any order: pins come down, no limit breaks, every move and every pulse is counted once.
+//! Any bytes are a world of requests, faults, noise and silence: pins come down, no limit breaks, every move and every pulse is
+//! counted once, and from every state a new host finds its way to a play. Without corrections and shifts the lines are as
+//! [`crate::rule`] says.
+//!
+//! `cargo test` plays the same bytes in every run. A failure prints its bytes; `MEISSNER_BYTES=1,2,3 cargo test
+//! -p firmware-protocol NAME` plays them again, and prints every message.
 
 use crate::bench::{
-    Bench, FIRMWARE, HOST_TIMEOUT, MOCK, NO_LIMITS, STOP, Shell, TIGHT, WHOLE_TRAVEL, arm, frame, layouts,
-    stroke, to,
+    Bench, FIRMWARE, HOST_TIMEOUT, LAYOUTS, MOCK, STOP, TIGHT, WHOLE_TRAVEL, arm, frame, stroke, to,
 };
+use crate::rule::{Frame, Rule, Sent};
 use firmware_protocol::array::{Layout, MotorSet};
-use firmware_protocol::batch::{BATCH_BYTES, Packer};
-use firmware_protocol::controller::POOL;
+use firmware_protocol::batch::{BATCH_BYTES, MAX_BATCH, Packer};
+use firmware_protocol::controller::{BLOCK, POOL};
 use firmware_protocol::limits::PowerLimits;
 use firmware_protocol::message::{
-    Cause, DeviceMessage, HostMessage, LowerStop, Mark, MarkKind, Op as Command, State, Trigger, Withdraw,
+    Cause, DeviceMessage, HostMessage, LowerStop, Mark, MarkKind, Op, State, Status, Trigger, Withdraw,
 };
 use firmware_protocol::moves::Move;
 use firmware_protocol::stroke::Direction;
@@ -18,361 +23,538 @@ use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
 use std::cell::Cell;
 
-#[derive(Clone, Copy, Debug)]
-enum Sent {
-    Stroke {
-        motor: u8,
-        pulses: u16,
-        hold: u16,
-        surplus: u16,
-    },
-    Move {
-        motor: u8,
-        level: u16,
-        surplus: u16,
-    },
-    /// Each one's level is higher by `step` than that of the one before.
-    Row {
-        motors: u64,
-        level: u16,
-        step: u16,
-    },
+/// What a world has besides requests that keep the pins' rest where it is.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Kind {
+    /// Nothing: the rule judges every tick.
+    Plain,
+    /// Pushes of a few pulses, shifts and seeks.
+    Seeks,
+    /// Corrections, shifts, and frames of any bytes.
+    Wild,
+    /// Pushes or corrections, under limits on on-time.
+    OnTime,
 }
 
-#[derive(Clone, Debug)]
-enum Op {
-    Run(u16),
-    Pause,
-    Hello(u32),
-    Ping,
-    Arm {
-        assume_rest: bool,
-        host_timeout: u32,
-        limits: PowerLimits,
-    },
-    Disarm,
-    Stop,
-    EStop,
-    Reset,
-    Move {
-        motor: u8,
-        direction: Direction,
-        pulses: u16,
-    },
-    /// Asks for a seek, in an `arm` or by itself, and waits for its end.
-    Seek {
-        arm: bool,
-        limits: PowerLimits,
-        pulses: u16,
-    },
-    /// From this many ticks after the rendered end, or before it. Each so many ticks after the one before, of any motor.
-    Moves {
-        mark: Option<Mark>,
-        withdraw: Option<Withdraw>,
-        from: i16,
-        moves: Vec<(u16, Sent)>,
-    },
-    /// Amends a move sent before.
-    Amend {
-        pick: prop::sample::Index,
-        generation: u16,
-        change: i16,
-    },
-    /// The last frame again.
-    Again,
-    LinkLost,
-    Fault,
-    Noise(Vec<u8>),
-    WildMoves {
-        epoch: u16,
-        seq: u16,
-        seen: u16,
-        mark: Option<Mark>,
-        withdraw: Option<Withdraw>,
-        base: [u8; 4],
-        batch: Vec<u8>,
-    },
-    WildAmend {
-        generation: u16,
-        base: [u8; 4],
-        items: Vec<u8>,
-    },
-    WildControl {
-        epoch: u16,
-        host_timeout: u32,
-    },
+#[derive(Clone)]
+struct Input(Vec<u8>);
+
+impl std::fmt::Debug for Input {
+    fn fmt(&self, out: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let bytes: Vec<String> = self.0.iter().map(u8::to_string).collect();
+        write!(out, "MEISSNER_BYTES={}", bytes.join(","))
+    }
 }
 
-fn sent(most_surplus: u16) -> impl Strategy<Value = (u16, Sent)> {
-    let level = || prop_oneof![3 => Just(0u16), 8 => 1u16..60, 1 => 60u16..600, 1 => 2_900u16..3_002];
-    let surplus = move || 0..=most_surplus;
-    let stroke = (0u8..64, level(), 0u16..100, surplus())
-        .prop_map(|(motor, pulses, hold, surplus)| Sent::Stroke { motor, pulses, hold, surplus });
-    let single = (0u8..64, level(), surplus()).prop_map(|(motor, level, surplus)| Sent::Move {
-        motor,
-        level,
-        surplus,
-    });
-    let row = (any::<u64>(), any::<u64>(), level(), 0u16..40)
-        .prop_map(|(motors, fewer, level, step)| Sent::Row { motors: motors & fewer, level, step });
-    (0u16..120, prop_oneof![8 => stroke, 4 => single, 1 => row])
-}
+struct Bytes<'a>(&'a [u8]);
 
-fn mark() -> impl Strategy<Value = Option<Mark>> {
-    let kind = prop::sample::select(vec![MarkKind::Play, MarkKind::Item]);
-    let trigger =
-        prop::option::of((0u16..300, any::<u8>()).prop_map(|(width, code)| Trigger { width, code }));
-    let hold = prop_oneof![Just(0), 0u32..200_000, any::<u32>()];
-    prop::option::of((kind, trigger, hold).prop_map(|(kind, trigger, hold)| Mark { kind, trigger, hold }))
-}
+impl Bytes<'_> {
+    fn byte(&mut self) -> u8 {
+        self.0.split_off_first().copied().unwrap_or(0)
+    }
 
-fn withdraw() -> impl Strategy<Value = Option<Withdraw>> {
-    let motors = prop_oneof![any::<u64>(), Just(u64::MAX), (0..64).prop_map(|motor| 1_u64 << motor)];
-    prop::option::of(
-        (motors, 0u16..6)
-            .prop_map(|(motors, generation)| Withdraw { motors: MotorSet::from_bits(motors), generation }),
-    )
-}
+    fn word(&mut self) -> u16 {
+        u16::from_le_bytes([self.byte(), self.byte()])
+    }
 
-fn moves(most_surplus: u16) -> impl Strategy<Value = Op> {
-    let moves = prop::collection::vec(sent(most_surplus), 0..12);
-    (mark(), withdraw(), prop_oneof![4 => 0i16..300, 1 => -40i16..0], moves)
-        .prop_map(|(mark, withdraw, from, moves)| Op::Moves { mark, withdraw, from, moves })
-}
+    fn bits(&mut self) -> u64 {
+        u64::from_le_bytes([(); 8].map(|()| self.byte()))
+    }
 
-fn amend() -> impl Strategy<Value = Op> {
-    (any::<prop::sample::Index>(), 0u16..6, -9i16..10).prop_map(|(pick, generation, change)| Op::Amend {
-        pick,
-        generation,
-        change,
-    })
-}
+    /// Below `end`.
+    fn below(&mut self, end: u16) -> u16 {
+        if end > 256 { self.word() % end } else { u16::from(self.byte()) % end }
+    }
 
-/// Requests that keep the pins' rest where it is.
-fn tame(most_surplus: u16) -> impl Strategy<Value = Op> {
-    prop_oneof![
-        24 => (0u16..300).prop_map(Op::Run),
-        1 => Just(Op::Pause),
-        1 => (1u32..4).prop_map(Op::Hello),
-        2 => Just(Op::Ping),
-        5 => (1u32..300_000, limits()).prop_map(|(host_timeout, limits)| Op::Arm { assume_rest: false, host_timeout, limits }),
-        1 => Just(Op::Disarm),
-        2 => Just(Op::Stop),
-        2 => Just(Op::EStop),
-        3 => Just(Op::Reset),
-        24 => moves(most_surplus),
-        2 => Just(Op::Again),
-        1 => Just(Op::LinkLost),
-        1 => Just(Op::Fault),
-        1 => prop::collection::vec(any::<u8>(), 0..300).prop_map(Op::Noise),
-    ]
-}
+    fn one_in(&mut self, of: u8) -> bool {
+        self.byte() % of == of - 1
+    }
 
-fn wild() -> impl Strategy<Value = Op> {
-    let bytes = || prop::collection::vec(any::<u8>(), 0..60);
-    let pulses = 0u16..7_000;
-    let direction = prop::sample::select(vec![Direction::Up, Direction::Down]);
-    prop_oneof![
-        20 => tame(3),
-        1 => (1u32..300_000, limits()).prop_map(|(host_timeout, limits)| Op::Arm { assume_rest: true, host_timeout, limits }),
-        2 => (0u8..26, direction, pulses).prop_map(|(motor, direction, pulses)| Op::Move { motor, direction, pulses }),
-        8 => amend(),
-        2 => (0u16..4, 0u16..4, any::<u16>(), mark(), withdraw(), any::<[u8; 4]>(), bytes())
-            .prop_map(|(epoch, seq, seen, mark, withdraw, base, batch)| Op::WildMoves { epoch, seq, seen, mark, withdraw, base, batch }),
-        1 => (any::<u16>(), any::<[u8; 4]>(), bytes())
-            .prop_map(|(generation, base, items)| Op::WildAmend { generation, base, items }),
-        1 => (any::<u16>(), any::<u32>()).prop_map(|(epoch, host_timeout)| Op::WildControl { epoch, host_timeout }),
-    ]
-}
+    fn one_of<T: Copy>(&mut self, of: &[T]) -> T {
+        of[usize::from(self.byte()) % of.len()]
+    }
 
-fn with_seeks() -> impl Strategy<Value = Op> {
-    let direction = prop::sample::select(vec![Direction::Up, Direction::Up, Direction::Down]);
-    let pulses = prop_oneof![3 => 1u16..700, 1 => 600u16..=WHOLE_TRAVEL];
-    prop_oneof![
-        20 => tame(3),
-        4 => (0u8..24, direction, 1u16..700).prop_map(|(motor, direction, pulses)| Op::Move { motor, direction, pulses }),
-        6 => (any::<bool>(), limits(), pulses).prop_map(|(arm, limits, pulses)| Op::Seek { arm, limits, pulses }),
-    ]
+    fn bytes(&mut self) -> Vec<u8> {
+        let len = self.byte() % 60;
+        (0..len).map(|_| self.byte()).collect()
+    }
+
+    fn level(&mut self) -> u16 {
+        match self.byte() % 13 {
+            0..3 => 0,
+            3..11 => 1 + self.below(59),
+            11 => 60 + self.below(540),
+            _ => 2_900 + self.below(102),
+        }
+    }
+
+    fn mark(&mut self) -> Option<Mark> {
+        if self.one_in(2) {
+            return None;
+        }
+        let kind = self.one_of(&[MarkKind::Play, MarkKind::Play, MarkKind::Item]);
+        let trigger = self.one_in(2).then(|| Trigger { width: self.word() % 300, code: self.byte() });
+        let hold = match self.byte() % 3 {
+            0 => 0,
+            1 => u32::from(self.word()),
+            _ => u32::from(self.word()) << 16,
+        };
+        Some(Mark { kind, trigger, hold })
+    }
+
+    fn withdraw(&mut self) -> Option<Withdraw> {
+        if !self.one_in(3) {
+            return None;
+        }
+        let motors = match self.byte() % 3 {
+            0 => self.bits(),
+            1 => u64::MAX,
+            _ => 1 << self.below(64),
+        };
+        Some(Withdraw { motors: MotorSet::from_bits(motors), generation: self.below(6) })
+    }
 }
 
 /// A bench, and counts kept beside it.
 struct World {
+    kind: Kind,
+    limits: PowerLimits,
     bench: Bench,
+    /// Frames have motors below this one. Some have motors that the array does not have.
+    motors: u8,
+    /// The most by which a move pushes.
+    surplus: u16,
     last_frame: Vec<u8>,
     sent: Vec<Move>,
     accepted: u64,
     refused_in_frames: u64,
+    /// When the host said something last, and its timeout.
+    heard: u64,
+    timeout: u64,
+    /// Whether pins were shifted.
+    shifted: bool,
     /// Seeks that came to their end.
     sought: u32,
 }
 
 impl World {
-    fn new(shell: Shell, layout: Layout, limits: PowerLimits) -> Self {
-        let mut bench = Bench::of(shell, layout, Tick::BOOT);
-        bench.hello(1);
-        bench.control(arm(true, HOST_TIMEOUT, limits));
-        Self { bench, last_frame: vec![], sent: vec![], accepted: 0, refused_in_frames: 0, sought: 0 }
+    fn new(kind: Kind, input: &mut Bytes<'_>) -> Self {
+        let shell = input.one_of(&[FIRMWARE, FIRMWARE, TIGHT, MOCK]);
+        let layout = input.one_of(LAYOUTS);
+        let none = layout.no_limits();
+        let limits = match input.byte() % 3 {
+            _ if kind == Kind::OnTime => PowerLimits { motor: 300, rail: 700, ..none },
+            0 => none,
+            1 => PowerLimits { motor: 300, rail: 700, ..none },
+            _ => {
+                PowerLimits { rail_at_once: 1 + input.byte() % 6, chip_at_once: 1 + input.byte() % 2, ..none }
+            }
+        };
+        // Some worlds cross the wrap of the wire's ticks.
+        let start = input.one_of(&[Tick::BOOT, Tick((1 << 32) - 20_000)]);
+        let mut bench = Bench::of(shell, layout, start);
+        if kind == Kind::Plain {
+            bench.rule = Some(Box::new(Rule::new(layout, none.min(limits))));
+        }
+        let surplus = match kind {
+            Kind::Plain => 0,
+            Kind::Seeks | Kind::Wild => 3,
+            // Pushes or corrections: both together break the limit by the pulses that a corrected way up leaves to push.
+            Kind::OnTime => input.one_of(&[0, 60]),
+        };
+        let motors = input.one_of(&[2, 5, layout.motors() as u8 + 2]);
+        let mut world = Self {
+            kind,
+            motors,
+            surplus,
+            limits,
+            heard: bench.now,
+            timeout: HOST_TIMEOUT.into(),
+            bench,
+            last_frame: vec![],
+            sent: vec![],
+            accepted: 0,
+            refused_in_frames: 0,
+            shifted: false,
+            sought: 0,
+        };
+        if !input.one_in(8) {
+            world.hello(1);
+            world.control(arm(true, HOST_TIMEOUT, limits));
+        }
+        world
     }
 
-    /// Free slots, if there is a session.
-    fn credits(&mut self) -> Option<u16> {
-        // Noise may have left half a frame.
-        self.bench.bytes(&[0]);
+    fn layout(&self) -> Layout {
+        self.bench.layout()
+    }
+
+    fn state(&self) -> State {
+        self.bench.device.state()
+    }
+
+    fn run(&mut self, ticks: u64) {
+        for _ in 0..ticks {
+            let before = self.state();
+            self.bench.tick();
+            let silent = self.bench.now - self.heard;
+            match self.state() {
+                State::Armed => {
+                    assert!(silent <= self.timeout + u64::from(BLOCK), "a silent host goes unnoticed")
+                }
+                _ => assert!(
+                    before != State::Armed || silent > self.timeout,
+                    "a host that is heard counts as silent"
+                ),
+            }
+        }
+    }
+
+    /// Runs until the device returns no longer.
+    fn settle(&mut self) {
+        self.run(100);
+        // Each motor after the other, with all that it may push.
+        let longest = 64 * 2 * u64::from(self.layout().max_seek());
+        let end = self.bench.now + longest;
+        while self.state() == State::Returning {
+            assert!(self.bench.now < end, "a return of more than {longest} ticks");
+            self.run(1);
+        }
+    }
+
+    /// An event, and what came of it.
+    fn event(&mut self, event: impl FnOnce(&mut Bench)) {
+        let before = self.state();
+        event(&mut self.bench);
+        self.bench.changed_from(before);
+    }
+
+    fn hello(&mut self, session: u32) {
+        self.heard = self.bench.now;
+        self.bench.hello(session);
+        if let Some(rule) = &mut self.bench.rule {
+            rule.new_epoch();
+        }
+    }
+
+    fn ping(&mut self) {
+        self.heard = self.bench.now;
         self.bench.ping(0);
+    }
+
+    fn control(&mut self, op: Op) {
+        let (before, open) = (self.state(), self.bench.device.epoch().is_some());
+        self.heard = self.bench.now;
+        self.bench.control(op);
+        let after = self.state();
+        let is_off = matches!(after, State::Disarmed | State::Faulted);
+        match op {
+            _ if !open => assert!(after == before || before == State::Returning, "without a session"),
+            Op::EStop => assert_eq!(after, State::Faulted),
+            Op::Reset if before == State::Faulted => assert_eq!(after, State::Disarmed),
+            Op::Disarm(_) => assert!(is_off || after == State::Returning),
+            Op::Arm { host_timeout, .. } if before == State::Disarmed && !is_off => {
+                self.timeout = u64::from(host_timeout.min(self.layout().max_host_timeout()));
+            }
+            _ => {}
+        }
+        let Some(rule) = &mut self.bench.rule else { return };
+        if open {
+            rule.new_epoch();
+        }
+        match op {
+            Op::Stop if before == State::Armed && open => rule.come_down(false),
+            Op::Arm { assume_rest, .. } if before == State::Disarmed && !is_off => {
+                rule.come_down(assume_rest)
+            }
+            _ => {}
+        }
+    }
+
+    /// The device's status, if there is a session. The host has read all reports then.
+    fn status(&mut self) -> Option<Status> {
+        self.ping();
         // Others, because the device may have repeated reports that the bench had read before the last `Hello`, and sends 32 at a time.
         let mut seen = None;
         while seen.replace(self.bench.seen()) != Some(self.bench.seen()) {
-            self.bench.ping(0);
+            self.ping();
         }
         match self.bench.inbox.iter().rev().find(|m| !matches!(m, DeviceMessage::Report { .. })) {
-            Some(DeviceMessage::Status(status)) => Some(status.credits),
+            Some(DeviceMessage::Status(status)) => Some(*status),
             _ => None,
         }
     }
 
-    fn send(&mut self, bytes: Vec<u8>) {
-        let (before, counted) = (self.credits(), self.bench.device.counters());
+    /// Sends a frame of moves. The rule judges it, if it is there and knows what the frame says.
+    fn send(&mut self, bytes: Vec<u8>, frame: Option<Frame>) {
+        let (before, counted) = (self.status(), self.bench.device.counters());
+        let (armed, sent) = (self.state() == State::Armed, self.bench.inbox.len());
         self.bench.bytes(&bytes);
         // A frame may be next in order now that was buffered before; its moves count here, too.
         self.bench.follow();
-        if let (Some(before), Some(after)) = (before, self.credits()) {
+        if let (Some(before), Some(after)) = (before, self.status()) {
             let counters = self.bench.device.counters();
             // Moves that changed nothing have been played.
             let (replaced, played) = (counters.replaced - counted.replaced, counters.played - counted.played);
-            self.accepted += u64::from(before) + replaced + played - u64::from(after);
+            self.accepted += u64::from(before.credits) + replaced + played - u64::from(after.credits);
             self.refused_in_frames += counters.refused - counted.refused;
+            if let Some(mut rule) = self.bench.rule.take() {
+                let seq = before.next_seq;
+                match frame.filter(|frame| frame.seq == seq && after.next_seq != seq) {
+                    Some(frame) => rule.take(&frame, &self.bench, armed, &self.bench.inbox[sent..]),
+                    None => assert_eq!(after.next_seq, seq, "a frame was taken that is not next"),
+                }
+                self.bench.rule = Some(rule);
+            }
         }
         self.bench.seq = self.bench.inbox.iter().rev().find_map(next_seq).unwrap_or(0);
         self.last_frame = bytes;
     }
 
-    fn off(&mut self, off: impl FnOnce(&mut Bench)) {
-        off(&mut self.bench);
-        self.bench.tick();
+    /// Moves in any order of motors from some ticks before or after the rendered end on.
+    fn moves(&mut self, input: &mut Bytes<'_>) {
+        let (mark, withdraw) = (input.mark(), input.withdraw());
+        let from = if input.one_in(5) { -i64::from(input.byte() % 40) - 1 } else { input.below(300).into() };
+        let count = input.one_of(&[0, 1, 1, 2, 3, 4, 6, 9, 12]);
+        let base = self.bench.device.rendered().0.wrapping_add_signed(from);
+        let (mut tick, mut packer, mut all) =
+            (base, Packer::<BATCH_BYTES>::new(Tick(base)), Vec::<Sent>::new());
+        for _ in 0..count {
+            tick += u64::from(input.byte() % 120);
+            let motor = (input.byte() % self.motors).min(63);
+            // Those for which there is no room are left out.
+            let of: Vec<Sent> = match input.byte() % 13 {
+                0..8 => {
+                    let (level, hold, surplus) =
+                        (input.level(), input.byte() % 100, input.below(self.surplus + 1));
+                    let of = stroke(motor, tick, level, hold.into(), level + surplus);
+                    packer.stroke(&of).map(|()| of.moves().into_iter().zip([false, true]).collect())
+                }
+                8..12 => {
+                    let (level, surplus) = (input.level(), input.below(self.surplus + 1));
+                    let of = Move { surplus, ..to(motor, tick, level) };
+                    packer.moves(&of).map(|()| vec![(of, false)])
+                }
+                _ => {
+                    let motors = MotorSet::from_bits(input.bits() & input.bits());
+                    // Each one's level is higher than that of the one before.
+                    let (level, step) = (input.level(), input.below(40));
+                    let levels: Vec<u16> = (0..motors.len() as u16).map(|k| level + step * k).collect();
+                    let of =
+                        motors.iter().zip(&levels).map(|(motor, &level)| (to(motor, tick, level), false));
+                    packer.row(Tick(tick), motors, &levels).map(|()| of.collect())
+                }
+            }
+            .unwrap_or_default();
+            all.extend(of);
+        }
+        assert!(all.len() <= MAX_BATCH);
+        self.sent.extend(all.iter().map(|(of, _)| of));
+        if self.bench.prints {
+            println!("{all:?}");
+        }
+        let (epoch, seq, seen) = (self.bench.epoch, self.bench.seq, self.bench.seen());
+        let bytes = frame(&HostMessage::Moves {
+            epoch,
+            seq,
+            seen,
+            mark,
+            withdraw,
+            base: Tick(base).wire(),
+            batch: packer.bytes(),
+        });
+        self.send(bytes, Some(Frame { seq, mark, withdraw, base, moves: all }));
     }
 
-    fn apply(&mut self, op: Op) {
-        let bench = &mut self.bench;
-        match op {
-            Op::Run(ticks) => bench.run(ticks.into()),
-            Op::Pause => bench.run(90_000),
-            Op::Hello(session) => bench.hello(session),
-            Op::Ping => bench.ping(1),
-            Op::Arm { assume_rest, host_timeout, limits } => {
-                bench.control(arm(assume_rest, host_timeout, limits));
+    /// Amends a move sent before.
+    fn amend(&mut self, input: &mut Bytes<'_>) {
+        let recent = &self.sent[self.sent.len().saturating_sub(24)..];
+        if recent.is_empty() {
+            return;
+        }
+        let (to, change) = (input.one_of(recent), i16::from(input.byte() % 19) - 9);
+        // What it is planned to go, if it follows the move before.
+        let of_motor = self.sent.iter().filter(|of| of.motor == to.motor && of.tick < to.tick);
+        let from = of_motor.max_by_key(|of| of.tick).map_or(0, |of| of.level);
+        let pulses = to.level.abs_diff(from).saturating_add_signed(change);
+        self.heard = self.bench.now;
+        self.bench.amend(input.below(6), to.motor, to.tick, pulses);
+    }
+
+    /// Asks for a seek, in an `arm` or by itself, and waits for its end: then all pins are at the stop, in every state before it.
+    fn seek(&mut self, input: &mut Bytes<'_>) {
+        let pulses =
+            if input.one_in(4) { 600 + input.below(WHOLE_TRAVEL - 599) } else { 1 + input.below(700) };
+        let idle = self.state() != State::Returning;
+        self.control(if input.one_in(2) {
+            let lower_stop = Some(LowerStop { seek: pulses, ..STOP });
+            Op::Arm { assume_rest: false, host_timeout: HOST_TIMEOUT, limits: self.limits, lower_stop }
+        } else {
+            Op::Seek { pulses }
+        });
+        if idle && self.state() == State::Returning {
+            self.settle();
+            self.sought += 1;
+            for motor in 0..self.layout().motors() as u8 {
+                assert_eq!(self.bench.above_stop(motor), 0, "motor {motor} after {pulses} pulses");
             }
-            Op::Disarm => bench.control(Command::Disarm(Cause::Shutdown)),
-            Op::Stop => bench.control(Command::Stop),
-            Op::EStop => self.off(|bench| bench.control(Command::EStop)),
-            Op::Fault => self.off(|bench| bench.device.fault(Tick(bench.now), Cause::Starved)),
-            Op::Reset => bench.control(Command::Reset),
-            Op::Move { motor, direction, pulses } => {
-                bench.control(Command::Move { motor, direction, pulses });
-            }
-            Op::Seek { arm, limits, pulses } => {
-                let lower_stop = Some(LowerStop { seek: pulses, ..STOP });
-                let whole =
-                    Command::Arm { assume_rest: false, host_timeout: HOST_TIMEOUT, limits, lower_stop };
-                let idle = bench.device.state() != State::Returning;
-                bench.control(if arm { whole } else { Command::Seek { pulses } });
-                if idle && bench.device.state() == State::Returning {
-                    bench.settle();
-                    self.sought += 1;
-                    for motor in 0..bench.layout().motors() as u8 {
-                        assert_eq!(bench.above_stop(motor), 0, "motor {motor} after {pulses} pulses");
-                    }
+        }
+    }
+
+    /// Most often a host that may not play finds its way back first.
+    fn recover(&mut self, input: &mut Bytes<'_>) {
+        if self.bench.device.epoch().is_none() {
+            self.hello(7);
+        }
+        if self.state() == State::Faulted {
+            self.control(Op::Reset);
+        }
+        if self.state() == State::Disarmed {
+            self.arm(input);
+            self.settle();
+        }
+    }
+
+    fn arm(&mut self, input: &mut Bytes<'_>) {
+        let assume_rest = matches!(self.kind, Kind::Plain | Kind::Wild) && input.one_in(4);
+        let host_timeout = 1 + u32::from(input.word()) * input.one_of(&[1, 5]);
+        self.control(arm(assume_rest, host_timeout, self.limits));
+    }
+
+    fn step(&mut self, input: &mut Bytes<'_>) {
+        if self.state() != State::Armed && !input.one_in(4) {
+            self.recover(input);
+        }
+        match input.byte() % 100 {
+            0 => self.run(20_000 + u64::from(input.word())),
+            1 => self.hello(1 + u32::from(input.byte() % 3)),
+            2 | 3 => self.ping(),
+            4..9 => self.arm(input),
+            9 => self.control(Op::Disarm(Cause::Shutdown)),
+            10 | 11 => self.control(Op::Stop),
+            12 => self.control(Op::EStop),
+            // The shell has found an e-stop ahead of other bytes.
+            13 => {
+                if let Some(epoch) = self.bench.device.epoch() {
+                    self.event(|bench| bench.device.e_stop(Tick(bench.now), epoch.wrapping_add(1)));
+                    self.bench.epoch = epoch.wrapping_add(1);
+                    self.bench.seq = 0;
                 }
             }
-            Op::Moves { mark, withdraw, from, moves } => {
-                let base = bench.device.rendered().0.wrapping_add_signed(from.into());
-                // Some have motors that the array does not have.
-                let motors = bench.layout().motors() as u8;
-                let motor = |number: u8| (number % (motors + 2)).min(63);
-                let (mut tick, mut packer) = (base, Packer::<BATCH_BYTES>::new(Tick(base)));
-                for (after, sent) in moves {
-                    tick += u64::from(after);
-                    // Those for which there is no room are left out.
-                    let of: Vec<Move> = match sent {
-                        Sent::Stroke { motor: number, pulses, hold, surplus } => {
-                            let of = stroke(motor(number), tick, pulses, hold.into(), pulses + surplus);
-                            packer.stroke(&of).map(|()| of.moves().to_vec()).unwrap_or_default()
-                        }
-                        Sent::Move { motor: number, level, surplus } => {
-                            let of = Move { surplus, ..to(motor(number), tick, level) };
-                            packer.moves(&of).map(|()| vec![of]).unwrap_or_default()
-                        }
-                        Sent::Row { motors, level, step } => {
-                            let motors = MotorSet::from_bits(motors);
-                            let levels: Vec<u16> =
-                                (0..motors.len() as u16).map(|k| level + step * k).collect();
-                            let of = motors.iter().zip(&levels).map(|(motor, &level)| to(motor, tick, level));
-                            packer.row(Tick(tick), motors, &levels).map(|()| of.collect()).unwrap_or_default()
-                        }
-                    };
-                    self.sent.extend(of);
-                }
-                let (epoch, seq, seen) = (bench.epoch, bench.seq, bench.seen());
-                let (base, batch) = (Tick(base).wire(), packer.bytes());
-                self.send(frame(&HostMessage::Moves { epoch, seq, seen, mark, withdraw, base, batch }));
+            14 => self.event(|bench| bench.device.fault(Tick(bench.now), Cause::Starved)),
+            15 | 16 => self.control(Op::Reset),
+            17 => self.event(|bench| bench.device.link_lost(Tick(bench.now))),
+            18 => {
+                self.bench.bytes(&input.bytes());
+                // What it leaves of a frame would spoil the next one.
+                self.bench.bytes(&[0]);
             }
-            Op::Amend { pick, generation, change } => {
-                let recent = &self.sent[self.sent.len().saturating_sub(24)..];
-                if !recent.is_empty() {
-                    let to = *pick.get(recent);
-                    // What it is planned to go, if it follows the move before.
-                    let of_motor = self.sent.iter().filter(|of| of.motor == to.motor && of.tick < to.tick);
-                    let from = of_motor.max_by_key(|of| of.tick).map_or(0, |of| of.level);
-                    let pulses = to.level.abs_diff(from).saturating_add_signed(change);
-                    bench.amend(generation, to.motor, to.tick, pulses);
-                }
+            19..21 => self.send(self.last_frame.clone(), None),
+            21..48 => self.moves(input),
+            48..56 => match self.kind {
+                Kind::Plain => self.moves(input),
+                Kind::Seeks => self.seek(input),
+                Kind::OnTime if self.surplus > 0 => self.moves(input),
+                Kind::Wild | Kind::OnTime => self.amend(input),
+            },
+            56..60 if matches!(self.kind, Kind::Seeks | Kind::Wild) => {
+                let direction = input.one_of(&[Direction::Up, Direction::Up, Direction::Down]);
+                let (motor, pulses) = (input.byte() % 26, 1 + input.below(700));
+                self.shifted = true;
+                self.control(Op::Move { motor, direction, pulses });
             }
-            Op::Again => self.send(self.last_frame.clone()),
-            Op::LinkLost => bench.device.link_lost(Tick(bench.now)),
-            Op::Noise(bytes) => bench.bytes(&bytes),
-            Op::WildMoves { epoch, seq, seen, mark, withdraw, base, batch } => {
-                let (epoch, seq) = (bench.epoch.wrapping_sub(epoch), bench.seq.wrapping_add(seq));
-                let base = WireTick(base);
-                let batch = &batch;
-                self.send(frame(&HostMessage::Moves { epoch, seq, seen, mark, withdraw, base, batch }));
+            60..64 if self.kind == Kind::Wild => self.wild(input),
+            _ => self.run(input.below(300).into()),
+        }
+        if let Some(rule) = &self.bench.rule {
+            rule.check(&self.bench);
+        }
+    }
+
+    /// Messages of any numbers and bytes.
+    fn wild(&mut self, input: &mut Bytes<'_>) {
+        let epoch = self.bench.epoch.wrapping_sub(input.below(4));
+        let seq = self.bench.seq.wrapping_add(input.below(4));
+        let base = WireTick([(); 4].map(|()| input.byte()));
+        let (generation, kind) = (input.word(), input.byte() % 4);
+        let (mark, withdraw, batch) = (input.mark(), input.withdraw(), input.bytes());
+        match kind {
+            0 => {
+                self.heard = self.bench.now;
+                let epoch = self.bench.epoch;
+                self.bench.send(&HostMessage::Amend { epoch, generation, base, items: &batch });
             }
-            Op::WildAmend { generation, base, items } => {
-                let epoch = bench.epoch;
-                bench.send(&HostMessage::Amend { epoch, generation, base: WireTick(base), items: &items });
-            }
-            Op::WildControl { epoch, host_timeout } => {
+            1 => {
                 // The bench knows no others.
-                let op = arm(false, host_timeout, bench.device.limits());
-                bench.send(&HostMessage::Control { epoch, seen: 0, op });
-                bench.hello(u32::from(epoch) + 10);
+                let op = arm(false, HOST_TIMEOUT, self.limits);
+                self.heard = self.bench.now;
+                self.bench.send(&HostMessage::Control { epoch: generation, seen: 0, op });
+                self.timeout = self.timeout.max(HOST_TIMEOUT.into());
+                self.hello(u32::from(generation) + 10);
+            }
+            _ => {
+                let seen = generation;
+                let batch = &batch;
+                self.heard = self.bench.now;
+                self.send(frame(&HostMessage::Moves { epoch, seq, seen, mark, withdraw, base, batch }), None);
             }
         }
     }
 
-    /// Disarms and waits: all lines are off, all slots free, every move and pulse counted. Returns whether the pins are down: they are unless
-    /// the device is faulted, or was and has not been armed since.
-    fn end(&mut self) -> bool {
-        let session = 1_000;
-        self.bench.bytes(&[0]);
-        let returns = matches!(self.bench.device.state(), State::Armed | State::Returning);
+    /// A new host comes: the device returns, all slots are free, every move and pulse was counted, no limit was broken, and then the host plays.
+    fn end(&mut self) {
+        let returns = matches!(self.state(), State::Armed | State::Returning);
+        self.hello(1_000);
+        assert_ne!(self.state(), State::Armed);
+        self.settle();
         if returns {
-            self.bench.hello(session);
-            assert_ne!(self.bench.device.state(), State::Armed);
-            self.bench.settle();
-            assert_eq!(self.bench.device.state(), State::Disarmed);
-            assert_eq!(self.bench.outstanding(), 0);
+            assert_eq!((self.state(), self.bench.outstanding()), (State::Disarmed, 0));
         }
-        self.bench.hello(session);
-        self.bench.run(100);
         let total = self.bench.total();
-        self.bench.run(3_000);
+        self.run(3_000);
         assert_eq!(self.bench.total(), total, "a line is on");
-        assert_eq!(self.credits(), Some(POOL as u16));
+        let status = self.status().expect("a session");
+        assert_eq!(usize::from(status.credits), POOL);
         let counters = self.bench.device.counters();
         let refused = counters.refused - self.refused_in_frames;
-        let replaced = counters.replaced;
-        assert_eq!(self.accepted, counters.played + counters.dropped + refused + replaced);
+        assert_eq!(self.accepted, counters.played + counters.dropped + refused + counters.replaced);
         assert_eq!(counters.pulses, total);
-        returns
+        if let Some(rule) = &self.bench.rule {
+            assert_eq!(refused, rule.refused, "refused as they began");
+            rule.check(&self.bench);
+        }
+        self.keeps_limits();
+        self.bench.rule = None;
+        self.control(Op::Reset);
+        self.control(arm(!status.position_known, HOST_TIMEOUT, self.layout().no_limits()));
+        self.settle();
+        assert_eq!(self.state(), State::Armed, "no way to a play");
+        let (at, before) = (self.bench.soon(), self.bench.pulses(0).count());
+        self.bench.moves(&[to(0, at, 9), to(0, at + 20, 0)]);
+        self.bench.run(400);
+        assert_eq!(self.bench.pulses(0).count(), before + 18, "a new host plays");
+    }
+
+    /// No sliding second has more pulses of a motor or a rail than the limits say, and no burst is longer than may be.
+    fn keeps_limits(&self) {
+        let (layout, limits) = (self.layout(), self.layout().no_limits().min(self.limits));
+        let shifted = if self.shifted { 4 * layout.max_travel() } else { 0 };
+        let mut rails = vec![Vec::new(); 64];
+        for motor in 0..layout.motors() {
+            for burst in self.bench.bursts(motor as u8) {
+                assert!(self.kind == Kind::Seeks || burst.pulses <= layout.max_down_pulses() + shifted);
+            }
+            let ticks: Vec<u64> = self.bench.pulses(motor as u8).map(|(tick, _)| tick).collect();
+            // Seeks and what was up when a pin was taken to be at rest may take more.
+            if self.kind == Kind::OnTime {
+                assert!(!breaks(&ticks, layout.tick_hz(), limits.motor), "on-time of motor {motor}");
+                rails[usize::from(layout.rail(motor))].extend(ticks);
+            }
+        }
+        for (rail, mut ticks) in rails.into_iter().enumerate() {
+            ticks.sort_unstable();
+            assert!(!breaks(&ticks, layout.tick_hz(), limits.rail), "on-time of rail {rail}");
+        }
     }
 }
 
@@ -384,134 +566,67 @@ fn next_seq(message: &DeviceMessage) -> Option<u16> {
     }
 }
 
-fn shells() -> impl Strategy<Value = Shell> {
-    prop::sample::select(vec![FIRMWARE, FIRMWARE, TIGHT, MOCK])
+/// Whether so many ticks have more than `limit` of these, which are in order.
+fn breaks(ticks: &[u64], within: u32, limit: u32) -> bool {
+    let limit = limit as usize;
+    ticks.windows(limit + 1).any(|some| some[limit] - some[0] < within.into())
 }
 
-/// Limits of plays. The bench checks in every tick that the controller keeps the limits on motors at once.
-fn limits() -> impl Strategy<Value = PowerLimits> {
-    let at_once = |rail_at_once, chip_at_once| PowerLimits { rail_at_once, chip_at_once, ..NO_LIMITS };
-    prop_oneof![
-        4 => Just(NO_LIMITS),
-        4 => Just(PowerLimits { motor: 300, rail: 700, ..NO_LIMITS }),
-        4 => (1u8..=6, 1u8..=2).prop_map(move |(rail, chip)| at_once(rail, chip)),
-    ]
-}
-
-/// How many cases: more in `tests/long/run tests`.
+/// How many worlds: more in `tests/long/run tests`.
 fn cases() -> u32 {
-    if std::env::var_os("MEISSNER_LONG").is_some() { 400 } else { 100 }
+    if std::env::var_os("MEISSNER_LONG").is_some() { 5_000 } else { 400 }
 }
 
-/// The same cases in every run.
-fn config() -> ProptestConfig {
-    ProptestConfig {
+/// Plays a world to its end. Returns how many seeks came to theirs.
+fn play(kind: Kind, bytes: &[u8], prints: bool) -> u32 {
+    let mut input = Bytes(bytes);
+    let mut world = World::new(kind, &mut input);
+    world.bench.prints = prints;
+    while !input.0.is_empty() {
+        world.step(&mut input);
+    }
+    world.end();
+    world.sought
+}
+
+/// Plays the same worlds in every run, or the one that `MEISSNER_BYTES` names.
+fn worlds(kind: Kind) -> u32 {
+    if let Ok(bytes) = std::env::var("MEISSNER_BYTES") {
+        let bytes = bytes.split(',').map(|byte| byte.trim().parse().expect("bytes")).collect::<Vec<u8>>();
+        return play(kind, &bytes, true);
+    }
+    let sought = Cell::new(0);
+    let config = ProptestConfig {
         cases: cases(),
         failure_persistence: None,
+        max_shrink_iters: 4_096,
         rng_seed: RngSeed::Fixed(85_000),
         ..ProptestConfig::default()
-    }
+    };
+    proptest!(config, |(bytes in prop::collection::vec(any::<u8>(), 0..1_500).prop_map(Input))| {
+        sought.set(sought.get() + play(kind, &bytes.0, false));
+    });
+    sought.get()
 }
 
-/// After a seek that is not refused all pins are at the stop, in every state of play, move, cut and stop before it.
+#[test]
+fn plain_worlds_are_as_the_rule_says() {
+    worlds(Kind::Plain);
+}
+
 #[test]
 fn every_seek_reaches_the_stop() {
-    let sought = Cell::new(0);
-    proptest!(config(), |(shell in shells(), layout in layouts(), limits in limits(), ops in prop::collection::vec(with_seeks(), 1..60))| {
-        let mut world = World::new(shell, layout, limits);
-        for op in ops {
-            world.apply(op);
-        }
-        sought.set(sought.get() + world.sought);
-        world.end();
-    });
-    assert!(sought.get() > cases() / 2, "{} seeks", sought.get());
+    assert!(worlds(Kind::Seeks) > cases() / 2);
 }
 
-proptest! {
-    #![proptest_config(config())]
-
-    /// Without corrections, surplus and shifts: a pin's outstanding pulses equal its height, and in the end it is down.
-    #[test]
-    fn every_pin_returns(shell in shells(), layout in layouts(), limits in limits(), ops in prop::collection::vec(tame(0), 1..80)) {
-        let mut world = World::new(shell, layout, limits);
-        for op in ops {
-            world.apply(op);
-            let state = world.bench.device.state();
-            for motor in 0..layout.motors() as u8 {
-                let net = world.bench.net(motor);
-                prop_assert!((0..=i64::from(layout.max_up_pulses())).contains(&net));
-                // Faulted or disarmed, nothing is played.
-                if matches!(state, State::Faulted | State::Disarmed) {
-                    prop_assert_eq!(net, i64::from(world.bench.device.outstanding(motor)), "{:?}", state);
-                }
-            }
-        }
-        let is_down = world.end();
-        for motor in 0..layout.motors() as u8 {
-            let net = world.bench.net(motor);
-            prop_assert_eq!(net, i64::from(world.bench.device.outstanding(motor)));
-            prop_assert!(net == 0 || !is_down);
-        }
-    }
-
-    /// All requests: corrected, amended, moved and malformed.
-    #[test]
-    fn wild_requests_break_no_limit_and_no_account(shell in shells(), layout in layouts(), limits in limits(), ops in prop::collection::vec(wild(), 1..80)) {
-        let mut world = World::new(shell, layout, limits);
-        let shifts = ops.iter().any(|op| matches!(op, Op::Move { .. } | Op::Arm { assume_rest: true, .. }));
-        let shifted = if shifts { 4 * layout.max_travel() } else { 0 };
-        for op in ops {
-            let (state, total) = (world.bench.device.state(), world.bench.total());
-            let running = matches!(op, Op::Run(_) | Op::Pause);
-            world.apply(op);
-            // The last pulse is in the tick of the fault.
-            if running && matches!(state, State::Faulted | State::Disarmed) {
-                prop_assert_eq!(world.bench.total(), total, "{:?}", state);
-            }
-        }
-        world.end();
-        for motor in 0..layout.motors() as u8 {
-            for burst in world.bench.bursts(motor) {
-                prop_assert!(burst.pulses <= layout.max_down_pulses() + shifted);
-            }
-        }
-    }
-
-    /// No second has more pulses of a motor or a rail than the limits say, with all ways down, their surplus and their corrections, returns
-    /// and stops included.
-    #[test]
-    fn no_sliding_second_has_more_pulses_than_the_limits(
-        shell in shells(),
-        layout in layouts(),
-        ops in prop::collection::vec(prop_oneof![3 => tame(60), 1 => amend()], 1..120),
-    ) {
-        let limits = PowerLimits { motor: 300, rail: 700, ..layout.no_limits() };
-        let mut world = World::new(shell, layout, limits);
-        for op in ops {
-            world.apply(match op {
-                Op::Arm { assume_rest, host_timeout, .. } => Op::Arm { assume_rest, host_timeout, limits },
-                op => op,
-            });
-        }
-        world.end();
-        let second = u64::from(layout.tick_hz());
-        let mut rails = vec![Vec::new(); 64];
-        for motor in 0..layout.motors() {
-            let ticks: Vec<u64> = world.bench.pulses(motor as u8).map(|(tick, _)| tick).collect();
-            prop_assert!(!breaks(&ticks, second, limits.motor), "motor {}", motor);
-            rails[usize::from(layout.rail(motor))].extend(ticks);
-        }
-        for (rail, mut ticks) in rails.into_iter().enumerate() {
-            ticks.sort_unstable();
-            prop_assert!(!breaks(&ticks, second, limits.rail), "rail {}", rail);
-        }
-    }
+#[test]
+fn wild_worlds_break_no_limit_and_no_account() {
+    worlds(Kind::Wild);
 }
 
-/// Whether so many ticks have more than `limit` of these, which are in order.
-fn breaks(ticks: &[u64], within: u64, limit: u32) -> bool {
-    ticks.windows(limit as usize + 1).any(|some| some[limit as usize] - some[0] < within)
+#[test]
+fn no_sliding_second_has_more_pulses_than_the_limits() {
+    worlds(Kind::OnTime);
 }
 
 #[test]

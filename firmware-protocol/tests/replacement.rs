@@ -1,16 +1,12 @@
 //! Frames that replace queued moves: each motor's from one tick on or not at all, all of them counted.
 
-use crate::bench::{Bench, FIRMWARE, MOCK, MOTORS, ONSET, SHELLS, SOON, burst, stroke, to};
-use crate::taking::{bursts, end, plain};
+use crate::bench::{Bench, FIRMWARE, SHELLS, stroke};
+use crate::taking::{bursts, end};
 use firmware_protocol::array::MotorSet;
 use firmware_protocol::batch::{Amendment, BATCH_BYTES, Packer, Stroke};
 use firmware_protocol::controller::{BLOCK, POOL};
-use firmware_protocol::message::{Counters, HostMessage, Op, Report, Withdraw};
+use firmware_protocol::message::{Counters, HostMessage, Report, Withdraw};
 use firmware_protocol::moves::Move;
-use firmware_protocol::stroke::Direction;
-use firmware_protocol::tick::Tick;
-use proptest::prelude::*;
-use proptest::test_runner::RngSeed;
 
 /// Length of a period of [`train`], of one of its bursts, and of what comes between them.
 const PERIOD: u64 = 100;
@@ -30,22 +26,6 @@ fn moves<'a>(strokes: impl IntoIterator<Item = &'a Stroke>) -> Vec<Move> {
 /// The strokes that begin before `base`.
 fn strokes_before(base: u64, strokes: &[Stroke]) -> Vec<Stroke> {
     strokes.iter().copied().filter(|stroke| stroke.up.0 < base).collect()
-}
-
-/// The moves that begin before `base`.
-fn before(base: u64, moves: &[Move]) -> Vec<Move> {
-    moves.iter().copied().filter(|to| to.tick.0 < base).collect()
-}
-
-/// Sends a frame of single moves that withdraws from `base` on.
-fn replace(bench: &mut Bench, motors: u64, base: u64, moves: &[Move]) {
-    let mut packer = Packer::<BATCH_BYTES>::new(Tick(base));
-    moves.iter().for_each(|to| packer.moves(to).expect("room"));
-    let withdraw = Some(Withdraw { motors: MotorSet::from_bits(motors), generation: 0 });
-    let (epoch, seq, seen, base, batch) =
-        (bench.epoch, bench.seq, bench.seen(), Tick(base).wire(), packer.bytes());
-    bench.send(&HostMessage::Moves { epoch, seq, seen, mark: None, withdraw, base, batch });
-    bench.seq = bench.status().next_seq;
 }
 
 fn counted(counters: Counters) -> u64 {
@@ -125,144 +105,6 @@ fn a_kept_motor_plays_its_old_strokes_until_it_is_replaced_again() {
 }
 
 #[test]
-fn a_play_or_a_command_ends_what_was_kept() {
-    for command in [false, true] {
-        let mut bench = Bench::armed(FIRMWARE);
-        let old = train(1, bench.soon(), 2, PULSES);
-        bench.strokes(&old);
-        bench.run_to(old[0].up.0 + 5);
-        bench.replace(0b10, 0, old[0].up.0, &train(1, bench.soon(), 1, 7));
-        assert_eq!(kept(&bench), [0b10]);
-        bench.run(1_000);
-        if command {
-            bench.control(Op::Stop);
-            bench.settle();
-        }
-        let new = train(1, bench.soon(), 2, 7);
-        if command {
-            bench.strokes(&new);
-        } else {
-            bench.onset(new[0].up.0, &new);
-        }
-        bench.run(1_000);
-        assert_eq!(bench.bursts(1), bursts(old.iter().chain(&new)));
-    }
-}
-
-/// The first move or stroke of each motor decides: if it is late, breaks a limit or comes too soon, the old moves stay in place. So the pin
-/// comes down as planned.
-#[test]
-fn a_first_stroke_that_cannot_be_queued_keeps_the_old_ones() {
-    let mut bench = Bench::armed(MOCK);
-    let old = train(1, bench.soon(), 4, PULSES);
-    bench.strokes(&old);
-    bench.run_to(old[0].up.0 + 5);
-    let base = old[0].up.0 + 6;
-    let next = old[1].up.0;
-    let harmful = [
-        // The third move within a millisecond.
-        stroke(1, base, 9, 10, 9),
-        stroke(1, bench.device.ready().0 - 1, PULSES, HOLD, PULSES),
-        stroke(1, next, 3_001, 1, 3_001),
-        stroke(1, next, PULSES, HOLD, PULSES + 901),
-        stroke(1, next, PULSES, 1 << 30, PULSES),
-    ];
-    for harmful in harmful {
-        bench.replace(0b10, 0, base.min(harmful.up.0), &[harmful]);
-    }
-    assert_eq!(kept(&bench), [0b10; 5]);
-    bench.run(1_000);
-    assert_eq!(bench.bursts(1), bursts(&old));
-    let counters = bench.device.counters();
-    assert_eq!((counters.replaced, counters.refused, counters.late), (4, 6, 0));
-}
-
-/// A late move down lowers its pin, but not if it was to replace moves that are kept.
-#[test]
-fn a_late_move_of_a_kept_motor_changes_nothing() {
-    for shell in SHELLS {
-        let mut bench = Bench::armed(shell);
-        let at = bench.soon();
-        bench.moves(&[to(1, at, 100), to(1, at + 300, 50), to(1, at + 600, 0)]);
-        bench.run_to(at + 200);
-        let now = bench.now;
-        replace(&mut bench, 0b10, now - 50, &[to(1, now - 10, 20)]);
-        bench.moves(&[to(1, now - 5, 10)]);
-        assert_eq!(kept(&bench), [0b10]);
-        bench.run(1_000);
-        let (pulses, _) = plain(&[to(1, at, 100), to(1, at + 300, 50), to(1, at + 600, 0)], bench.now);
-        assert_eq!(bench.pulses(1).collect::<Vec<_>>(), pulses);
-        assert_eq!((bench.device.counters().replaced, bench.device.counters().late), (2, 0));
-    }
-}
-
-/// A late move ends a burst up in the tick that is rendered next; a frame that withdraws in the same tick leaves that to be done.
-#[test]
-fn a_burst_that_a_late_move_has_ended_ends_whatever_is_withdrawn() {
-    for shell in SHELLS {
-        for withdrawn in [0b10, 0b110] {
-            let mut bench = Bench::armed(shell);
-            let at = bench.soon();
-            bench.moves(&[to(1, at, 100)]);
-            bench.run_to(at + 30);
-            let height = u64::from(bench.device.outstanding(1));
-            let (now, missed) = (bench.now, bench.device.ready().0 - 1);
-            bench.moves(&[to(1, missed, 90)]);
-            replace(&mut bench, withdrawn, now, &[]);
-            bench.run(5_000);
-            assert_eq!(bench.bursts(1), [burst(at, Direction::Up, height)], "{shell:?}");
-            assert_eq!(u64::from(bench.device.outstanding(1)), height);
-        }
-    }
-}
-
-/// Also one whose way up changes nothing, because the pin is there.
-#[test]
-fn a_stroke_is_withdrawn_whole_or_stays_whole() {
-    for shell in SHELLS {
-        for base in [150, 200, 201, 300, 420, 421] {
-            let mut bench = Bench::armed(shell);
-            let at = bench.soon();
-            bench.moves(&[to(1, at, 20)]);
-            bench.strokes(&[stroke(1, at + 200, 20, 200, 20)]);
-            bench.replace(0b10, 0, at + base, &[]);
-            bench.run(1_000);
-            let stays = base > 200;
-            assert_eq!(bench.net(1), if stays { 0 } else { 20 }, "{base}");
-            let counters = bench.device.counters();
-            assert_eq!((counters.played, counters.replaced), if stays { (3, 0) } else { (1, 2) });
-        }
-    }
-}
-
-/// Moves are replaced in the middle of a ramp: the pin goes on from where it is.
-#[test]
-fn a_ramp_is_replaced_in_the_middle() {
-    for shell in SHELLS {
-        for phase in 0..100 {
-            let mut bench = Bench::armed(shell);
-            let at = bench.soon();
-            let ramp = |from: u64, levels: &[u16]| -> Vec<Move> {
-                levels.iter().zip(0..).map(|(&level, k)| to(1, from + 100 * k, level)).collect()
-            };
-            let old = ramp(at, &[50, 120, 180, 180, 260, 200, 90, 0]);
-            bench.moves(&old);
-            bench.run_to(at + 150 + phase);
-            let base = bench.soon();
-            let new = ramp(base + 30, &[40, 10, 70, 0]);
-            replace(&mut bench, 0b10, base, &new);
-            assert_eq!(kept(&bench), []);
-            bench.run(1_500);
-            let expected = [before(base, &old), new].concat();
-            let (pulses, shortened) = plain(&expected, bench.now);
-            assert_eq!(bench.pulses(1).collect::<Vec<_>>(), pulses, "{phase} {shell:?}");
-            assert_eq!((bench.device.counters().shortened, bench.net(1)), (shortened, 0));
-            assert_eq!(counted(bench.device.counters()), 12);
-        }
-    }
-}
-
-#[test]
 fn an_amendment_of_a_withdrawn_stroke_does_not_change_the_new_one() {
     for (generation, pulses) in [(4, PULSES), (5, PULSES), (6, PULSES + 2)] {
         let mut bench = Bench::armed_without_stop(FIRMWARE);
@@ -274,40 +116,6 @@ fn an_amendment_of_a_withdrawn_stroke_does_not_change_the_new_one() {
         bench.run(1_000);
         assert_eq!(bench.bursts(1)[0].pulses, pulses, "generation {generation}");
         assert_eq!(bench.device.counters().replaced, 6);
-    }
-}
-
-/// While a frame is taken in pieces, an e-stop may come between any two of them.
-#[test]
-fn an_e_stop_between_the_pieces_of_a_replacement_loses_no_count() {
-    for blocks in 0..12 {
-        let mut bench = Bench::armed(FIRMWARE);
-        let old: Vec<Vec<Stroke>> =
-            (0..MOTORS as u8).map(|motor| train(motor, bench.soon() + 50, 8, PULSES)).collect();
-        for strokes in &old {
-            bench.strokes(strokes);
-        }
-        bench.run_to((old[0][1].up.0 + 7).next_multiple_of(BLOCK.into()));
-        bench.in_pieces = true;
-        let base = bench.now + SOON + 200;
-        let first = old[0].iter().find(|old| old.up.0 >= base).expect("one").up.0;
-        let new: Vec<Stroke> = (0..MOTORS as u8).map(|motor| stroke(motor, first, 9, HOLD, 9)).collect();
-        let frame = bench.replacement(
-            None,
-            Withdraw { motors: MotorSet::from_bits(u64::MAX), generation: 0 },
-            base,
-            &new,
-        );
-        bench.bytes(&frame);
-        bench.run(blocks * u64::from(BLOCK));
-        let epoch = bench.epoch.wrapping_add(1);
-        bench.device.e_stop(Tick(bench.now), epoch);
-        let counters = bench.device.counters();
-        let taken = 3 * blocks.saturating_sub(3).min(8);
-        assert_eq!(counted(counters), 2 * (8 * 24 + taken), "{blocks} blocks: {counters:?}");
-        let withdrawn = old[0].iter().filter(|old| old.up.0 >= base).count() as u64;
-        assert_eq!(counters.replaced, 2 * withdrawn * taken, "{blocks} blocks");
-        assert_eq!(counters.pulses, bench.total());
     }
 }
 
@@ -358,92 +166,5 @@ fn long_queues_are_searched_in_pieces() {
         bench.run(15_000);
         let Counters { amended, amendments_ignored, .. } = bench.device.counters();
         assert_eq!((amended, amendments_ignored), (51, 1), "{in_order}");
-    }
-}
-
-#[test]
-fn the_first_frame_of_a_play_withdraws_nothing() {
-    let mut bench = Bench::armed(FIRMWARE);
-    let old = train(1, bench.soon(), 3, PULSES);
-    bench.strokes(&old);
-    let new = train(2, bench.soon(), 3, PULSES);
-    let base = new[0].up.0;
-    let frame = bench.replacement(
-        Some(ONSET),
-        Withdraw { motors: MotorSet::from_bits(0b10), generation: 0 },
-        base,
-        &new,
-    );
-    bench.bytes(&frame);
-    bench.run(1_000);
-    assert_eq!((bench.bursts(1), bench.bursts(2)), (bursts(&old), bursts(&new)));
-}
-
-proptest! {
-    #![proptest_config(ProptestConfig { cases: 300, failure_persistence: None, rng_seed: RngSeed::Fixed(22), ..ProptestConfig::default() })]
-
-    /// Random trains of three motors replace each other, many of them too late or on top of one another. The pins do what a plain model of the
-    /// moves does that the device says it took, less those withdrawn, and every move sent is counted once.
-    #[test]
-    fn whatever_is_replaced_pins_follow_the_moves_taken(
-        shell in prop::sample::select(SHELLS.to_vec()),
-        in_pieces: bool,
-        updates in prop::collection::vec((0u64..400, 0u64..8, -80i64..300, 0u64..200, 0u64..9, 1u16..40), 1..40),
-    ) {
-        let mut bench = Bench::armed(shell);
-        bench.in_pieces = in_pieces && shell.ahead > 1;
-        // Pins may stay up.
-        bench.frame(Some(ONSET), bench.soon(), &[]);
-        bench.run(20);
-        let mut frames = Vec::new();
-        for (number, (wait, motors, ahead, offset, count, pulses)) in updates.into_iter().enumerate() {
-            bench.run(wait);
-            let base = bench.now.wrapping_add_signed(ahead);
-            let drives = (1..4u8).filter(|motor| motors >> (motor - 1) & 1 == 1);
-            let mut strokes: Vec<Stroke> =
-                drives.flat_map(|motor| train(motor, base + offset * u64::from(motor), count, pulses)).collect();
-            strokes.sort_by_key(|stroke| stroke.up);
-            strokes.truncate(32);
-            bench.seq = number as u16 + 1;
-            bench.replace(motors << 1, 0, base, &strokes);
-            frames.push((MotorSet::from_bits(motors << 1), base, moves(&strokes)));
-        }
-        bench.run(4_000);
-        // Each with the beginning of its stroke.
-        let mut planned: [Vec<(u64, Move)>; 4] = Default::default();
-        let (mut sent, mut refusals) = (0, 0);
-        let reports = bench.reports();
-        for (number, (motors, base, moves)) in frames.iter().enumerate() {
-            let verdict = reports.iter().find_map(|report| match *report {
-                Report::Verdict { seq, late, refused, kept, .. } if usize::from(seq) == number + 1 => {
-                    Some((late, refused, kept))
-                }
-                _ => None,
-            });
-            let (late, refused, kept) = verdict.unwrap_or((0, 0, MotorSet::EMPTY));
-            for motor in motors.without(kept).iter() {
-                planned[usize::from(motor)].retain(|&(up, _)| up < *base);
-            }
-            for (place, to) in moves.iter().enumerate() {
-                let is_taken = (late | refused) >> place & 1 == 0;
-                prop_assert!(!is_taken || !kept.contains(to.motor), "of a kept motor");
-                if is_taken {
-                    planned[usize::from(to.motor)].push((moves[place & !1].tick.0, *to));
-                }
-            }
-            sent += moves.len() as u64;
-            refusals += u64::from(refused.count_ones());
-        }
-        let mut shortened = 0;
-        for (motor, moves) in (0..).zip(&planned) {
-            let moves: Vec<Move> = moves.iter().map(|&(_, to)| to).collect();
-            let (pulses, of_motor) = plain(&moves, bench.now);
-            prop_assert_eq!(bench.pulses(motor).collect::<Vec<_>>(), pulses, "{:?}", moves);
-            shortened += of_motor;
-        }
-        let counters = bench.device.counters();
-        prop_assert_eq!(counted(counters), sent);
-        prop_assert_eq!((counters.dropped, counters.refused, counters.pulses), (0, refusals, bench.total()));
-        prop_assert_eq!(counters.shortened, shortened);
     }
 }

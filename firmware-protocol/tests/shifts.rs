@@ -1,13 +1,9 @@
 //! Shifts of rest and their travel, and on-time limits of strokes, moves, shifts and amendments.
 
-use crate::bench::{
-    Bench, FIRMWARE, HOST_TIMEOUT, NO_LIMITS, SHELLS, SOON, Shell, TICK_HZ, arm, burst, stroke, to,
-};
+use crate::bench::{Bench, HOST_TIMEOUT, NO_LIMITS, SHELLS, SOON, Shell, TICK_HZ, burst, stroke, to};
 use Direction::{Down, Up};
-use firmware_protocol::array::MotorSet;
-use firmware_protocol::batch::Stroke;
 use firmware_protocol::controller::POOL;
-use firmware_protocol::limits::{PowerLimits, Refusal};
+use firmware_protocol::limits::Refusal;
 use firmware_protocol::message::{Cause, Op, Report, State};
 use firmware_protocol::stroke::Direction;
 
@@ -26,11 +22,6 @@ fn without_stop(shell: Shell) -> Bench {
     bench.hello(1);
     arm_without_stop(&mut bench, true);
     bench
-}
-
-/// The first tick after the last pulse of a stroke that is played as planned.
-fn end(stroke: &Stroke) -> u64 {
-    stroke.down.0 + u64::from(stroke.level + stroke.surplus)
 }
 
 #[test]
@@ -125,57 +116,6 @@ fn the_travel_of_a_cut_shift_counts_as_far_as_it_went() {
     }
 }
 
-/// A level counts from where the pin rests. So until a shift upwards is over, the device refuses moves of its motor.
-#[test]
-fn a_shift_is_played_whole_whatever_moves_a_host_sends_meanwhile() {
-    for shell in SHELLS {
-        for direction in [Up, Down] {
-            let mut bench = without_stop(shell);
-            let ready = bench.device.ready().0;
-            bench.control(shift(2, direction, 400));
-            // A Control begins an epoch.
-            bench.run(3);
-            let soon = bench.soon();
-            bench.moves(&[to(2, soon, 30), to(3, soon, 25), to(2, soon + 100, 0), to(3, soon + 100, 0)]);
-            bench.run(1_500);
-            let last = bench.net(2);
-            assert_eq!(last, if direction == Up { 400 } else { -400 }, "{shell:?} {:?}", bench.bursts(2));
-            assert_eq!(bench.net(3), 0);
-            assert_eq!(bench.bursts(3).len(), 2);
-            if direction == Up {
-                assert_eq!(bench.bursts(2), [burst(ready, Up, 400)]);
-                assert_eq!(bench.device.counters().refused, 2);
-                let refused = Report::Verdict {
-                    seq: 0,
-                    late: 0,
-                    refused: 0b101,
-                    kept: MotorSet::EMPTY,
-                    reason: Some(Refusal::State),
-                    rendered: bench
-                        .reports()
-                        .iter()
-                        .find_map(|report| match report {
-                            Report::Verdict { rendered, .. } => Some(*rendered),
-                            _ => None,
-                        })
-                        .expect("a verdict"),
-                };
-                assert_eq!(bench.reports(), [refused]);
-            }
-            // After it the device takes moves.
-            let after = bench.soon();
-            bench.moves(&[to(2, after, 30), to(2, after + 200, 0)]);
-            bench.run(1_500);
-            let bursts = bench.bursts(2);
-            assert_eq!(
-                bursts[bursts.len() - 2..],
-                [burst(after, Up, 30), burst(after + 200, Down, 30)],
-                "{shell:?}"
-            );
-        }
-    }
-}
-
 #[test]
 fn an_on_time_limit_refuses_moves_up_when_they_begin_and_is_named() {
     for shell in SHELLS {
@@ -226,114 +166,6 @@ fn the_on_time_of_the_ways_down_is_reserved() {
                 assert!(bench.total() <= u64::from(limit));
             }
         }
-    }
-}
-
-/// The pulses of a way down count once, as soon as it begins: they are not reserved as well.
-#[test]
-fn a_way_down_that_runs_counts_once() {
-    for shell in SHELLS {
-        let mut bench = Bench::limited(shell, 85_000, 200);
-        let at = bench.soon();
-        // At the last one 60 up and 60 down have begun, and none is left to come down.
-        bench.moves(&[to(3, at, 60), to(3, at + 200, 0), to(4, at + 210, 40), to(4, at + 400, 0)]);
-        bench.run(700);
-        assert_eq!((bench.device.counters().refused, bench.pulses(4).count()), (0, 80), "{shell:?}");
-    }
-}
-
-#[test]
-fn every_pulse_counts_once_against_on_time() {
-    for shell in SHELLS {
-        // One stroke per 1.1 s, with as many pulses as the limit: none is refused.
-        let mut bench = Bench::limited(shell, 14, 600);
-        for _ in 0..5 {
-            bench.strokes(&[stroke(3, bench.soon(), 7, 6, 7)]);
-            bench.run(93_500);
-        }
-        assert_eq!((bench.device.counters().played, bench.device.counters().refused), (10, 0));
-
-        // A stroke that an e-stop cuts in any phase, and its return, count together as the whole stroke, or less.
-        for before in 0..20 {
-            let mut bench = Bench::limited(shell, 28, 600);
-            let first = stroke(3, bench.soon(), 7, 6, 7);
-            bench.strokes(&[first]);
-            bench.run_to(end(&first) - 1 - before);
-            bench.control(Op::EStop);
-            bench.control(Op::Reset);
-            bench.control(arm(false, 10 * TICK_HZ, PowerLimits { motor: 28, rail: 600, ..NO_LIMITS }));
-            // The second stroke still counts when the first no longer does; the fourth breaks the limit.
-            let second = u64::from(TICK_HZ);
-            for (at, refused) in [(80_000, 0), (second + 5_000, 0), (second + 10_000, 2)] {
-                bench.run_to(first.up.0 + at - SOON);
-                bench.strokes(&[stroke(3, first.up.0 + at, 7, 6, 7)]);
-                bench.run(SOON + 100);
-                assert_eq!(bench.device.counters().refused, refused, "{before} {shell:?}");
-            }
-        }
-    }
-}
-
-#[test]
-fn shifts_and_amendments_count_against_on_time() {
-    for shell in SHELLS {
-        let mut bench = Bench::limited(shell, 20, 600);
-        bench.control(shift(2, Up, 21));
-        assert_eq!(bench.status().refusal, Some(Refusal::MotorOnTime));
-        bench.control(shift(2, Up, 20));
-        assert_eq!(bench.status().refusal, None);
-        bench.run(200);
-        bench.control(shift(2, Down, 1));
-        assert_eq!(bench.status().refusal, Some(Refusal::MotorOnTime));
-        bench.run(90_000);
-        bench.control(shift(2, Down, 20));
-        assert_eq!(bench.status().refusal, None);
-        bench.run(200);
-        assert_eq!(bench.net(2), 0);
-
-        // The pulses that an amendment or a surplus adds to a way down are left out if they break the limit. The way down is not.
-        for (limit, down) in [(20, 11), (19, 10), (18, 9)] {
-            let mut bench = Bench::limited(shell, limit, 600);
-            let begun = stroke(3, bench.soon(), 9, 200, 9);
-            bench.strokes(&[begun]);
-            bench.run(120);
-            bench.amend(1, 3, begun.down, 11);
-            assert_eq!(bench.device.counters().amendments_ignored, 0);
-            bench.run(400);
-            assert_eq!(bench.bursts(3)[1].pulses, down, "{limit} {shell:?}");
-
-            let mut bench = Bench::new(shell);
-            bench.hello(1);
-            bench.control(arm(true, 10 * TICK_HZ, PowerLimits { motor: limit, rail: 600, ..NO_LIMITS }));
-            bench.strokes(&[stroke(3, bench.soon(), 9, 200, 11)]);
-            bench.run(500);
-            assert_eq!(bench.bursts(3)[1].pulses, down, "{limit} {shell:?}");
-        }
-        // The rail's ways down come first, too.
-        for (limit, down) in [(40, 11), (39, 10), (38, 9)] {
-            let mut bench = Bench::limited(shell, 85_000, limit);
-            let at = bench.soon();
-            let begun = stroke(3, at, 9, 200, 9);
-            bench.strokes(&[begun]);
-            bench.moves(&[to(4, at + 20, 10)]);
-            bench.amend(1, 3, begun.down, 11);
-            bench.run(500);
-            assert_eq!(bench.bursts(3)[1].pulses, down, "{limit} {shell:?}");
-            bench.control(Op::Stop);
-            bench.settle();
-            assert_eq!(bench.net(4), 0);
-            assert!(bench.total() <= u64::from(limit));
-        }
-    }
-    // What an amendment adds to a way up counts.
-    for (limit, refused) in [(20, 0), (19, 2)] {
-        let mut bench = Bench::limited(FIRMWARE, limit, 600);
-        let one = stroke(3, bench.soon() + 100, 9, 200, 9);
-        bench.strokes(&[one]);
-        bench.amend(1, 3, one.up, 11);
-        bench.run(700);
-        assert_eq!(bench.device.counters().refused, refused);
-        assert_eq!(bench.pulses(3).count(), if refused == 0 { 20 } else { 0 });
     }
 }
 

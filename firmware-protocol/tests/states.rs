@@ -1,10 +1,9 @@
 //! The effect of each event in each state of the controller, and the device's reports about itself.
 
-use crate::bench::{Bench, FIRMWARE, HOST_TIMEOUT, MOTORS, ONSET, SHELLS, Shell, frame, pack, stroke};
-use crate::interruptions::{end, planned};
-use firmware_protocol::controller::Identity;
+use crate::bench::{Bench, FIRMWARE, HOST_TIMEOUT, MOTORS, SHELLS, Shell, stroke};
+use crate::interruptions::planned;
 use firmware_protocol::limits::Refusal;
-use firmware_protocol::message::{Cause, DeviceMessage, HostMessage, Op, Report, Samples, State};
+use firmware_protocol::message::{Cause, DeviceMessage, Op, Report, Samples, State};
 use firmware_protocol::stroke::Direction::Up;
 use firmware_protocol::tick::Tick;
 
@@ -163,51 +162,6 @@ fn after_power_up_the_position_is_unknown_even_through_a_fault() {
 }
 
 #[test]
-fn assuming_rest_clears_outstanding_return_pulses() {
-    let mut bench = Bench::armed(FIRMWARE);
-    let up = bench.soon();
-    bench.strokes(&[stroke(3, up, 20, 5, 20)]);
-    bench.run_to(up + 10);
-    bench.control(Op::EStop);
-    bench.control(Op::Reset);
-    assert_eq!((bench.outstanding(), bench.device.outstanding(24)), (11, 0));
-    bench.arm(true);
-    bench.is(State::Armed, Cause::Request);
-    bench.run(300);
-    assert_eq!((bench.outstanding(), bench.pulses(3).count()), (0, 11));
-}
-
-#[test]
-fn a_session_opened_by_a_shell_is_like_any_other() {
-    let mut bench = Bench::armed(FIRMWARE);
-    let stroke = stroke(1, bench.soon(), 200, 50, 200);
-    bench.onset(stroke.up.0, &[stroke]);
-    bench.run_to(stroke.up.0 + 50);
-    bench.device.open_session(Tick(bench.now), 77);
-    bench.is(State::Returning, Cause::NewHost);
-    bench.drain();
-    let greeted =
-        |message: &DeviceMessage| matches!(message, DeviceMessage::Hello(hello) if hello.session == 77);
-    assert!(bench.inbox.iter().any(greeted));
-    // The frame itself is a repetition when it arrives.
-    bench.hello(77);
-    bench.settle();
-    bench.is(State::Disarmed, Cause::NewHost);
-    assert_eq!(bench.net(1), 0);
-}
-
-#[test]
-fn the_cause_of_the_start_stays_until_the_next_change_of_state() {
-    let mut bench = Bench::new(FIRMWARE);
-    bench.device.introduce(Identity { boot: 9, ..Identity::default() }, Cause::Watchdog);
-    bench.hello(1);
-    bench.ping(1);
-    assert_eq!((bench.status().cause, bench.status().position_known), (Cause::Watchdog, false));
-    bench.arm(true);
-    bench.is(State::Armed, Cause::Request);
-}
-
-#[test]
 fn telemetry_is_sent_while_armed_or_returning_and_only_the_newest_sample() {
     for (name, make) in STATES {
         let mut bench = make(FIRMWARE);
@@ -225,61 +179,5 @@ fn telemetry_is_sent_while_armed_or_returning_and_only_the_newest_sample() {
         let expected: &[&DeviceMessage] =
             if ["fresh", "known", "faulted"].contains(&name) { &[] } else { &[&sample] };
         assert_eq!(sent, expected, "{name}");
-    }
-}
-
-#[test]
-fn the_clock_may_start_anywhere_and_go_backward() {
-    for start in [0, 1, 63, 1 << 31, (1 << 32) - 1, u64::MAX - 20_000] {
-        let mut bench = Bench::starting_at(FIRMWARE, Tick(start));
-        bench.hello(1);
-        bench.arm(true);
-        let first = stroke(1, bench.soon(), 20, 10, 20);
-        bench.strokes(&[first]);
-        // Bytes with an older time of arrival.
-        bench.run(50);
-        bench.device.receive(Tick(bench.now - 30), &frame(&HostMessage::Ping { token: 9, seen: 0 }));
-        bench.drain();
-        assert_eq!((bench.status().token, bench.status().tick), (9, Tick(bench.now).wire()));
-        bench.device.poll(Tick(0));
-        bench.run(200);
-        assert_eq!(bench.bursts(1), planned(&first));
-    }
-    // At the end of time nothing overflows.
-    let mut bench = Bench::starting_at(FIRMWARE, Tick(u64::MAX - 300));
-    bench.hello(1);
-    bench.arm(true);
-    let batch = pack(0, &[stroke(1, 1, 3_000, 1 << 20, 3_000), stroke(2, 1 << 30, 3_000, 1 << 20, 3_000)]);
-    bench.frame(Some(ONSET), u64::MAX - 100, batch.bytes());
-    bench.run(200);
-    bench.control(Op::EStop);
-    bench.run(20);
-    bench.is(State::Faulted, Cause::EStop);
-}
-
-/// The shell looks at the clock again before it sends. What is rendered and not played does not count yet.
-#[test]
-fn a_status_counts_the_moves_that_began_and_the_pulses_before_its_tick() {
-    for shell in SHELLS {
-        let mut bench = Bench::armed(shell);
-        let stroke = stroke(3, bench.soon(), 9, 5, 9);
-        bench.strokes(&[stroke]);
-        bench.run_to(stroke.up.0 - 60);
-        while bench.now < end(&stroke) + 2 {
-            bench.tick();
-            let now = bench.now;
-            bench.device.receive(Tick(now), &frame(&HostMessage::Ping { token: 7, seen: bench.seen() }));
-            // It is sent a tick later, if that is rendered.
-            let sent = (now + 1).min(bench.device.rendered().0);
-            bench.now = sent;
-            bench.drain();
-            bench.now = now;
-            let status = bench.status();
-            assert_eq!((status.token, status.tick), (7, Tick(sent).wire()));
-            let begun = [stroke.up.0, stroke.down.0].into_iter().filter(|&tick| tick < sent).count() as u64;
-            let pulses = planned(&stroke).map(|burst| sent.saturating_sub(burst.start.0).min(9));
-            let counted = (status.counters.played, status.counters.pulses);
-            assert_eq!(counted, (begun, pulses.into_iter().sum()), "at {sent}, {shell:?}");
-        }
     }
 }

@@ -6,8 +6,7 @@ use firmware_protocol::batch::{BATCH_BYTES, Packer, Stroke};
 use firmware_protocol::controller::POOL;
 use firmware_protocol::limits::Refusal;
 use firmware_protocol::message::Report;
-use firmware_protocol::moves::Move;
-use firmware_protocol::stroke::Direction::{self, Down, Up};
+use firmware_protocol::stroke::Direction::{Down, Up};
 use firmware_protocol::tick::Tick;
 
 /// The bursts of these strokes, of one motor.
@@ -22,34 +21,6 @@ pub(crate) fn bursts<'a>(strokes: impl IntoIterator<Item = &'a Stroke>) -> Vec<B
 /// The first tick after the last pulse of a stroke.
 pub(crate) fn end(stroke: &Stroke) -> u64 {
     stroke.down.0 + u64::from(stroke.level + stroke.surplus)
-}
-
-/// Ticks and directions of the pulses of one motor that takes these moves in time, without a limit; and how many of them are shortened. In
-/// every tick the pin goes one pulse towards the level of the last move.
-pub(crate) fn plain(moves: &[Move], end: u64) -> (Vec<(u64, Direction)>, u64) {
-    let (mut height, mut goal, mut surplus, mut pulses, mut shortened) = (0, 0, 0, Vec::new(), 0);
-    let mut next = moves.iter().peekable();
-    for tick in moves.first().map_or(end, |first| first.tick.0)..end {
-        if let Some(to) = next.next_if(|to| to.tick.0 == tick) {
-            // A move that changes nothing is none.
-            if (to.level, to.surplus) != (goal, 0) {
-                shortened += u64::from(height != goal);
-                // What does not come down pushes nothing.
-                (goal, surplus) = (to.level, if height > 0 { to.surplus } else { 0 });
-            }
-        }
-        if height < goal {
-            height += 1;
-            pulses.push((tick, Up));
-        } else if height > goal {
-            height -= 1;
-            pulses.push((tick, Down));
-        } else if surplus > 0 {
-            surplus -= 1;
-            pulses.push((tick, Down));
-        }
-    }
-    (pulses, shortened)
 }
 
 /// Late and refused moves of the last report, a verdict, and the reason.
@@ -182,59 +153,6 @@ fn a_verdict_gives_the_reason_of_each_refusal() {
     }
 }
 
-#[test]
-fn a_verdict_has_a_bit_for_each_move() {
-    let mut bench = Bench::armed(FIRMWARE);
-    let at = bench.soon();
-    let pushes = |motor, level, surplus| Move { surplus, ..to(motor, at + 300, level) };
-    bench.moves(&[
-        to(1, at, 10),
-        to(1, at + 1, 20),
-        // The third move within a millisecond.
-        to(1, at + LEAST_APART - 1, 30),
-        to(1, at + LEAST_APART, 40),
-        to(2, at + 200, 3_001),
-        pushes(1, 0, 4),
-        // It would push above rest.
-        pushes(3, 1, 1),
-        to(3, at + 300, 1),
-    ]);
-    assert_eq!(verdict(&bench), (0, 0b0101_0100, Some(Refusal::Dense)));
-    bench.run(1_000);
-    let expected =
-        [burst(at, Up, 1), burst(at + 1, Up, 19), burst(at + LEAST_APART, Up, 20), burst(at + 300, Down, 44)];
-    let joined = [burst(at, Up, 20), expected[2], expected[3]];
-    assert_eq!(bench.bursts(1), joined);
-    assert_eq!((bench.net(2), bench.net(3)), (0, 1));
-    let counters = bench.device.counters();
-    assert_eq!((counters.played, counters.refused, counters.shortened), (5, 3, 1));
-}
-
-/// Rows, single moves and strokes in one frame, with levels of all motors.
-#[test]
-fn a_row_moves_all_its_motors_in_one_tick() {
-    for shell in SHELLS {
-        let mut bench = Bench::armed(shell);
-        let at = bench.soon();
-        let mut packer = Packer::<BATCH_BYTES>::new(Tick(at - 7));
-        let motors = MotorSet::from_bits(0x80_0007);
-        packer.row(Tick(at), motors, &[10, 0, 30, 3_000]).unwrap();
-        packer.moves(&to(1, at + 5, 50)).unwrap();
-        packer.stroke(&stroke(5, at + 5, 20, 30, 22)).unwrap();
-        packer.row(Tick(at + 200), motors, &[0, 20, 40, 100]).unwrap();
-        bench.frame(None, at - 7, packer.bytes());
-        assert_eq!(bench.status().credits, POOL as u16 - 10, "one of the moves changes nothing");
-        bench.run(600);
-        assert_eq!(bench.bursts(0), [burst(at, Up, 10), burst(at + 200, Down, 10)]);
-        assert_eq!(bench.bursts(1), [burst(at + 5, Up, 50), burst(at + 200, Down, 30)]);
-        assert_eq!(bench.bursts(2), [burst(at, Up, 30), burst(at + 200, Up, 10)]);
-        assert_eq!(bench.bursts(5), bursts(&[stroke(5, at + 5, 20, 30, 22)]));
-        assert_eq!(bench.bursts(23), [burst(at, Up, 200), burst(at + 200, Down, 100)]);
-        let counters = bench.device.counters();
-        assert_eq!((counters.played, counters.shortened, bench.reports()), (11, 1, vec![]));
-    }
-}
-
 /// A slot is free as soon as its move has begun, and a stroke needs two.
 #[test]
 fn a_full_pool_refuses_until_moves_have_begun() {
@@ -276,40 +194,4 @@ fn a_full_pool_refuses_until_moves_have_begun() {
         assert_eq!(bench.status().credits, POOL as u16);
         assert_eq!(bench.bursts(1), bursts(&strokes));
     }
-}
-
-/// The stroke before may be queued, played or withdrawn.
-#[test]
-fn a_stroke_less_than_a_millisecond_after_the_one_before_is_refused() {
-    for shell in SHELLS {
-        for wait in 0..140 {
-            let mut bench = Bench::armed(shell);
-            let first = stroke(1, bench.soon(), 1, 1, 1);
-            let [dense, apart] =
-                [LEAST_APART - 1, LEAST_APART].map(|ticks| stroke(1, first.up.0 + ticks, 1, 1, 1));
-            bench.strokes(&[first]);
-            bench.run(wait);
-            let ready = bench.device.ready();
-            let is_late = apart.up < ready;
-            bench.strokes(&[dense, apart]);
-            assert_eq!(
-                verdict(&bench),
-                match (dense.up < ready, is_late) {
-                    (true, true) => (0b1111, 0, None),
-                    (true, false) => (0b11, 0, None),
-                    _ => (0, 0b11, Some(Refusal::Dense)),
-                },
-                "{wait}"
-            );
-            bench.run(300);
-            let played = if is_late { vec![first] } else { vec![first, apart] };
-            assert_eq!(bench.bursts(1), bursts(&played));
-        }
-    }
-    let mut bench = Bench::armed(FIRMWARE);
-    let [first, second] = [0, 10].map(|ticks| stroke(1, bench.soon() + ticks, 1, 1, 1));
-    bench.strokes(&[first]);
-    bench.replace(0b10, 0, first.up.0, &[second]);
-    bench.run(300);
-    assert_eq!((bench.bursts(1), bench.device.counters().refused), (bursts(&[second]), 0));
 }

@@ -28,6 +28,8 @@ mod pieces;
 mod properties;
 /// Frames that replace queued moves.
 mod replacement;
+/// The plain rule that lines follow.
+mod rule;
 /// Shifts of rest, and on-time.
 mod shifts;
 /// The effect of each event in each state.
