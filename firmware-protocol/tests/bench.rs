@@ -6,7 +6,7 @@
 
 use firmware_protocol::array::{ArrayId, Layout, MotorSet, Name};
 use firmware_protocol::batch::{Amendment, BATCH_BYTES, Packer, Stroke};
-use firmware_protocol::controller::{BLOCK, Controller, DRIVER_TAIL, HORIZON, Identity, REORDER_WINDOW, Run};
+use firmware_protocol::controller::{BLOCK, Controller, DRIVER_TAIL, HORIZON, Identity, Run};
 use firmware_protocol::frame::{Decoder, MAX_FRAME, encode};
 use firmware_protocol::limits::PowerLimits;
 use firmware_protocol::message::{
@@ -402,14 +402,6 @@ impl Bench {
         if self.device.state() == State::Faulted {
             // A shell forces the drivers off at once.
             (self.enabled, self.enabled_idle) = (0, 0);
-        }
-        self.drain();
-    }
-
-    /// Has the device take its buffered frames that are next in order, one with each poll.
-    pub(crate) fn follow(&mut self) {
-        for _ in 0..REORDER_WINDOW {
-            self.device.poll(Tick(self.now));
         }
         self.drain();
     }

@@ -233,8 +233,6 @@ impl World {
     fn send(&mut self, bytes: Vec<u8>) {
         let (before, counted) = (self.credits(), self.bench.device.counters());
         self.bench.bytes(&bytes);
-        // A frame may be next in order now that was buffered before; its moves count here, too.
-        self.bench.follow();
         if let (Some(before), Some(after)) = (before, self.credits()) {
             let counters = self.bench.device.counters();
             // Moves that changed nothing have been played.
