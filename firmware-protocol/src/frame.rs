@@ -13,7 +13,7 @@ use core::hash::{Hash, Hasher};
 use serde::{Deserialize, Serialize};
 
 /// The protocol's version: the first byte of every message, in all versions.
-pub const PROTOCOL: u8 = 7;
+pub const PROTOCOL: u8 = 8;
 /// Most bytes of version, body and CRC: one COBS block.
 const MAX_MESSAGE: usize = 254;
 pub(crate) const CRC_LEN: usize = 4;

@@ -440,12 +440,6 @@ impl Bench {
         self.drain();
     }
 
-    /// Has the device take its buffered frames that are next in order, one with each poll.
-    pub(crate) fn follow(&mut self) {
-        while self.device.poll(Tick(self.now)) {}
-        self.drain();
-    }
-
     pub(crate) fn send(&mut self, message: &HostMessage<'_>) {
         if self.prints {
             println!("{} {:?}: {message:?}", self.now, self.device.state());

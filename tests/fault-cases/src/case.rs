@@ -341,6 +341,8 @@ pub struct LineFault {
     delay_ms: Option<Number>,
     #[serde(default)]
     jitter_ms: Option<Number>,
+    #[serde(default)]
+    overtakes: bool,
     /// It delivers nothing, and everything at once when the fault is over.
     #[serde(default)]
     holds: bool,
@@ -358,6 +360,7 @@ impl LineFault {
             byte_loss: share(self.loses_bytes_percent),
             delay: time(self.delay_ms),
             jitter: time(self.jitter_ms),
+            overtakes: self.overtakes,
             bytes_per_s: 0,
             holds: self.holds,
         };

@@ -16,9 +16,8 @@ use std::time::Duration;
 #[derive(Debug)]
 pub(super) struct Reports {
     due: HostInstant,
-    /// Whether the last snapshot showed a device, and which line rate.
+    /// Whether the last snapshot showed a device.
     connected: bool,
-    line_rate: Option<u32>,
     /// Motors whose sensor fault is reported.
     faults: PerMotor<bool>,
     drift: bool,
@@ -28,7 +27,7 @@ impl Reports {
     /// Nothing is reported yet.
     pub(super) fn new(array: Array) -> Self {
         let (due, faults) = (HostInstant::default(), PerMotor::all(array, false));
-        Self { due, connected: false, line_rate: None, faults, drift: false }
+        Self { due, connected: false, faults, drift: false }
     }
 
     /// A snapshot is due now.
@@ -36,17 +35,11 @@ impl Reports {
         self.due = now;
     }
 
-    /// Whether a snapshot is due, also because it would show another device or line rate. Then the next is due after `every`.
-    pub(super) fn take_due(
-        &mut self,
-        now: HostInstant,
-        connected: bool,
-        line_rate: Option<u32>,
-        every: Duration,
-    ) -> bool {
-        let is_due = now >= self.due || (connected, line_rate) != (self.connected, self.line_rate);
+    /// Whether a snapshot is due, also because a device came or went. Then the next is due after `every`.
+    pub(super) fn take_due(&mut self, now: HostInstant, connected: bool, every: Duration) -> bool {
+        let is_due = now >= self.due || connected != self.connected;
         if is_due {
-            *self = Self { due: now + every, connected, line_rate, ..*self };
+            *self = Self { due: now + every, connected, ..*self };
         }
         is_due
     }

@@ -39,8 +39,8 @@ pub(in crate::controller) struct Next {
 #[derive(Clone, Copy, Debug, Hash)]
 pub(super) struct Packed {
     pub(super) head: Next,
-    /// Its epoch and the reports that the host has seen, unless it was buffered.
-    pub(super) received: Option<(u16, u16)>,
+    /// Its epoch and the reports that the host has seen.
+    pub(super) received: (u16, u16),
     place: Place,
 }
 
@@ -142,7 +142,7 @@ impl Taking {
         &mut self,
         epoch: u16,
         head: Next,
-        received: Option<(u16, u16)>,
+        received: (u16, u16),
         batch: &[u8],
     ) -> Packed {
         self.epoch = epoch;
@@ -158,11 +158,6 @@ impl Taking {
         }
         self.packed = Some(packed);
         Ok(None)
-    }
-
-    /// The packed moves or amendments.
-    pub(super) fn items(&self) -> &[u8] {
-        &self.items
     }
 
     fn keep_items(&mut self, items: &[u8]) {
@@ -198,9 +193,7 @@ impl Stream {
 
     /// Takes the head of the next frame of the ordered stream.
     fn take_head(&mut self, Next { seq, mark, withdraw, base }: Next, parts: &mut Parts<'_>) {
-        self.next_seq = seq.wrapping_add(1);
-        // The frame may have been repeated before its buffered copy was taken.
-        let _ = self.reorder.take(seq);
+        (self.next_seq, self.gap) = (seq.wrapping_add(1), false);
         if let Some(mark) = mark
             && parts.armed
         {
