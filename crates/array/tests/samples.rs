@@ -4,6 +4,7 @@ use hound::{SampleFormat, WavSpec, WavWriter};
 use meissner_array::samples::{
     Choice, Column, MAX_FILE_BYTES, MAX_SAMPLES, Samples, read, read_columns, read_profile,
 };
+use meissner_test_support::documents::assert_documents_refused;
 use std::io::Cursor;
 
 fn npy(descr: &str, fortran: &str, shape: &str, data: &[u8]) -> Vec<u8> {
@@ -200,6 +201,28 @@ fn a_recording_is_resampled_and_says_so() {
     assert_eq!(good("a.npy", &array, &at(20_000.0)).um.len(), 4);
 }
 
+/// Documents of CSV; `␍` is a carriage return.
+const CSV_MISTAKES: &str = r#"
+ => …line 1: no column is named `time_s`: the names are …
+time_s,a_um⏎ => …0 samples: must be 2…
+time_s,a_um⏎0,1⏎ => …1 samples: must be 2…
+time_s⏎0⏎ => …add column = and the name of one, in quotes: there are `time_s`…
+time_s,a_um,b_um⏎ => …there are `time_s`, `a_um`, `b_um`…
+time_s,a⏎0,1⏎1,2⏎ => …line 1: `a` must end with its unit, _um, _mm, _nm or _m; a CSV…
+time_s,ch1_V⏎0,1⏎1,2⏎ => …line 1: `ch1_V` must end with its unit…
+1⏎2⏎3⏎ => …line 1: no column is named `time_s`: the names are `1`…
+t;um⏎0,5;2,0⏎ => …the names are `t;um`; a CSV file begins with names such as time_s,…
+time_s,a_um⏎0,1⏎1,2,5⏎ => …line 3: 3 cells, but 2 names; …
+time_s,a_um⏎0,1⏎⏎1⏎ => …line 4: 1 cells, but 2 names; …
+time_s,a_um⏎0,1⏎0.1,⏎ => …line 3: `` is no number; …
+time_s,a_um⏎0,1⏎0.1,"2,5"⏎ => …line 3: `2,5` is no number; …
+time_s,a_um⏎⏎0,1␍⏎1,2⏎⏎⏎3,4⏎4,5⏎ => …line 7 is at 3 s, the row before at 1 s…
+time_s,a_um⏎0,1⏎0,2⏎ => …line 3 is at 0 s…
+time_s,a_um⏎1,1⏎0,2⏎ => …line 3 is at 0 s, the row before at 1 s…
+time_s,a_um⏎0,1⏎nan,2⏎1,2⏎ => …line 3 is at NaN s…
+time_s,a_um⏎0,1⏎0.1,nan⏎ => …sample 1 at 0.1 s is NaN: must be a number…
+"#;
+
 #[test]
 fn every_mistake_is_one_line() {
     let array = |descr: &str, shape: &str, values: usize| npy(descr, "False", shape, &f4(&vec![1.0; values]));
@@ -208,6 +231,10 @@ fn every_mistake_is_one_line() {
     let shaped = |shape: &str, choice: &Choice| numpy(&array("'<f4'", shape, 3), choice);
     let of_type = |descr: &str| numpy(&array(descr, "(1,)", 3), &at(1.0));
     let text = |text: &str, choice: &Choice| refused("a.csv", text.as_bytes(), choice);
+    assert_documents_refused("a.csv", CSV_MISTAKES, |text, file| {
+        let read = read(file, text.replace('␍', "\r").as_bytes(), &Choice::default());
+        read.map_err(|error| format!("{file}: {error}"))
+    });
     let wave = |bytes: &[u8], choice: &Choice| refused("a.wav", bytes, choice);
     let (stereo, none) = (wav(STEREO, &[1; 20]), Choice::default());
     for (line, says) in [
@@ -246,33 +273,9 @@ fn every_mistake_is_one_line() {
             shaped("(2,)", &Choice { scale_um: Some(f64::INFINITY), ..at(1.0) }),
             "scale_um is inf: must be a number",
         ),
-        (text("", &none), "line 1: no column is named `time_s`: the names are "),
-        (text("time_s,a_um\n", &none), "0 samples: must be 2"),
-        (text("time_s,a_um\n0,1\n", &none), "1 samples: must be 2"),
-        (text("time_s\n0\n", &none), "add column = and the name of one, in quotes: there are `time_s`"),
-        (text("time_s,a_um,b_um\n", &none), "there are `time_s`, `a_um`, `b_um`"),
         (text("time_s,a_um\n", &column(1)), "add column = and the name of one"),
         (text("time_s,a_um\n", &named("c_um")), "no column is named `c_um`: the names are `time_s`, `a_um`"),
         (text("time_s,a_um,a_um\n", &named("a_um")), "line 1: several columns are named `a_um`"),
-        (
-            text("time_s,a\n0,1\n1,2\n", &none),
-            "line 1: `a` must end with its unit, _um, _mm, _nm or _m; a CSV",
-        ),
-        (text("time_s,ch1_V\n0,1\n1,2\n", &none), "line 1: `ch1_V` must end with its unit"),
-        (text("1\n2\n3\n", &none), "line 1: no column is named `time_s`: the names are `1`"),
-        (
-            text("t;um\n0,5;2,0\n", &none),
-            "the names are `t;um`; a CSV file begins with names such as time_s,",
-        ),
-        (text("time_s,a_um\n0,1\n1,2,5\n", &none), "line 3: 3 cells, but 2 names; "),
-        (text("time_s,a_um\n0,1\n\n1\n", &none), "line 4: 1 cells, but 2 names; "),
-        (text("time_s,a_um\n0,1\n0.1,\n", &none), "line 3: `` is no number; "),
-        (text("time_s,a_um\n0,1\n0.1,\"2,5\"\n", &none), "line 3: `2,5` is no number; "),
-        (text("time_s,a_um\n\n0,1\r\n1,2\n\n\n3,4\n4,5\n", &none), "line 7 is at 3 s, the row before at 1 s"),
-        (text("time_s,a_um\n0,1\n0,2\n", &none), "line 3 is at 0 s"),
-        (text("time_s,a_um\n1,1\n0,2\n", &none), "line 3 is at 0 s, the row before at 1 s"),
-        (text("time_s,a_um\n0,1\nnan,2\n1,2\n", &none), "line 3 is at NaN s"),
-        (text("time_s,a_um\n0,1\n0.1,nan\n", &none), "sample 1 at 0.1 s is NaN: must be a number"),
         (text("time_s,a_um\n0,1\n0.1,2\n", &at(20.0)), "rate_hz is 20, but the file says 10 Hz"),
         (
             text("time_s,a_um\n0,1\n0.1,2\n", &Choice { scale_um: Some(2.0), ..Choice::default() }),

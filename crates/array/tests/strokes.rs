@@ -197,21 +197,6 @@ fn a_stroke_that_a_repeat_is_too_short_for_is_left_out() {
 }
 
 #[test]
-fn a_play_can_begin_anywhere_and_again() {
-    let pattern = pattern(None, vec![drive(3, 60.0, 80.0), drive(9, 47.0, 30.0)]);
-    let mut strokes = Strokes::new(&pattern, &StrokeOptions::lasting(1.0)).unwrap();
-    let first: Vec<_> = strokes.by_ref().map(|step| step.unwrap().stroke().unwrap()).collect();
-    assert_eq!((first.len(), strokes.end()), (60 + 47, Some(85_000)));
-    strokes.begin(Tick::BOOT);
-    strokes.nth(5);
-    strokes.begin(Tick(1 << 40));
-    for (a, b) in first.into_iter().zip(strokes) {
-        let onset = 1 << 40;
-        assert_eq!(Stroke { up: a.up + onset, down: a.down + onset, ..a }, b.unwrap().stroke().unwrap());
-    }
-}
-
-#[test]
 fn a_rare_repeat_that_is_long_enough_is_found_at_once() {
     // The saturated period has 425 ticks. Repeats have 424, and one in ten thousand million has 425.
     let duration_s = (424.0 + 1e-10) / 85_000.0;

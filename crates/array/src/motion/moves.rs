@@ -29,7 +29,7 @@ use crate::strokes::moves;
 use crate::units::TickRate;
 use firmware_protocol::moves::Move;
 
-/// The steps that [`choose`] tries, ms. Shorter ones are more moves than the link takes from the paper's 24 motors, longer ones do not
+/// The steps of grids that are tried, ms. Shorter ones are more moves than the link takes from the paper's 24 motors, longer ones do not
 /// vanish in the average of 4.3 ms of the paper's motors.
 const STEPS_MS: [u64; 4] = [SLOWEST_STEP_MS, 3, 2, 1];
 
@@ -49,7 +49,7 @@ pub struct Grid {
     pub step_ticks: u32,
 }
 
-/// How long a stretch of each waveform [`choose`] tries, shared among the motors, s.
+/// How long a stretch of each waveform is tried and measured, shared among the motors, s.
 pub const TRIED_S: f64 = 240.0;
 
 /// The coarsest grid, of 1 to 4 ms, on which each pin stays within `error_um` of what the motor can do at best
