@@ -324,7 +324,9 @@ impl Recorder {
                 let lines = self.files[place].number + 1;
                 self.append(place, stamp, &Entry::SessionEnded { session, lines })?;
                 self.files[place].is_over = true;
-                self.inner.lock().file(&id).is_written = true;
+                if let Some(known) = self.inner.lock().session(&id) {
+                    known.is_written = true;
+                }
                 self.note(&id, true)
             }
             (Some((_, Entry::SessionStarted { .. })) | None, _) => Ok(()),
