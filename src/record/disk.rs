@@ -1,10 +1,13 @@
 //! The disk of the record: how its files are opened, appended to and replaced.
 //!
-//! A bench has a simulated disk (`simulated_disk`), which is full, fails or stops when a test says so.
+//! In a bench the disk is full, fails or stops when a test says so (`simulated_disk`).
 //!
 //! Invariant: nothing here follows a link, waits for a pipe, or leaves half of a replaced file.
 
+#[cfg(any(test, feature = "bench"))]
+use super::simulated_disk::takes;
 use crate::file::dir_of;
+use meissner_stream::time::is_virtual;
 use rustix::fs::{FlockOperation, OFlags, flock};
 use rustix::io::Errno;
 use std::fs::{self, DirBuilder, File, OpenOptions};
@@ -55,110 +58,101 @@ fn options() -> OpenOptions {
     options
 }
 
-/// What a disk takes of each operation.
-pub(super) trait Disk: Send + std::fmt::Debug {
-    /// How many of these bytes it takes at once; 0 for an operation that writes none.
-    fn takes(&self, bytes: usize) -> io::Result<usize>;
-
-    /// Makes a file durable.
-    fn sync(&self, file: &File) -> io::Result<()> {
-        file.sync_data()
-    }
-
-    /// Opens a file for appending; makes it and its directory if they are missing. Cuts off a half
-    /// line.
-    fn open(&self, path: &Path) -> io::Result<Open> {
-        let dir = dir_of(path);
-        self.takes(0).map_err(at(path))?;
-        make_dir(dir)?;
-        let opened = || {
-            let mut file = options().read(true).append(true).open(path)?;
-            let metadata = file.metadata()?;
-            if !metadata.is_file() {
-                return Err(io::Error::other("is not a regular file"));
-            }
-            let (dev, ino, length) = of(&metadata);
-            if length == 0 {
-                self.sync(&File::open(dir)?)?;
-            }
-            let whole = whole_lines(&mut file, length)?;
-            if whole < length {
-                self.cut(&file, whole)?;
-                let (path, cut) = (path.display(), length - whole);
-                warn!("{path}: cut off {cut} bytes of a line that was never finished");
-            }
-            Ok(Open { file, left: (dev, ino, whole) })
-        };
-        opened().map_err(at(path))
-    }
-
-    /// Appends a line: one write, unless a signal or a full disk interrupts it. A part is taken back.
-    fn append(&self, to: &mut Open, line: &[u8]) -> io::Result<()> {
-        let mut rest = line;
-        while !rest.is_empty() {
-            let takes = self.takes(rest.len());
-            match takes.and_then(|takes| to.file.write(rest.get(..takes).unwrap_or_default())) {
-                Ok(written) if written > 0 => rest = rest.get(written..).unwrap_or_default(),
-                Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
-                refused => {
-                    // If this fails, too, the next opening cuts it.
-                    let _ = self.cut(&to.file, to.left.2);
-                    return refused.and(Err(io::ErrorKind::WriteZero.into()));
-                }
-            }
-        }
-        to.left.2 += line.len() as u64;
-        Ok(())
-    }
-
-    /// Cuts a file to this length, if it is longer.
-    fn cut(&self, file: &File, length: u64) -> io::Result<()> {
-        self.takes(0)?;
-        if file.metadata()?.len() > length { file.set_len(length) } else { Ok(()) }
-    }
-
-    fn remove(&self, path: &Path) -> io::Result<()> {
-        self.takes(0)?;
-        fs::remove_file(path)
-    }
-
-    fn rename(&self, from: &Path, to: &Path) -> io::Result<()> {
-        self.takes(0)?;
-        fs::rename(from, to)
-    }
-
-    /// Replaces a file atomically.
-    fn replace(&self, path: &Path, bytes: &[u8]) -> io::Result<()> {
-        let next = path.with_extension("new");
-        // Left by a daemon that was killed.
-        let _ = fs::remove_file(&next);
-        let write = || {
-            let mut file = options().write(true).create_new(true).open(&next)?;
-            let takes = self.takes(bytes.len())?;
-            file.write_all(bytes.get(..takes).unwrap_or_default())?;
-            if takes < bytes.len() {
-                return Err(io::ErrorKind::StorageFull.into());
-            }
-            self.sync(&file)?;
-            self.rename(&next, path)?;
-            File::open(dir_of(path)).and_then(|dir| self.sync(&dir))
-        };
-        write().map_err(at(path))
-    }
+#[cfg(not(any(test, feature = "bench")))]
+const fn takes(bytes: usize) -> io::Result<usize> {
+    Ok(bytes)
 }
 
-/// The disk of the machine.
-#[derive(Debug)]
-pub(super) struct RealDisk;
+/// Makes a file durable.
+pub(super) fn sync(file: &File) -> io::Result<()> {
+    takes(0)?;
+    // A bench has no crashes of the machine, and its files are many.
+    if is_virtual() { Ok(()) } else { file.sync_data() }
+}
 
-impl Disk for RealDisk {
-    fn takes(&self, bytes: usize) -> io::Result<usize> {
-        Ok(bytes)
+/// Opens a file for appending; makes it and its directory if they are missing. Cuts off a half
+/// line.
+pub(super) fn open(path: &Path) -> io::Result<Open> {
+    let dir = dir_of(path);
+    make_dir(dir)?;
+    let opened = || {
+        let mut file = options().read(true).append(true).open(path)?;
+        let metadata = file.metadata()?;
+        if !metadata.is_file() {
+            return Err(io::Error::other("is not a regular file"));
+        }
+        let (dev, ino, length) = of(&metadata);
+        if length == 0 {
+            sync(&File::open(dir)?)?;
+        }
+        let whole = whole_lines(&mut file, length)?;
+        if whole < length {
+            cut(&file, whole)?;
+            let (path, cut) = (path.display(), length - whole);
+            warn!("{path}: cut off {cut} bytes of a line that was never finished");
+        }
+        Ok(Open { file, left: (dev, ino, whole) })
+    };
+    opened().map_err(at(path))
+}
+
+/// Appends a line: one write, unless a signal or a full disk interrupts it. A part is taken back.
+pub(super) fn append(to: &mut Open, line: &[u8]) -> io::Result<()> {
+    let mut rest = line;
+    while !rest.is_empty() {
+        let takes = takes(rest.len());
+        match takes.and_then(|takes| to.file.write(rest.get(..takes).unwrap_or_default())) {
+            Ok(written) if written > 0 => rest = rest.get(written..).unwrap_or_default(),
+            Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+            refused => {
+                // If this fails, too, the next opening cuts it.
+                let _ = cut(&to.file, to.left.2);
+                return refused.and(Err(io::ErrorKind::WriteZero.into()));
+            }
+        }
     }
+    to.left.2 += line.len() as u64;
+    Ok(())
+}
+
+/// Cuts a file to this length, if it is longer.
+pub(super) fn cut(file: &File, length: u64) -> io::Result<()> {
+    takes(0)?;
+    if file.metadata()?.len() > length { file.set_len(length) } else { Ok(()) }
+}
+
+pub(super) fn remove(path: &Path) -> io::Result<()> {
+    takes(0)?;
+    fs::remove_file(path)
+}
+
+pub(super) fn rename(from: &Path, to: &Path) -> io::Result<()> {
+    takes(0)?;
+    fs::rename(from, to)
+}
+
+/// Replaces a file atomically.
+pub(super) fn replace(path: &Path, bytes: &[u8]) -> io::Result<()> {
+    let next = path.with_extension("new");
+    // Left by a daemon that was killed.
+    let _ = fs::remove_file(&next);
+    let write = || {
+        let mut file = options().write(true).create_new(true).open(&next)?;
+        let takes = takes(bytes.len())?;
+        file.write_all(bytes.get(..takes).unwrap_or_default())?;
+        if takes < bytes.len() {
+            return Err(io::ErrorKind::StorageFull.into());
+        }
+        sync(&file)?;
+        rename(&next, path)?;
+        File::open(dir_of(path)).and_then(|dir| sync(&dir))
+    };
+    write().map_err(at(path))
 }
 
 /// Makes a directory, not its parent.
 pub(super) fn make_dir(dir: &Path) -> io::Result<()> {
+    takes(0).map_err(at(dir))?;
     match DirBuilder::new().mode(0o750).create(dir) {
         Err(error) if error.kind() != io::ErrorKind::AlreadyExists => Err(at(dir)(error)),
         _ => Ok(()),

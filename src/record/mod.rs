@@ -27,7 +27,6 @@ pub use users::Users;
 pub use writer::Recorder;
 
 use crossbeam_channel::{RecvTimeoutError, Sender, bounded, unbounded};
-use disk::{Disk, RealDisk};
 use meissner_api::Losses;
 use meissner_stream::time::HostInstant;
 use queue::{Inner, MAX_TEXT, Message, Shared, WAITING};
@@ -57,7 +56,7 @@ impl Record {
     /// If the system gives no thread.
     pub fn start(location: Option<Location>, users: Arc<Users>) -> io::Result<Self> {
         let Some(location) = location else { return Ok(Self::none()) };
-        let (record, recorder, alive) = Self::on(location, users, Box::new(RealDisk));
+        let (record, recorder, alive) = Self::on(location, users);
         let work = move || {
             recorder.run();
             drop(alive);
@@ -66,19 +65,19 @@ impl Record {
         Ok(record)
     }
 
-    /// A record on a simulated disk, whose owner does the work of its thread, turn by turn.
+    /// A record whose owner does the work of its thread, turn by turn.
     #[cfg(any(test, feature = "bench"))]
     pub(crate) fn turned(location: Location, users: Arc<Users>) -> (Self, Recorder) {
-        let (record, recorder, _) = Self::on(location, users, Box::new(simulated_disk::SimulatedDisk));
+        let (record, recorder, _) = Self::on(location, users);
         (record, recorder)
     }
 
-    fn on(location: Location, users: Arc<Users>, disk: Box<dyn Disk>) -> (Self, Recorder, Sender<()>) {
+    fn on(location: Location, users: Arc<Users>) -> (Self, Recorder, Sender<()>) {
         let (messages, queue) = unbounded();
         let (alive, ended) = bounded::<()>(0);
         let (dir, shared) = (Some(location.dir.clone()), Mutex::new(Shared::new(false)));
         let inner = Arc::new(Inner { dir, messages, shared, changed: Arc::default(), ended });
-        let recorder = Recorder::new(location, Arc::clone(&inner), queue, users, disk);
+        let recorder = Recorder::new(location, Arc::clone(&inner), queue, users);
         (Self(inner), recorder, alive)
     }
 

@@ -164,6 +164,11 @@ impl Shared {
         &mut self.files[at]
     }
 
+    /// What is known of a session that is not long over.
+    pub(super) fn session(&mut self, id: &str) -> Option<&mut Known> {
+        self.files.iter_mut().skip(1).rfind(|known| known.session.id == id)
+    }
+
     /// Counts entries that a file lacks.
     pub(super) fn lack(&mut self, id: &str, entries: u64, plays: u64) {
         self.lost += entries;
@@ -241,7 +246,9 @@ impl Inner {
         let (kind, is_of) = entry.kind(&running);
         let file = if is_of { running } else { Arc::default() };
         if let Entry::SessionEnded { session, .. } = &entry {
-            shared.file(&session.id).session.clone_from(session);
+            if let Some(known) = shared.session(&session.id) {
+                known.session.clone_from(session);
+            }
             shared.running = None;
         }
         let takes = match kind {

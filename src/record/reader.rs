@@ -67,7 +67,6 @@ pub fn missing(list: &SessionList) -> Option<String> {
 #[serde(default)]
 struct Line {
     time: String,
-    monotonic_ns: Option<u64>,
     event: String,
     number: Option<u64>,
     /// Of a session, of a play, or of the one whose items they are.
@@ -95,6 +94,7 @@ struct OfPlay {
 /// What only the plays that are asked for need.
 #[derive(Deserialize)]
 struct Ended {
+    monotonic_ns: u64,
     receipt: Receipt,
 }
 #[derive(Deserialize)]
@@ -473,7 +473,7 @@ impl Page {
 
     /// Adds a play from its recorded end.
     fn end(&mut self, session: &str, line: &mut Line) -> Option<()> {
-        let Ended { mut receipt } = serde_json::from_slice(&line.json).ok()?;
+        let Ended { monotonic_ns, mut receipt } = serde_json::from_slice(&line.json).ok()?;
         if receipt.session() != Some(session) {
             return Some(());
         }
@@ -481,7 +481,7 @@ impl Page {
         if receipt.items.is_none() && of == receipt.id {
             receipt.items = Some(listed.into());
         }
-        let after_ns = receipt.onset.and_then(|onset| line.monotonic_ns?.checked_sub(onset.monotonic_ns));
+        let after_ns = receipt.onset.and_then(|onset| monotonic_ns.checked_sub(onset.monotonic_ns));
         let wall = line.time.parse::<Timestamp>().ok();
         let wall_ns = wall.and_then(|wall| i64::try_from(wall.as_nanosecond()).ok());
         let onset_wall_ns = wall_ns.zip(after_ns).and_then(|(wall, after)| wall.checked_sub_unsigned(after));

@@ -8,7 +8,7 @@
 //! Invariants: after each message each file ends with a whole line; the numbers of the lines of a
 //! session's file are 1, 2, 3 and so on, and its last line says how many there are.
 
-use super::disk::{DAEMON, Disk, Left, OLD, Open, SESSIONS, at, is_name, lock, make_dir};
+use super::disk::{self, DAEMON, Left, OLD, Open, SESSIONS, at, is_name};
 use super::entry::Entry;
 use super::queue::{Added, Inner, Location, Message, STALL, Stamp};
 use super::users::Users;
@@ -84,7 +84,6 @@ pub struct Recorder {
     users: Arc<Users>,
     /// Names of users come too slowly to wait for each.
     slow: bool,
-    disk: Box<dyn Disk>,
     zone: TimeZone,
     /// The locked directory.
     lock: Option<File>,
@@ -106,12 +105,11 @@ impl Recorder {
         inner: Arc<Inner>,
         queue: Receiver<Message>,
         users: Arc<Users>,
-        disk: Box<dyn Disk>,
     ) -> Self {
         let (slow, lock, sums, fails, look, sync) = Default::default();
         let files = vec![Lines { path: location.dir.join(DAEMON), ..Lines::default() }];
         let zone = clock::zone();
-        Self { inner, location, queue, users, slow, disk, zone, lock, files, sums, fails, look, sync }
+        Self { inner, location, queue, users, slow, zone, lock, files, sums, fails, look, sync }
     }
 
     /// Works until it is closed.
@@ -236,7 +234,7 @@ impl Recorder {
         let is_it = |of: &mut Lines| *of.id == *id;
         for of in self.files.extract_if(REST + 1.., is_it) {
             // Perhaps there is none.
-            let _ = self.disk.remove(&of.path);
+            let _ = disk::remove(&of.path);
         }
     }
 
@@ -248,7 +246,7 @@ impl Recorder {
             let id = Arc::clone(&of.id);
             return self.remove(&id);
         }
-        match self.disk.cut(&open.file, of.before) {
+        match disk::cut(&open.file, of.before) {
             Ok(()) => {
                 open.left.2 = of.before;
                 (of.left, of.number) = (Some(open.left), of.number - 1);
@@ -266,9 +264,8 @@ impl Recorder {
         if let Some(parent) = dir.parent().filter(|_| self.location.make_parents) {
             DirBuilder::new().recursive(true).mode(0o700).create(parent).map_err(at(parent))?;
         }
-        self.disk.takes(0).map_err(at(dir))?;
-        make_dir(dir)?;
-        let locked = lock(dir)?;
+        disk::make_dir(dir)?;
+        let locked = disk::lock(dir)?;
         self.end_half_lines(&dir.join(SESSIONS))?;
         self.lock = Some(locked);
         Ok(())
@@ -276,15 +273,15 @@ impl Recorder {
 
     /// Cuts off the half lines that a killed daemon or machine has left in sessions' files.
     fn end_half_lines(&self, dir: &Path) -> io::Result<()> {
-        make_dir(dir)?;
+        disk::make_dir(dir)?;
         for path in reader::files(dir).map_err(at(dir))? {
             let name = path.file_name().and_then(|name| name.to_str());
             if !name.is_some_and(is_name) || ends_with_line(&path).unwrap_or(true) {
                 continue;
             }
-            if self.disk.open(&path)?.left.2 == 0 {
+            if disk::open(&path)?.left.2 == 0 {
                 // Nothing was acknowledged.
-                self.disk.remove(&path).map_err(at(&path))?;
+                disk::remove(&path).map_err(at(&path))?;
             }
         }
         Ok(())
@@ -294,7 +291,7 @@ impl Recorder {
     fn save_sums(&mut self) -> io::Result<()> {
         self.ready()?;
         if let Some(text) = &self.sums {
-            self.disk.replace(&self.location.dir.join(exposure::FILE), text.as_bytes())?;
+            disk::replace(&self.location.dir.join(exposure::FILE), text.as_bytes())?;
             self.sums = None;
         }
         Ok(())
@@ -341,7 +338,9 @@ impl Recorder {
                 let lines = self.files[place].number + 1;
                 self.append(place, stamp, &Entry::SessionEnded { session, lines })?;
                 self.files[place].is_over = true;
-                self.inner.lock().file(&id).is_written = true;
+                if let Some(known) = self.inner.lock().session(&id) {
+                    known.is_written = true;
+                }
                 self.note(&id, true)
             }
             (Some((_, Entry::SessionStarted { .. })) | None, _) => Ok(()),
@@ -357,9 +356,9 @@ impl Recorder {
             let old = |n: u32| self.location.dir.join(format!("daemon.{n}.jsonl"));
             for n in (1..OLD).rev() {
                 // A file that is not there yet.
-                let _ = self.disk.rename(&old(n), &old(n + 1));
+                let _ = disk::rename(&old(n), &old(n + 1));
             }
-            self.disk.rename(&of.path, &old(1)).map_err(at(&of.path))?;
+            disk::rename(&of.path, &old(1)).map_err(at(&of.path))?;
             (of.open, of.left) = (None, None);
         }
         if of.open.take_if(|open| !open.is_as_left(&of.path)).is_some() {
@@ -373,7 +372,7 @@ impl Recorder {
         }
         let of = &mut self.files[place];
         if of.open.is_none() {
-            let open = self.disk.open(&of.path)?;
+            let open = disk::open(&of.path)?;
             if place != REST && of.left.is_some_and(|left| left != open.left) {
                 // What is left of it is not known: at least one line is gone.
                 let last = reader::last_number(&of.path);
@@ -400,7 +399,7 @@ impl Recorder {
         let number = (place != REST).then_some(of.number + 1);
         let line = line(&self.zone, stamp, number, entry).map_err(at(&of.path))?;
         of.before = open.left.2;
-        self.disk.append(open, &line).map_err(at(&of.path))?;
+        disk::append(open, &line).map_err(at(&of.path))?;
         (of.number, of.left) = (of.number + 1, Some(open.left));
         self.sync.get_or_insert_with(|| HostInstant::now() + SYNC_AFTER);
         Ok(())
@@ -409,7 +408,7 @@ impl Recorder {
     fn make_durable(&mut self) {
         let mut failed = None;
         for of in &self.files {
-            let synced = of.open.as_ref().map_or(Ok(()), |open| self.disk.sync(&open.file));
+            let synced = of.open.as_ref().map_or(Ok(()), |open| disk::sync(&open.file));
             if let Err(failure) = synced.map_err(at(&of.path)) {
                 // Nobody knows which of its last lines the disk has.
                 self.inner.lock().lack(&of.id, 1, 0);

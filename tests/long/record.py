@@ -7,12 +7,23 @@ A client plays and answers while the disk fails or the daemon is killed. Then a 
 that was acknowledged is in it, or it says that the session lacks something; none stands there that was refused. Prints
 a table, and exits 1 if that does not hold.
 """
-import http.client, json, os, random, signal, socket, subprocess, sys, tempfile, threading, time
+import atexit, http.client, json, os, random, shutil, signal, socket, subprocess, sys, tempfile, threading, time
 from pathlib import Path
 
 PROGRAM, SEED, ROUNDS = Path(sys.argv[1]).resolve(), os.environ.get("SEED", "1"), int(os.environ.get("ROUNDS", "20"))
 FOLDER = Path(tempfile.mkdtemp(prefix="record-"))
+DAEMONS = []
 random.seed(SEED)
+
+
+@atexit.register
+def clean():
+    for daemon in DAEMONS:
+        daemon.kill()
+        daemon.wait()
+    for disk in filter(os.path.ismount, FOLDER.iterdir()):
+        run("umount", disk)
+    shutil.rmtree(FOLDER)
 
 
 class Unix(http.client.HTTPConnection):
@@ -30,6 +41,7 @@ class Daemon:
         config.write_text(f'logbook_dir = "{disk}/logbook"\n')
         command = [PROGRAM, "daemon", "--device", "mock", "--socket", self.socket, "--config", config]
         self.process = subprocess.Popen(command, stderr=(FOLDER / f"{name}.log").open("a"))
+        DAEMONS.append(self.process)
         while self.ask("GET", "/v1/status")[0] != 200:
             time.sleep(0.05)
 
@@ -87,7 +99,7 @@ def run(*command):
 def mount(kind, mounted):
     mounted.mkdir()
     if kind == "tmpfs":
-        return run("mount", "-t", "tmpfs", "-o", "size=2m", "tmpfs", mounted)
+        return run("mount", "-t", "tmpfs", "-o", "size=8m", "tmpfs", mounted)
     image = mounted.with_suffix(".img")
     run("truncate", "-s", "8M", image)
     run("mkfs.ext4", "-q", image)

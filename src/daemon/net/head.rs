@@ -54,21 +54,15 @@ impl<'a> Head<'a> {
         if begins("x-forwarded") || of_proxies.into_iter().any(is) {
             self.forwarded = true;
         }
-        let place = if is("host") {
-            &mut self.host
-        } else if is("origin") {
-            &mut self.origin
-        } else if is("sec-fetch-site") {
-            &mut self.fetch_site
-        } else if is("authorization") {
-            &mut self.authorization
-        } else if is(SESSION_HEADER) {
-            &mut self.session
-        } else if is(CLIENT_HEADER) {
-            &mut self.client
-        } else {
-            return;
-        };
+        let places = [
+            ("host", &mut self.host),
+            ("origin", &mut self.origin),
+            ("sec-fetch-site", &mut self.fetch_site),
+            ("authorization", &mut self.authorization),
+            (SESSION_HEADER, &mut self.session),
+            (CLIENT_HEADER, &mut self.client),
+        ];
+        let Some((_, place)) = places.into_iter().find(|(known, _)| is(known)) else { return };
         match std::str::from_utf8(value) {
             Ok(value) if place.is_none() => *place = Some(value),
             _ => self.malformed = true,
