@@ -175,13 +175,13 @@ async fn hold<'e>(
         let waits = !state.exposure.is_disk_silent();
         (Held { engine, number, breaks: by.breaks, _turn: turn }, saved.filter(|_| waits))
     };
-    if let Some(mut saved) = saved {
-        if tokio::time::timeout(DISK, &mut saved).await.is_err() {
-            warn!(
-                "the disk of the session record has not taken the vibration's sums for {DISK:?}; playing goes on"
-            );
-            engine.lock().exposure.disk_is_silent(saved);
-        }
+    if let Some(mut saved) = saved
+        && tokio::time::timeout(DISK, &mut saved).await.is_err()
+    {
+        warn!(
+            "the disk of the session record has not taken the vibration's sums for {DISK:?}; playing goes on"
+        );
+        engine.lock().exposure.disk_is_silent(saved);
     }
     Ok(held)
 }

@@ -258,6 +258,8 @@ impl World {
         let heard_s = self.life.heard_s;
         let status = self.call(&self.observer.clone(), NEVER, ("GET", "/v1/status", &Value::Null));
         self.life.heard_s = heard_s;
+        let heights_um = self.daemon.faults().heights_um.clone();
+        self.trace(&format!("pins at {heights_um:.1?} um"));
         status.unwrap().unwrap()
     }
 

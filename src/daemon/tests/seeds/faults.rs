@@ -49,6 +49,8 @@ const LEASE_OVER_S: f64 = 0.5;
 const DRAINED_S: f64 = 0.1;
 /// How long the effects of a fault last, s: the link needs some seconds to trust a device again.
 const AFTER_S: f64 = 8.0;
+/// The same of a fault of the disk, s.
+const DISK_AFTER_S: f64 = 3.0;
 
 impl Trouble {
     /// Whether the array and its line are good, and have been for a while.
@@ -154,7 +156,7 @@ pub(super) fn begin(world: &mut World) {
     let until_s = now_s + random.between(0.0, longest_s);
     match fault {
         Fault::Disk | Fault::Stall => {
-            world.trouble.disk_until_s = world.trouble.disk_until_s.max(until_s + 3.0);
+            world.trouble.disk_until_s = world.trouble.disk_until_s.max(until_s + DISK_AFTER_S);
         }
         _ => {
             world.trouble.array_until_s = world.trouble.array_until_s.max(until_s + AFTER_S);
@@ -209,6 +211,13 @@ pub(super) fn end_due(world: &mut World) {
     let now_s = world.daemon.now(super::seconds);
     for (_, fault) in world.trouble.ends.extract_if(.., |(until_s, _)| *until_s <= now_s).collect::<Vec<_>>()
     {
+        // Later than planned, if time has passed meanwhile.
+        match fault {
+            Fault::Disk | Fault::Stall => {
+                world.trouble.disk_until_s = world.trouble.disk_until_s.max(now_s + DISK_AFTER_S);
+            }
+            _ => world.trouble.array_until_s = world.trouble.array_until_s.max(now_s + AFTER_S),
+        }
         let mut shared = world.daemon.faults();
         match fault {
             Fault::Line | Fault::Dead => {

@@ -17,6 +17,9 @@ const PULSE_UM: f64 = 0.95 / 7.0;
 /// A cut burst that was corrected has moved its pin by up to 30 % more than its level, which is at most `max_amplitude_um`. The status
 /// says so as long as telemetry comes, µm. A bad line loses corrections, each burst's: only the status bounds their sum.
 const CORRECTED_UM: f64 = 30.0;
+/// By dead reckoning the status says a root mean square, and the first burst of the seeds' motors after a rest is two standard deviations
+/// (0.1 each) from the description: 1 instead of 0.8.
+const DEVIATIONS: f64 = 2.0;
 
 /// A return of all pins, and the report of it, s.
 const RETURN_S: f64 = 0.2;
@@ -256,11 +259,16 @@ fn sessions_are_whole_or_not_complete(world: &mut World, before: &Before, life: 
 /// reckoning.
 fn off_um(world: &World, status: &Status, motor: usize) -> Option<f64> {
     let (of, height_um) = (&status.motors[motor], world.daemon.faults().heights_um[motor].abs());
-    let says = of.source != ErrorSource::None && status.standing.is_none();
     let once_um = if world.telemetry { CORRECTED_UM } else { 0.0 };
     let sums_up = world.telemetry && !world.life.array_was_good;
     let most_um = if sums_up { f64::INFINITY } else { once_um };
-    let said_um = if says { f64::from(of.rest_error_um).abs() } else { once_um };
+    let um = f64::from(of.rest_error_um).abs();
+    let said_um = match of.source {
+        _ if status.standing.is_some() => once_um,
+        ErrorSource::None => um.max(once_um),
+        ErrorSource::DeadReckoning => DEVIATIONS * um,
+        ErrorSource::Telemetry | ErrorSource::LowerStop => um,
+    };
     (height_um > said_um.min(most_um) + PULSE_UM).then_some(height_um)
 }
 
