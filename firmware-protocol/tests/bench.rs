@@ -399,7 +399,11 @@ impl Bench {
     /// Runs until the controller has returned and every stroke is booked.
     pub(crate) fn settle(&mut self) {
         self.run(100);
+        // Each motor after the other, with all that it may push.
+        let longest = 64 * 2 * u64::from(self.layout().max_seek());
+        let end = self.now + longest;
         while self.device.state() == State::Returning {
+            assert!(self.now < end, "a return of more than {longest} ticks");
             self.tick();
         }
     }

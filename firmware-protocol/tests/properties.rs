@@ -210,18 +210,6 @@ impl World {
         }
     }
 
-    /// Runs until the device returns no longer.
-    fn settle(&mut self) {
-        self.run(100);
-        // Each motor after the other, with all that it may push.
-        let longest = 64 * 2 * u64::from(self.layout().max_seek());
-        let end = self.bench.now + longest;
-        while self.state() == State::Returning {
-            assert!(self.bench.now < end, "a return of more than {longest} ticks");
-            self.run(1);
-        }
-    }
-
     /// An event, and what came of it.
     fn event(&mut self, event: impl FnOnce(&mut Bench)) {
         let before = self.state();
@@ -311,17 +299,20 @@ impl World {
 
     /// Moves in any order of motors from some ticks before or after the rendered end on.
     fn moves(&mut self, input: &mut Bytes<'_>) {
-        let (mark, withdraw) = (input.mark(), input.withdraw());
-        let from = if input.one_in(5) { -i64::from(input.byte() % 40) - 1 } else { input.below(300).into() };
-        let count = input.one_of(&[0, 1, 1, 2, 3, 4, 6, 9, 12]);
+        // One move that is late: a pin that is up comes down.
+        let alone = input.one_in(4);
+        let (mark, withdraw) = if alone { (None, None) } else { (input.mark(), input.withdraw()) };
+        let late = alone || input.one_in(5);
+        let from = if late { -i64::from(input.byte() % 40) - 1 } else { input.below(300).into() };
+        let count = if alone { 1 } else { input.one_of(&[0, 1, 1, 2, 3, 4, 6, 9, 12]) };
         let base = self.bench.device.rendered().0.wrapping_add_signed(from);
         let (mut tick, mut packer, mut all) =
             (base, Packer::<BATCH_BYTES>::new(Tick(base)), Vec::<Sent>::new());
         for _ in 0..count {
-            tick += u64::from(input.byte() % 120);
+            tick += if alone { 0 } else { u64::from(input.byte() % 120) };
             let motor = (input.byte() % self.motors).min(63);
             // Those for which there is no room are left out.
-            let of: Vec<Sent> = match input.byte() % 13 {
+            let of: Vec<Sent> = match if alone { 8 } else { input.byte() % 13 } {
                 0..8 => {
                     let (level, hold, surplus) =
                         (input.level(), input.byte() % 100, input.below(self.surplus + 1));
@@ -391,7 +382,7 @@ impl World {
             Op::Seek { pulses }
         });
         if idle && self.state() == State::Returning {
-            self.settle();
+            self.bench.settle();
             self.sought += 1;
             for motor in 0..self.layout().motors() as u8 {
                 assert_eq!(self.bench.above_stop(motor), 0, "motor {motor} after {pulses} pulses");
@@ -409,7 +400,7 @@ impl World {
         }
         if self.state() == State::Disarmed {
             self.arm(input);
-            self.settle();
+            self.bench.settle();
         }
     }
 
@@ -464,6 +455,7 @@ impl World {
             60..64 if self.kind == Kind::Wild => self.wild(input),
             _ => self.run(input.below(300).into()),
         }
+        assert!(self.bench.device.is_consistent(), "a motor is forgotten");
         if let Some(rule) = &self.bench.rule {
             rule.check(&self.bench);
         }
@@ -504,7 +496,7 @@ impl World {
         let returns = matches!(self.state(), State::Armed | State::Returning);
         self.hello(1_000);
         assert_ne!(self.state(), State::Armed);
-        self.settle();
+        self.bench.settle();
         if returns {
             assert_eq!((self.state(), self.bench.outstanding()), (State::Disarmed, 0));
         }
@@ -525,7 +517,7 @@ impl World {
         self.bench.rule = None;
         self.control(Op::Reset);
         self.control(arm(!status.position_known, HOST_TIMEOUT, self.layout().no_limits()));
-        self.settle();
+        self.bench.settle();
         assert_eq!(self.state(), State::Armed, "no way to a play");
         let (at, before) = (self.bench.soon(), self.bench.pulses(0).count());
         self.bench.moves(&[to(0, at, 9), to(0, at + 20, 0)]);

@@ -48,6 +48,8 @@ pub(crate) struct Rule {
     marks: VecDeque<(u64, u32)>,
     /// For how long pins may be held, now and before the last change.
     hold: [u64; 2],
+    /// When it changed.
+    hold_since: u64,
     /// For how many ticks the drivers have been enabled.
     enabled: u64,
     kept: MotorSet,
@@ -73,6 +75,7 @@ impl Rule {
             pins: vec![Pin::default(); layout.motors()],
             marks: VecDeque::new(),
             hold: [layout.least_hold().into(); 2],
+            hold_since: 0,
             enabled: 0,
             kept: MotorSet::EMPTY,
             begins: Vec::new(),
@@ -87,7 +90,8 @@ impl Rule {
         self.begins.iter().rev().take_while(|&&tick| tick >= recent).count() > self.layout.max_dense().into()
     }
 
-    fn set_hold(&mut self, ticks: u32) {
+    fn set_hold(&mut self, ticks: u32, now: u64) {
+        self.hold_since = now;
         let ticks = ticks.clamp(self.layout.least_hold(), self.layout.longest_hold());
         self.hold = [ticks.into(), self.hold[0]];
     }
@@ -96,14 +100,14 @@ impl Rule {
     pub(crate) fn render(&mut self, now: u64, run: Run) {
         self.enabled = if run.drivers { self.enabled + 1 } else { 0 };
         while let Some((_, hold)) = self.marks.pop_front_if(|(at, _)| *at <= now) {
-            self.set_hold(hold);
+            self.set_hold(hold, now);
         }
         for motor in 0..self.pins.len() {
             while self.pins[motor].queue.front().is_some_and(|(to, _)| to.tick.0 <= now) {
                 self.begin(motor, now, run.lines);
             }
         }
-        let [most, least] = [self.hold.into_iter().max(), self.hold.into_iter().min()].map(Option::unwrap);
+        let ([hold, before], since) = (self.hold, self.hold_since);
         let is_ready = self.enabled > self.layout.driver_lead().into();
         let takes_turns = self.layout.takes_turns(&self.limits);
         let longest = u64::from(self.layout.driver_lead() + DRIVER_TAIL + 2 * BLOCK)
@@ -133,8 +137,10 @@ impl Rule {
                     assert!(pin.height == pin.goal, "it is not at its goal, {}: {}", pin.goal, at());
                     pin.waits = 0;
                     let still = now - pin.still_since;
-                    pin.may_fall |= pin.goal > 0 && still > least;
-                    if pin.goal > 0 && still > most + HOLD_CHECKS + u64::from(BLOCK) {
+                    pin.may_fall |= pin.goal > 0 && still > hold.min(before);
+                    if pin.goal > 0
+                        && now > (pin.still_since + hold).max(since) + HOLD_CHECKS + 2 * u64::from(BLOCK)
+                    {
                         pin.goal = 0;
                     }
                 }

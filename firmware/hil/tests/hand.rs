@@ -86,21 +86,6 @@ impl Hand {
         (self.epoch, self.seq, self.speaks) = (self.tap.epoch(), 0, true);
     }
 
-    /// Unplugs the cable.
-    pub(crate) fn unplug(&mut self) {
-        self.speaks = false;
-        self.bench.usb(false).unwrap();
-        self.tap.broken();
-    }
-
-    /// Plugs the cable in again, and opens the next session.
-    pub(crate) fn plug(&mut self) {
-        self.bench.usb(true).unwrap();
-        let session = self.tap.hello().unwrap().session + 1;
-        self.greet(session);
-        self.run(5 * MS);
-    }
-
     /// The cycle at which the last pulse so far has fallen.
     pub(crate) fn low_since(&mut self) -> u64 {
         let low = match &self.bench {
@@ -170,12 +155,6 @@ impl Hand {
         (self.epoch, self.seq) = (self.epoch.wrapping_add(1), 0);
         let (epoch, seen) = (self.epoch, self.tap.reports_read());
         self.send(&HostMessage::Control { epoch, seen, op });
-    }
-
-    /// An e-stop as the host's program gives it: a request on endpoint 0 and a frame.
-    pub(crate) fn e_stop(&mut self) {
-        self.bench.e_stop(self.epoch.wrapping_add(1)).unwrap();
-        self.control(Op::EStop);
     }
 
     /// Sends one frame with as many of these strokes as fit, and returns their number.

@@ -13,7 +13,6 @@ mod hand;
 mod hangs;
 mod live;
 mod load;
-mod lower_stop;
 mod margin;
 mod moves;
 mod patterns;
