@@ -64,7 +64,14 @@ impl Direction {
     #[must_use]
     pub fn new(line: Line, seed: u64) -> Self {
         let random = ChaCha8Rng::seed_from_u64(seed);
-        Self { line, random, busy: HostInstant::default(), last: HostInstant::default(), frames: Vec::new(), harmed: 0 }
+        Self {
+            line,
+            random,
+            busy: HostInstant::default(),
+            last: HostInstant::default(),
+            frames: Vec::new(),
+            harmed: 0,
+        }
     }
 
     fn chance(&mut self, share: f64) -> bool {

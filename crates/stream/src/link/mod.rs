@@ -13,6 +13,6 @@ mod session;
 
 pub use clock::{Clock, ClockEstimate};
 pub use session::{
-    AnotherArray, BadFrames, Contradiction, Contradictions, Event, LineRate, LostReason, RoundTrip,
-    Session, Traffic, Verdict,
+    AnotherArray, BadFrames, Contradiction, Contradictions, Event, LineRate, LostReason, RoundTrip, Session,
+    Traffic, Verdict,
 };

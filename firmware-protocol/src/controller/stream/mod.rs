@@ -42,13 +42,8 @@ pub(super) struct Parts<'a> {
 }
 
 impl Stream {
-    pub(super) const NOTHING: Self = Self {
-        next_seq: 0,
-        gap: false,
-        kept: MotorSet::EMPTY,
-        generation: None,
-        taking: Taking::NOTHING,
-    };
+    pub(super) const NOTHING: Self =
+        Self { next_seq: 0, gap: false, kept: MotorSet::EMPTY, generation: None, taking: Taking::NOTHING };
 
     /// The stream begins again, with an epoch.
     pub(super) fn begin(&mut self) {
@@ -72,13 +67,7 @@ impl Stream {
     }
 
     /// Unpacks the first piece of a frame. `received` is its epoch and the reports that the host has seen.
-    pub(super) fn receive(
-        &mut self,
-        head: Next,
-        received: (u16, u16),
-        batch: &[u8],
-        parts: &mut Parts<'_>,
-    ) {
+    pub(super) fn receive(&mut self, head: Next, received: (u16, u16), batch: &[u8], parts: &mut Parts<'_>) {
         let packed = self.taking.begin(parts.session.epoch(), head, received, batch);
         self.unpack(packed, parts);
     }

@@ -138,13 +138,7 @@ impl Taking {
     }
 
     /// Keeps the packed moves of a frame.
-    pub(super) fn begin(
-        &mut self,
-        epoch: u16,
-        head: Next,
-        received: (u16, u16),
-        batch: &[u8],
-    ) -> Packed {
+    pub(super) fn begin(&mut self, epoch: u16, head: Next, received: (u16, u16), batch: &[u8]) -> Packed {
         self.epoch = epoch;
         self.keep_items(batch);
         self.moves.clear();

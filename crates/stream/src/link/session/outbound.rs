@@ -95,7 +95,8 @@ impl Session {
             if leaves && !self.pinger.has_pair(now) && self.line.wants_check(now) {
                 return self.ping(now, out);
             }
-            if let Some(written) = self.outbox.write_next(now, Head { epoch, seen }, resend, window_bytes, out)
+            if let Some(written) =
+                self.outbox.write_next(now, Head { epoch, seen }, resend, window_bytes, out)
             {
                 self.wire.repeated(written.retransmitted);
                 self.line.sent(written.retransmitted);
