@@ -55,7 +55,7 @@ pub enum MotionError {
 
 impl MotionError {
     /// Checks that a value is a number in a range.
-    pub(super) fn check(
+    pub(crate) fn check(
         what: &'static str,
         unit: &'static str,
         value: f64,

@@ -20,18 +20,13 @@
 //! Invariant: levels are 0 to `most_pulses`, ticks are strictly in order, no two moves are further apart in level than in ticks, and the
 //! last level is 0. All ticks are multiples of the step.
 
-use super::error::MotionError;
-use super::reached::{Reached, steps_within};
-use super::waveform::{Section, Waveform, ns_of, tick_of};
-use crate::motor::MAX_AMPLITUDE_UM;
+use super::waveform::Section;
 use crate::spec::{Array, MotorSpec};
-use crate::strokes::moves;
 use crate::units::TickRate;
-use firmware_protocol::moves::Move;
 
 /// The steps of grids that are tried, ms. Shorter ones are more moves than the link takes from the paper's 24 motors, longer ones do not
 /// vanish in the average of 4.3 ms of the paper's motors.
-const STEPS_MS: [u64; 4] = [SLOWEST_STEP_MS, 3, 2, 1];
+pub(crate) const STEPS_MS: [u64; 4] = [SLOWEST_STEP_MS, 3, 2, 1];
 
 /// The longest of them: a move may begin so much before its waveform, and the last one so much after it.
 pub(crate) const SLOWEST_STEP_MS: u64 = 4;
@@ -51,66 +46,6 @@ pub struct Grid {
 
 /// How long a stretch of each waveform is tried and measured, shared among the motors, s.
 pub const TRIED_S: f64 = 240.0;
-
-/// The coarsest grid, of 1 to 4 ms, on which each pin stays within `error_um` of what the motor can do at best
-/// ([`Reached::step_error_um`], measured from the moves); `None`: a burst of `least_pulses`. If none does, the finest grid of which the
-/// controller takes the moves of so many motors. Of long waveforms the first `tried_s` decide, shared among the motors.
-///
-/// # Errors
-/// If `error_um` is below [`LEAST_ERROR_UM`].
-pub(crate) fn choose<'a>(
-    array: Array,
-    motors: impl ExactSizeIterator<Item = (u8, &'a Waveform)> + Clone,
-    error_um: Option<f64>,
-    tried_s: f64,
-) -> Result<Grid, MotionError> {
-    let error_um = error_um.unwrap_or(f64::from(array.motor().least_pulses) * array.motor().um_per_pulse);
-    MotionError::check("error_um", "um", error_um, LEAST_ERROR_UM, MAX_AMPLITUDE_UM)?;
-    let (ticks, most) = (array.layout().dense_ticks(), usize::from(array.layout().max_dense()));
-    let tried_ns = tried_ns(tried_s, motors.len());
-    let mut finest = Grid::of_ms(array, SLOWEST_STEP_MS);
-    for step_ms in STEPS_MS {
-        let grid = Grid::of_ms(array, step_ms);
-        if motors.len() * (ticks / grid.step_ticks + 1) as usize > most {
-            break;
-        }
-        finest = grid;
-        let is_within = |(motor, waveform): (u8, &Waveform)| {
-            let waveform = waveform.first(tried_ns);
-            let moves = moves(array, motor, &waveform, grid);
-            steps_within(array, &waveform, &moves, error_um)
-        };
-        if motors.clone().all(is_within) {
-            break;
-        }
-    }
-    Ok(finest)
-}
-
-/// How much of each motion is tried and measured, ns, if so many motors share it.
-pub(crate) fn tried_ns(tried_s: f64, motors: usize) -> u64 {
-    ns_of(tried_s) / motors.max(1) as u64
-}
-
-/// The moves of a motor in the first so many nanoseconds of its waveform's span, and what it reaches by then: work that does not grow with
-/// a waveform of years. Of a shorter waveform all.
-pub(crate) fn beginning(
-    array: Array,
-    motor: u8,
-    whole: &Waveform,
-    grid: Grid,
-    ns: u64,
-) -> (Vec<Move>, Reached) {
-    let waveform = whole.first(ns);
-    let mut moves = moves(array, motor, &waveform, grid);
-    let cut_ns = waveform.span_ns().zip(whole.span_ns()).and_then(|(of, whole)| (of < whole).then_some(of.1));
-    // Where it is cut the pin would come down.
-    let end =
-        cut_ns.map(|ns| tick_of(ns, array.rate()) / u64::from(grid.step_ticks) * u64::from(grid.step_ticks));
-    moves.retain(|of| end.is_none_or(|end| of.tick.0 < end));
-    let reached = Reached::of(array, &waveform, &moves, end);
-    (moves, reached)
-}
 
 impl Grid {
     /// The multiples of so many milliseconds, rounded up to ticks.
@@ -187,9 +122,13 @@ impl Rule {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::motion::reached::steps_within;
     use crate::motion::tests::{noise, ramp, tone};
     use crate::motion::{Envelope, ns_at};
+    use crate::motion::{Waveform, tick_of};
     use crate::spec::names;
+    use crate::strokes::{choose, moves};
+    use firmware_protocol::moves::Move;
     use firmware_protocol::tick::Tick;
     use proptest::prelude::*;
 

@@ -194,14 +194,14 @@ impl Iterator for Tracking<'_> {
 }
 
 /// Whether [`Reached::step_error_um`] of moves is at most this.
-pub(super) fn steps_within(array: Array, waveform: &Waveform, moves: &[Move], error_um: f64) -> bool {
+pub(crate) fn steps_within(array: Array, waveform: &Waveform, moves: &[Move], error_um: f64) -> bool {
     Tracking::new(array, waveform, moves, None).all(|sample| sample.step_error_um <= error_um)
 }
 
 impl Reached {
     /// What an ideal motor reaches with these moves, which follow the waveform, up to a tick, if one is given. Takes about 1 ms per second of
     /// the waveform.
-    pub(super) fn of(array: Array, waveform: &Waveform, moves: &[Move], end: Option<u64>) -> Self {
+    pub(crate) fn of(array: Array, waveform: &Waveform, moves: &[Move], end: Option<u64>) -> Self {
         let (motor, rate) = (array.spec().motor(), array.rate());
         let samples = Tracking::new(array, waveform, moves, end);
         let (from, until) = (samples.from, samples.until);
@@ -265,9 +265,9 @@ fn busiest(moves: &[Move], ticks: u64) -> usize {
 mod tests {
     use super::*;
     use crate::motion::tests::{noise, ramp, tone};
-    use crate::motion::{Envelope, Grid, RampHold, Shape, choose};
+    use crate::motion::{Envelope, Grid, RampHold, Shape};
     use crate::spec::names;
-    use crate::strokes::moves;
+    use crate::strokes::{choose, moves};
     use std::f64::consts::{PI, TAU};
 
     /// The displacement at each tick of a second, by the paper's motor on this grid; of a play that begins at 0.

@@ -3,9 +3,10 @@
 //! Motions of one motor add up where they overlap in time. [`crate::motion`] makes their waveforms and compiles them to moves.
 
 use super::limits::MAX_SOURCE;
-use super::tables::packed;
 use crate::motion::{MotionError, Noise, RampHold, Tone, Waveform};
-use serde::Serialize;
+use base64::Engine;
+use base64::engine::general_purpose::STANDARD;
+use serde::{Serialize, Serializer};
 use std::sync::Arc;
 
 /// A motion of one motor: a table of the file.
@@ -108,4 +109,10 @@ impl Motion {
         let Self::Wave(Wave { source: Some(source), .. }) = self else { return true };
         source.len() <= MAX_SOURCE
     }
+}
+
+/// Writes samples in base64.
+fn packed<S: Serializer>(um: &Arc<[f32]>, to: S) -> Result<S::Ok, S::Error> {
+    let bytes: Vec<u8> = um.iter().flat_map(|um| um.to_le_bytes()).collect();
+    to.serialize_str(&STANDARD.encode(bytes))
 }

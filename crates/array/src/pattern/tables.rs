@@ -125,12 +125,6 @@ impl RawWave {
     }
 }
 
-/// Writes samples in base64.
-pub(super) fn packed<S: Serializer>(um: &Arc<[f32]>, to: S) -> Result<S::Ok, S::Error> {
-    let bytes: Vec<u8> = um.iter().flat_map(|um| um.to_le_bytes()).collect();
-    to.serialize_str(&STANDARD.encode(bytes))
-}
-
 /// Samples in base64.
 struct Packed(Arc<[f32]>);
 

@@ -2,9 +2,10 @@
 //!
 //! [`Strokes::followed`] measures the moves that the play has: as they are scaled, on the grid that they are compiled on.
 
+use super::motion_lane::{beginning, tried_ns};
 use super::run::Run;
 use super::{CompiledItem, Sequence, Strokes};
-use crate::motion::{Grid, Reached, Waveform, beginning, s_of, tried_ns};
+use crate::motion::{Grid, Reached, Waveform, s_of};
 use firmware_protocol::moves::Move;
 
 /// How a motor follows its motions in a play.

@@ -29,7 +29,8 @@ pub use drive::DriveStrokes;
 pub use error::StrokesError;
 pub use followed::Followed;
 pub use live::{LiveMotion, LiveStrokes};
-pub(crate) use motion_lane::moves;
+#[cfg(test)]
+pub(crate) use motion_lane::{choose, moves};
 pub use options::{AutoSurplus, Fit, StrokeOptions, Surplus};
 pub use reached::{Ordered, Reached, motions_over, ordered, reached};
 pub use sequence::{

@@ -13,7 +13,11 @@
 use super::drive::NEVER;
 use super::options::{StrokeOptions, Surplus};
 use super::repeat::Repeat;
-use crate::motion::{Grid, Rule, Section, Waveform, ns_at, tick_of};
+use crate::motion::{
+    Grid, LEAST_ERROR_UM, MotionError, Reached, Rule, SLOWEST_STEP_MS, STEPS_MS, Section, Waveform, ns_at,
+    ns_of, steps_within, tick_of,
+};
+use crate::motor::MAX_AMPLITUDE_UM;
 use crate::pattern::Pattern;
 use crate::reflected_walk::Bursts;
 use crate::spec::Array;
@@ -66,6 +70,66 @@ pub(crate) fn moves(array: Array, motor: u8, waveform: &Waveform, grid: Grid) ->
         begins = lane.advance();
     }
     moves
+}
+
+/// The coarsest grid, of 1 to 4 ms, on which each pin stays within `error_um` of what the motor can do at best
+/// ([`Reached::step_error_um`], measured from the moves); `None`: a burst of `least_pulses`. If none does, the finest grid of which the
+/// controller takes the moves of so many motors. Of long waveforms the first `tried_s` decide, shared among the motors.
+///
+/// # Errors
+/// If `error_um` is below [`LEAST_ERROR_UM`].
+pub(crate) fn choose<'a>(
+    array: Array,
+    motors: impl ExactSizeIterator<Item = (u8, &'a Waveform)> + Clone,
+    error_um: Option<f64>,
+    tried_s: f64,
+) -> Result<Grid, MotionError> {
+    let error_um = error_um.unwrap_or(f64::from(array.motor().least_pulses) * array.motor().um_per_pulse);
+    MotionError::check("error_um", "um", error_um, LEAST_ERROR_UM, MAX_AMPLITUDE_UM)?;
+    let (ticks, most) = (array.layout().dense_ticks(), usize::from(array.layout().max_dense()));
+    let tried_ns = tried_ns(tried_s, motors.len());
+    let mut finest = Grid::of_ms(array, SLOWEST_STEP_MS);
+    for step_ms in STEPS_MS {
+        let grid = Grid::of_ms(array, step_ms);
+        if motors.len() * (ticks / grid.step_ticks + 1) as usize > most {
+            break;
+        }
+        finest = grid;
+        let is_within = |(motor, waveform): (u8, &Waveform)| {
+            let waveform = waveform.first(tried_ns);
+            let moves = moves(array, motor, &waveform, grid);
+            steps_within(array, &waveform, &moves, error_um)
+        };
+        if motors.clone().all(is_within) {
+            break;
+        }
+    }
+    Ok(finest)
+}
+
+/// How much of each motion is tried and measured, ns, if so many motors share it.
+pub(crate) fn tried_ns(tried_s: f64, motors: usize) -> u64 {
+    ns_of(tried_s) / motors.max(1) as u64
+}
+
+/// The moves of a motor in the first so many nanoseconds of its waveform's span, and what it reaches by then: work that does not grow with
+/// a waveform of years. Of a shorter waveform all.
+pub(crate) fn beginning(
+    array: Array,
+    motor: u8,
+    whole: &Waveform,
+    grid: Grid,
+    ns: u64,
+) -> (Vec<Move>, Reached) {
+    let waveform = whole.first(ns);
+    let mut moves = moves(array, motor, &waveform, grid);
+    let cut_ns = waveform.span_ns().zip(whole.span_ns()).and_then(|(of, whole)| (of < whole).then_some(of.1));
+    // Where it is cut the pin would come down.
+    let end =
+        cut_ns.map(|ns| tick_of(ns, array.rate()) / u64::from(grid.step_ticks) * u64::from(grid.step_ticks));
+    moves.retain(|of| end.is_none_or(|end| of.tick.0 < end));
+    let reached = Reached::of(array, &waveform, &moves, end);
+    (moves, reached)
 }
 
 #[derive(Clone, Debug)]

@@ -5,9 +5,9 @@
 use super::drive::NEVER;
 use super::error::StrokesError;
 use super::lane::Lane;
-use super::motion_lane::MotionLane;
+use super::motion_lane::{MotionLane, choose};
 use super::options::StrokeOptions;
-use crate::motion::{Grid, choose};
+use crate::motion::Grid;
 use crate::pattern::Pattern;
 use crate::strokes::Step;
 use firmware_protocol::tick::Tick;

@@ -1,6 +1,5 @@
 //! How long pins stay above rest without a pulse, and when they vibrate.
 
-use super::Counted;
 use super::vibration::Vibrating;
 use firmware_protocol::tick::Tick;
 use meissner_array::spec::Array;
@@ -50,12 +49,11 @@ impl Holds {
         }
     }
 
-    /// After the steps that count.
-    pub(super) fn finish(self, steps: &Counted) -> Hold {
-        let uncounted = steps.uncounted();
+    /// After the steps that count: the beginning of the last one, if more would follow, and from when to when they do not count.
+    pub(super) fn finish(self, stopped: Option<Tick>, uncounted: Option<(u64, u64)>) -> Hold {
         let highest = if uncounted.is_none() { self.highest } else { self.array.motor().most_pulses };
         let vibrates = self.vibrating.finish(uncounted);
-        Hold { longest: self.longest, counted_until: steps.stopped, vibrates, highest }
+        Hold { longest: self.longest, counted_until: stopped, vibrates, highest }
     }
 }
 

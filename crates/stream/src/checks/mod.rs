@@ -70,7 +70,7 @@ pub fn dry_run(strokes: &Strokes, settings: &Settings) -> DryRun {
         dense: density.found,
         overpush: pushes.and_then(|pushes| pushes.found),
         too_many: motors.and_then(|motors| motors.finish().1),
-        hold: holds.finish(&steps),
+        hold: holds.finish(steps.stopped, steps.uncounted()),
         counts: steps.uncounted().is_none().then_some((bursts, pulses)),
     }
 }
