@@ -443,7 +443,6 @@ impl World {
             48..56 => match self.kind {
                 Kind::Plain => self.moves(input),
                 Kind::Seeks => self.seek(input),
-                Kind::OnTime if self.surplus > 0 => self.moves(input),
                 Kind::Wild | Kind::OnTime => self.amend(input),
             },
             56..60 if matches!(self.kind, Kind::Seeks | Kind::Wild) => {
