@@ -168,7 +168,7 @@ fn a_scene_on_stdin_may_be_toml_or_json_and_a_pattern_comes_from_it() {
         assert_eq!(found["spikes_s"], simulated(&[])["spikes_s"]);
     }
     let line = complaint(meissner().args(["simulate", "-"]).write_stdin("duration_s = -1\nafferents = []"));
-    assert!(line.contains("stdin: `duration_s` is -1"), "{line}");
+    assert!(line.contains("stdin:1: `duration_s` is -1"), "{line}");
     let mut samples = meissner();
     samples.args(["displacement", "-", "--seconds", "0.1"]).write_stdin(crate::displacement::BLIP);
     assert!(printed(&mut samples).starts_with("time_s,motor_4_um\n"));
