@@ -9,8 +9,9 @@
 use super::error::MotionError;
 use super::waveform::{RATE_HZ, Waveform, check_count};
 use crate::motor::MAX_AMPLITUDE_UM;
-use crate::pattern::{FREQUENCY_HZ, MAX_SECONDS, motor_number};
+use crate::pattern::{FREQUENCY_HZ, MAX_SECONDS};
 use crate::random;
+use crate::spec::motor_number;
 use serde::{Deserialize, Serialize};
 use std::f64::consts::{PI, TAU};
 

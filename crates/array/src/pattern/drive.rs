@@ -5,10 +5,9 @@
 use super::error::{KeyError, Problem};
 use super::limits::{FREQUENCY_HZ, MAX_SECONDS};
 use crate::motor::{MotorError, SquareWave};
-use crate::spec::{Array, MAX_MOTORS};
+use crate::spec::{Array, motor_number};
 use meissner_input::document::in_range;
-use serde::de::Error;
-use serde::{Deserialize, Deserializer, Serialize};
+use serde::{Deserialize, Serialize};
 
 /// A square wave on one motor.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -30,13 +29,6 @@ pub struct Drive {
     /// When its last stroke must have ended, in pattern time; without it the drive ends with the pattern.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub stop_s: Option<f64>,
-}
-
-/// Reads the number of a motor; whether the array has it is checked later.
-pub(crate) fn motor_number<'de, D: Deserializer<'de>>(source: D) -> Result<u8, D::Error> {
-    let number = i64::deserialize(source)?;
-    let refused = || format!("is {number}: must be the number of a motor, 0 to {} at most", MAX_MOTORS - 1);
-    u8::try_from(number).map_err(|_| D::Error::custom(refused()))
 }
 
 impl Drive {

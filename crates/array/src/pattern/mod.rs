@@ -22,7 +22,6 @@ mod motions;
 mod provenance;
 mod tables;
 
-pub(crate) use drive::motor_number;
 pub use drive::{Drive, overlap};
 pub use error::{PatternError, Problem};
 pub use limits::{

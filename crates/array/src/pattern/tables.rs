@@ -5,12 +5,12 @@
 //!
 //! Invariant: what is written is read back as the same motion.
 
-use super::drive::motor_number;
 use super::error::{KeyError, Problem};
 use super::limits::MAX_PATTERN_SAMPLES;
 use super::motion::{Motion, Wave};
 use crate::motion::MAX_SAMPLES;
 use crate::samples::{self, Choice, Column, Samples};
+use crate::spec::motor_number;
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
 use meissner_input::document::CommonProblem;

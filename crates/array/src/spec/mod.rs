@@ -20,6 +20,8 @@ use crate::units::TickRate;
 use firmware_protocol::array::Layout;
 pub use firmware_protocol::array::MAX_MOTORS;
 use firmware_protocol::tick::Tick;
+use serde::de::Error;
+use serde::{Deserialize, Deserializer};
 use std::ops::Range;
 
 /// A checked description of an array.
@@ -206,6 +208,13 @@ impl ArraySpec {
     pub const fn layout(&self) -> &Layout {
         &self.layout
     }
+}
+
+/// Reads the number of a motor; whether the array has it is checked later.
+pub(crate) fn motor_number<'de, D: Deserializer<'de>>(source: D) -> Result<u8, D::Error> {
+    let number = i64::deserialize(source)?;
+    let refused = || format!("is {number}: must be the number of a motor, 0 to {} at most", MAX_MOTORS - 1);
+    u8::try_from(number).map_err(|_| D::Error::custom(refused()))
 }
 
 impl MotorSpec {
