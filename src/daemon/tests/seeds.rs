@@ -636,7 +636,7 @@ mod tests {
     #[test]
     fn random_days_keep_the_rules() {
         let number = |name: &str| env::var(name).ok().map(|text| text.parse::<u64>().unwrap());
-        let many = number("SEEDS").unwrap_or_else(|| at_length(4, 1000));
+        let many = number("SEEDS").unwrap_or_else(|| at_length(1, 1000));
         let seeds = number("SEED").map_or(0..many, |seed| seed..seed + 1);
         for seed in seeds {
             eprintln!("SEED={seed}");
@@ -649,6 +649,6 @@ mod tests {
 
     #[test]
     fn a_seed_replays_to_the_byte() {
-        assert_eq!(run_days(7, 2, 60), run_days(7, 2, 60));
+        assert_eq!(run_days(7, 1, 60), run_days(7, 1, 60));
     }
 }
