@@ -200,7 +200,7 @@ impl World {
             let silent = self.bench.now - self.heard;
             match self.state() {
                 State::Armed => {
-                    assert!(silent <= self.timeout + u64::from(BLOCK), "a silent host goes unnoticed")
+                    assert!(silent <= self.timeout + u64::from(BLOCK), "a silent host goes unnoticed");
                 }
                 _ => assert!(
                     before != State::Armed || silent > self.timeout,
@@ -253,7 +253,7 @@ impl World {
         match op {
             Op::Stop if before == State::Armed && open => rule.come_down(false),
             Op::Arm { assume_rest, .. } if before == State::Disarmed && !is_off => {
-                rule.come_down(assume_rest)
+                rule.come_down(assume_rest);
             }
             _ => {}
         }
