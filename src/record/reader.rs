@@ -4,7 +4,7 @@
 //! each play, and the last line, which says how many there are. A line or file that cannot be read,
 //! or stands where it should not, is named, and reading goes on.
 //!
-//! Bounds: [`MAX_LINE`] bytes of a line in memory; [`MAX_LISTED`] named problems.
+//! Bounds: `MAX_LINE` bytes of a line in memory; [`MAX_LISTED`] named problems.
 
 use super::disk::{DAEMON, OLD, SESSIONS, is_name};
 use super::queue::{Known, MAX_TEXT};
