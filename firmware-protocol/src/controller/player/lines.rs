@@ -348,7 +348,8 @@ impl Player {
             pulses -= pushes;
         }
         if correction > 0 || surplus > 0 {
-            let room = if self.allowance.limits_on_time() { self.room(motor, pulses + pushes) } else { u16::MAX };
+            let room =
+                if self.allowance.limits_on_time() { self.room(motor, pulses + pushes) } else { u16::MAX };
             let more = correction.max(0).cast_unsigned().min(room);
             pulses += more;
             pushes += self.allowance.pushes(motor, surplus.min(room - more));
