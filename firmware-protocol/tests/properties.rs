@@ -32,7 +32,7 @@ enum Kind {
     Seeks,
     /// Corrections, shifts, and frames of any bytes.
     Wild,
-    /// Pushes or corrections, under limits on on-time.
+    /// Pushes and corrections, under limits on on-time.
     OnTime,
 }
 
@@ -159,7 +159,6 @@ impl World {
         let surplus = match kind {
             Kind::Plain => 0,
             Kind::Seeks | Kind::Wild => 3,
-            // Pushes or corrections: both together break the limit by the pulses that a corrected way up leaves to push.
             Kind::OnTime => input.one_of(&[0, 60]),
         };
         let motors = input.one_of(&[2, 5, layout.motors() as u8 + 2]);
@@ -219,8 +218,12 @@ impl World {
 
     fn hello(&mut self, session: u32) {
         self.heard = self.bench.now;
+        let before = self.bench.device.epoch();
         self.bench.hello(session);
-        if let Some(rule) = &mut self.bench.rule {
+        // The same session again begins no epoch.
+        if self.bench.device.epoch() != before
+            && let Some(rule) = &mut self.bench.rule
+        {
             rule.new_epoch();
         }
     }
@@ -236,12 +239,14 @@ impl World {
         self.bench.control(op);
         let after = self.state();
         let is_off = matches!(after, State::Disarmed | State::Faulted);
+        // Not by the state before: a return that was over, or a silent host, may have disarmed it by now.
+        let arms = matches!(op, Op::Arm { .. }) && open && self.bench.status().refusal.is_none();
         match op {
             _ if !open => assert!(after == before || before == State::Returning, "without a session"),
             Op::EStop => assert_eq!(after, State::Faulted),
             Op::Reset if before == State::Faulted => assert_eq!(after, State::Disarmed),
             Op::Disarm(_) => assert!(is_off || after == State::Returning),
-            Op::Arm { host_timeout, .. } if before == State::Disarmed && !is_off => {
+            Op::Arm { host_timeout, .. } if arms => {
                 self.timeout = u64::from(host_timeout.min(self.layout().max_host_timeout()));
             }
             _ => {}
@@ -252,9 +257,7 @@ impl World {
         }
         match op {
             Op::Stop if before == State::Armed && open => rule.come_down(false),
-            Op::Arm { assume_rest, .. } if before == State::Disarmed && !is_off => {
-                rule.come_down(assume_rest);
-            }
+            Op::Arm { assume_rest, .. } if arms => rule.come_down(assume_rest),
             _ => {}
         }
     }

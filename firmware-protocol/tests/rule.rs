@@ -14,8 +14,8 @@ use firmware_protocol::moves::Move;
 use firmware_protocol::stroke::{Direction, Line, Lines};
 use std::collections::VecDeque;
 
-/// How often the device looks for pins that are held for too long, ticks.
-const HOLD_CHECKS: u64 = 1_024;
+/// After how many ticks at the latest the device looks for pins that are held for too long.
+const LATEST_CHECK: u64 = 1_024 + 2 * BLOCK as u64;
 
 /// A move of a frame, and whether it is the second of a stroke.
 pub(crate) type Sent = (Move, bool);
@@ -45,8 +45,8 @@ pub(crate) struct Rule {
     limits: PowerLimits,
     pins: Vec<Pin>,
     /// Marks of plays that are not rendered, with what they say of holds.
-    marks: VecDeque<(u64, u32)>,
-    /// For how long pins may be held, now and before the last change.
+    marks: Vec<(u64, u32)>,
+    /// For how long pins may be held, now and at the least by what was said before and may still count.
     hold: [u64; 2],
     /// When it changed.
     hold_since: u64,
@@ -73,7 +73,7 @@ impl Rule {
         Self {
             limits,
             pins: vec![Pin::default(); layout.motors()],
-            marks: VecDeque::new(),
+            marks: Vec::new(),
             hold: [layout.least_hold().into(); 2],
             hold_since: 0,
             enabled: 0,
@@ -91,15 +91,19 @@ impl Rule {
     }
 
     fn set_hold(&mut self, ticks: u32, now: u64) {
-        self.hold_since = now;
+        let [hold, before] = self.hold;
         let ticks = ticks.clamp(self.layout.least_hold(), self.layout.longest_hold());
-        self.hold = [ticks.into(), self.hold[0]];
+        // The device takes what a mark says when it looks for pins that are held.
+        let before = if now > self.hold_since + LATEST_CHECK { hold } else { hold.min(before) };
+        (self.hold, self.hold_since) = ([ticks.into(), before], now);
     }
 
     /// The outputs of the tick `now`, when they are rendered.
     pub(crate) fn render(&mut self, now: u64, run: Run) {
         self.enabled = if run.drivers { self.enabled + 1 } else { 0 };
-        while let Some((_, hold)) = self.marks.pop_front_if(|(at, _)| *at <= now) {
+        // A frame's mark may come before that of the frame before.
+        while let Some(next) = self.marks.iter().position(|(at, _)| *at <= now) {
+            let (_, hold) = self.marks.remove(next);
             self.set_hold(hold, now);
         }
         for motor in 0..self.pins.len() {
@@ -138,9 +142,7 @@ impl Rule {
                     pin.waits = 0;
                     let still = now - pin.still_since;
                     pin.may_fall |= pin.goal > 0 && still > hold.min(before);
-                    if pin.goal > 0
-                        && now > (pin.still_since + hold).max(since) + HOLD_CHECKS + 2 * u64::from(BLOCK)
-                    {
+                    if pin.goal > 0 && now > (pin.still_since + hold).max(since) + LATEST_CHECK {
                         pin.goal = 0;
                     }
                 }
@@ -199,7 +201,7 @@ impl Rule {
                 if !fits {
                     return;
                 }
-                self.marks.push_back((base, mark.hold));
+                self.marks.push((base, mark.hold));
                 self.kept = MotorSet::EMPTY;
             }
         }
@@ -298,6 +300,8 @@ impl Rule {
         (self.hold, self.enabled) = ([u64::MAX / 2; 2], 0);
         for pin in &mut self.pins {
             (pin.height, pin.goal, pin.rises, pin.may_fall) = (pin.shown, pin.shown, false, false);
+            // It waits for the drivers anew when the device is armed again, perhaps in this tick.
+            pin.waits = 0;
         }
     }
 
