@@ -199,7 +199,7 @@ impl World {
             let silent = self.bench.now - self.heard;
             match self.state() {
                 State::Armed => {
-                    assert!(silent <= self.timeout + u64::from(BLOCK), "a silent host goes unnoticed")
+                    assert!(silent <= self.timeout + u64::from(BLOCK), "a silent host goes unnoticed");
                 }
                 _ => assert!(
                     before != State::Armed || silent > self.timeout,
