@@ -124,7 +124,7 @@ struct World {
     motors: u8,
     /// The most by which a move pushes.
     surplus: u16,
-    last_frame: Vec<u8>,
+    last_frame: (Vec<u8>, Option<Frame>),
     sent: Vec<Move>,
     accepted: u64,
     refused_in_frames: u64,
@@ -170,7 +170,7 @@ impl World {
             heard: bench.now,
             timeout: HOST_TIMEOUT.into(),
             bench,
-            last_frame: vec![],
+            last_frame: (vec![], None),
             sent: vec![],
             accepted: 0,
             refused_in_frames: 0,
@@ -289,15 +289,15 @@ impl World {
             self.refused_in_frames += counters.refused - counted.refused;
             if let Some(mut rule) = self.bench.rule.take() {
                 let seq = before.next_seq;
-                match frame.filter(|frame| frame.seq == seq && after.next_seq != seq) {
-                    Some(frame) => rule.take(&frame, &self.bench, armed, &self.bench.inbox[sent..]),
+                match frame.as_ref().filter(|frame| frame.seq == seq && after.next_seq != seq) {
+                    Some(frame) => rule.take(frame, &self.bench, armed, &self.bench.inbox[sent..]),
                     None => assert_eq!(after.next_seq, seq, "a frame was taken that is not next"),
                 }
                 self.bench.rule = Some(rule);
             }
         }
         self.bench.seq = self.bench.inbox.iter().rev().find_map(next_seq).unwrap_or(0);
-        self.last_frame = bytes;
+        self.last_frame = (bytes, frame);
     }
 
     /// Moves in any order of motors from some ticks before or after the rendered end on.
@@ -441,7 +441,11 @@ impl World {
                 // What it leaves of a frame would spoil the next one.
                 self.bench.bytes(&[0]);
             }
-            19..21 => self.send(self.last_frame.clone(), None),
+            // It may be next now, if there was no session or no room.
+            19..21 => {
+                let (bytes, frame) = self.last_frame.clone();
+                self.send(bytes, frame);
+            }
             21..48 => self.moves(input),
             48..56 => match self.kind {
                 Kind::Plain => self.moves(input),

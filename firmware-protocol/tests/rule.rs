@@ -60,6 +60,7 @@ pub(crate) struct Rule {
 }
 
 /// What a frame says.
+#[derive(Clone)]
 pub(crate) struct Frame {
     pub(crate) seq: u16,
     pub(crate) mark: Option<Mark>,

@@ -82,6 +82,28 @@ fn a_shift_moves_a_pin_within_its_travel() {
 /// The travel of a shift that is cut counts as far as it went: the device drives a shift upwards back, and one downwards to its end. An
 /// e-stop comes with a stop before it, or without.
 #[test]
+fn a_frame_that_withdraws_leaves_a_shift_as_it_is() {
+    for shell in SHELLS {
+        let mut bench = without_stop(shell);
+        // The second time the drivers may be on.
+        for (motor, rests) in [(2, 0), (3, 0), (4, SOON)] {
+            bench.run(rests);
+            bench.control(shift(motor, Up, 100));
+            let end = bench.now + 300;
+            while bench.status().refusal.is_some() {
+                assert!(bench.now < end, "the shift before motor {motor}'s does not end");
+                bench.tick();
+                bench.control(shift(motor, Up, 100));
+            }
+            bench.replace(u64::MAX, 0, bench.soon(), &[]);
+            assert!(bench.device.is_consistent(), "motor {motor} is forgotten");
+        }
+        bench.run(300);
+        assert_eq!([2, 3, 4].map(|motor| bench.net(motor)), [100; 3]);
+    }
+}
+
+#[test]
 fn the_travel_of_a_cut_shift_counts_as_far_as_it_went() {
     for shell in SHELLS {
         for (direction, limit) in [(Up, 3_000_i64), (Down, -3_000)] {

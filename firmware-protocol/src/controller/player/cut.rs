@@ -79,7 +79,9 @@ impl Player {
     pub(in crate::controller) fn is_consistent(&self) -> bool {
         (0..self.layout.loop_end()).all(|motor| {
             let of = &self.motors[motor];
+            let is_shifted = |of: Shifting| of.end.is_none() && usize::from(of.motor) == motor;
             let waits = of.is_to_descend()
+                || self.shifting.is_some_and(is_shifted)
                 || of.running.is_some()
                 || self.queues.first(motor).is_some()
                 || self.lines.pulsing().contains(motor as u8);
