@@ -61,11 +61,8 @@ fn fail((name, writes): Failure, phase: u64) -> u64 {
     let chip = rig.chip().unwrap();
     assert_eq!(chip.pins.enable.last().unwrap().to, off, "{name}: enabled again");
     let on_pins: u64 = chip.pins.lines.iter().flatten().map(|train| train.pulses).sum();
-    let played = rig.notices.iter().find_map(|notice| match notice {
-        StreamEvent::PlayEnded { outcome, .. } => Some((outcome.pulses.played, outcome.bursts)),
-        _ => None,
-    });
-    let (pulses, bursts) = played.unwrap();
+    let outcome = rig.run_to_end(1, 300).unwrap();
+    let (pulses, bursts) = (outcome.pulses.played, outcome.bursts);
     assert!(pulses > 0 && pulses <= on_pins + TOO_MANY, "{name}: {pulses} counted, {on_pins} on the pins");
     assert!(bursts.played < bursts.planned && bursts.dropped > 0, "{name}: {bursts:?}");
     assert!(rig.notices.iter().all(|notice| !matches!(notice, StreamEvent::Contradiction(_))), "{name}");

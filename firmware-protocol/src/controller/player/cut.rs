@@ -75,13 +75,17 @@ impl Player {
             && self.motors[..self.layout.loop_end()].iter().all(super::motor::Motor::is_still)
     }
 
+    /// Whether the burst that shifts where the motor's pin rests is yet to begin.
+    pub(super) fn is_to_shift(&self, motor: usize) -> bool {
+        self.shifting.is_some_and(|of| of.end.is_none() && usize::from(of.motor) == motor)
+    }
+
     /// Whether no motor has been forgotten: one that should do something does it, or rendering looks at it again.
     pub(in crate::controller) fn is_consistent(&self) -> bool {
         (0..self.layout.loop_end()).all(|motor| {
             let of = &self.motors[motor];
-            let is_shifted = |of: Shifting| of.end.is_none() && usize::from(of.motor) == motor;
             let waits = of.is_to_descend()
-                || self.shifting.is_some_and(is_shifted)
+                || self.is_to_shift(motor)
                 || of.running.is_some()
                 || self.queues.first(motor).is_some()
                 || self.lines.pulsing().contains(motor as u8);

@@ -120,7 +120,7 @@ impl Player {
         }
         let looks_again = if self.motors[motor].is_to_descend() {
             self.descend(motor)
-        } else if self.shifting.is_some_and(|of| of.end.is_none() && usize::from(of.motor) == motor) {
+        } else if self.is_to_shift(motor) {
             self.begin_shift(motor)
         } else {
             None

@@ -94,8 +94,11 @@ impl Player {
         let withdrawn = self.queues.withdraw(motor, from, next, self.least_apart, self.rendered, steps);
         let Poll::Ready(Some(moves)) = withdrawn else { return withdrawn };
         let is_low = !self.lines.pulsing().contains(motor as u8);
-        // If there was none, it may wait for a shift of rest.
-        if moves > 0 && self.queues.first(motor).is_none() && self.motors[motor].is_still() && is_low {
+        if self.queues.first(motor).is_none()
+            && self.motors[motor].is_still()
+            && is_low
+            && !self.is_to_shift(motor)
+        {
             // The line waits for the withdrawn move no longer, nor do the drivers. One whose burst has just been ended is still to fall.
             self.changes.forget(motor);
         }
