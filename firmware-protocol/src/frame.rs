@@ -9,7 +9,6 @@
 //! The decoder takes chunks of any size. Whatever arrives, it returns a body or a [`FrameError`], and it is synchronised again
 //! after the next zero.
 
-use core::hash::{Hash, Hasher};
 use serde::{Deserialize, Serialize};
 
 /// The protocol's version: the first byte of every message, in all versions.
@@ -169,14 +168,6 @@ impl core::fmt::Display for FrameError {
 }
 
 impl core::error::Error for FrameError {}
-
-impl Hash for Decoder {
-    /// Leaves out the bytes of frames before the present one.
-    fn hash<H: Hasher>(&self, hasher: &mut H) {
-        let Self { buffer, len, overflow } = self;
-        (buffer.get(..*len), overflow).hash(hasher);
-    }
-}
 
 impl Default for Decoder {
     fn default() -> Self {

@@ -8,7 +8,6 @@ use crate::array::Layout;
 use crate::board::{Board, Counts, Measures, SelfTest, SelfTestState};
 use crate::message::{Cause, DeviceMessage};
 use crate::tick::Tick;
-use core::hash::{Hash, Hasher};
 
 /// The newest requests, and the figures that answer them.
 #[derive(Clone, Debug)]
@@ -29,28 +28,6 @@ pub(super) struct BoardRequests {
     state: SelfTestState,
     output_faults: u32,
     measures: Measures,
-}
-
-impl Hash for BoardRequests {
-    /// Leaves out the time since the start, which is only for people.
-    fn hash<H: Hasher>(&self, hasher: &mut H) {
-        let &Self {
-            started: _,
-            tick_hz: _,
-            window,
-            run,
-            board,
-            test,
-            slack,
-            ended,
-            since_boot,
-            state,
-            output_faults,
-            measures,
-        } = self;
-        (window, run, board, test, slack, ended, since_boot).hash(hasher);
-        (state, output_faults, measures).hash(hasher);
-    }
 }
 
 impl BoardRequests {

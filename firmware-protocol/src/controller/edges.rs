@@ -8,7 +8,6 @@
 use crate::array::Layout;
 use crate::message::Report;
 use crate::tick::Tick;
-use core::hash::{Hash, Hasher};
 
 #[derive(Clone, Debug)]
 pub(super) struct Edges {
@@ -32,11 +31,5 @@ impl Edges {
         self.open_from = tick + u64::from(self.dead_time);
         self.number = self.number.wrapping_add(1);
         Some(Report::Edge { tick: tick.wire(), number: self.number })
-    }
-
-    /// What matters from `now` on.
-    pub(super) fn fingerprint(&self, now: Tick, hasher: &mut impl Hasher) {
-        let Self { number, open_from, dead_time: _ } = self;
-        (number, (*open_from > now).then_some(open_from)).hash(hasher);
     }
 }

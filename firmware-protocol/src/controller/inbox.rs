@@ -4,7 +4,6 @@
 //! has taken this one.
 
 use crate::frame::{Decoder, FrameError, MAX_FRAME};
-use core::hash::{Hash, Hasher};
 
 #[derive(Clone, Debug)]
 pub(super) struct Inbox {
@@ -12,13 +11,6 @@ pub(super) struct Inbox {
     body: [u8; MAX_FRAME],
     /// Length of the body that is not read yet.
     len: usize,
-}
-
-impl Hash for Inbox {
-    fn hash<H: Hasher>(&self, hasher: &mut H) {
-        let Self { decoder, body, len } = self;
-        (decoder, body.get(..*len)).hash(hasher);
-    }
 }
 
 impl Inbox {

@@ -7,7 +7,7 @@ use crate::controller::newer;
 use crate::limits::Refusal;
 use crate::tick::Tick;
 
-#[derive(Clone, Debug, Hash)]
+#[derive(Clone, Debug)]
 pub(super) struct Session {
     /// Its number, while one is open.
     id: Option<u32>,

@@ -10,7 +10,6 @@ use crate::limits::{PowerLimits, Refusal};
 use crate::message::{Cause, Cut, LowerStop, State};
 use crate::stroke::Direction;
 use crate::tick::Tick;
-use core::hash::{Hash, Hasher};
 use pins::Pins;
 
 #[derive(Clone, Debug)]
@@ -34,12 +33,6 @@ impl Motion {
             off_until: now,
             pins: Pins::UNKNOWN,
         }
-    }
-
-    /// Adds to `hasher` what it will do from `now` on.
-    pub(super) fn fingerprint(&self, now: Tick, hasher: &mut impl Hasher) {
-        let Self { state, cause, then, off_until, pins } = self;
-        (state, cause, then, (*off_until).max(now), pins).hash(hasher);
     }
 
     pub(super) fn state(&self) -> State {

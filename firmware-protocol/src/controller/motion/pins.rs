@@ -6,7 +6,7 @@ use crate::array::{CAPACITY, Layout};
 use crate::limits::Refusal;
 use crate::stroke::Direction;
 
-#[derive(Clone, Debug, Hash)]
+#[derive(Clone, Debug)]
 pub(in crate::controller) struct Pins {
     position_known: bool,
     /// All pins are being driven down to the lower stop.

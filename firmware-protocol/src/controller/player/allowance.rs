@@ -8,7 +8,7 @@ use crate::controller::player::density::Density;
 use crate::limits::{OnTime, PowerLimits, Pushing, Refusal};
 use crate::tick::Tick;
 
-#[derive(Clone, Debug, Hash)]
+#[derive(Clone, Debug)]
 pub(super) struct Allowance {
     density: Density,
     on_time: OnTime,

@@ -6,7 +6,6 @@
 use crate::array::{CAPACITY, MotorSet};
 use crate::controller::BLOCK;
 use crate::tick::Tick;
-use core::hash::{Hash, Hasher};
 
 #[derive(Clone, Debug)]
 pub(super) struct Changes {
@@ -14,14 +13,6 @@ pub(super) struct Changes {
     at: [u32; CAPACITY],
     waiting: MotorSet,
     window: Window,
-}
-
-impl Hash for Changes {
-    fn hash<H: Hasher>(&self, hasher: &mut H) {
-        let Self { at: _, waiting, window } = self;
-        (waiting, window).hash(hasher);
-        self.all_waiting().for_each(|change| change.hash(hasher));
-    }
 }
 
 impl Changes {
@@ -104,15 +95,11 @@ impl Changes {
         }
         if self.waiting.is_empty() { u64::MAX } else { first.into() }
     }
-
-    fn all_waiting(&self) -> impl Iterator<Item = (usize, &u32)> {
-        self.at.iter().enumerate().filter(|&(motor, _)| self.waiting.contains(motor as u8))
-    }
 }
 
 /// The lines that may change in the next ticks, tick by tick, so that rendering a block looks at all lines only once. Ticks are
 /// low halves.
-#[derive(Clone, Debug, Hash)]
+#[derive(Clone, Debug)]
 struct Window {
     /// The first tick.
     begin: u32,

@@ -8,7 +8,7 @@ use crate::limits::Refusal;
 /// Room for the blocks in which moves count, with the present one.
 const BLOCKS: usize = Layout::MAX_DENSE_BLOCKS;
 
-#[derive(Clone, Debug, Hash)]
+#[derive(Clone, Debug)]
 pub(super) struct Density {
     /// Moves that have begun in each block, in a ring.
     begun: [u8; BLOCKS],

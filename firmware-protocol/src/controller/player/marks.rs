@@ -5,13 +5,12 @@
 use crate::controller::player::NEVER;
 use crate::message::{Counters, Trigger};
 use crate::tick::Tick;
-use core::hash::{Hash, Hasher};
 
 /// Most marks that are queued and have not passed.
 const MAX_MARKS: usize = 8;
 
 /// A mark, and the counts of the moment in which it was rendered.
-#[derive(Clone, Copy, Debug, Hash)]
+#[derive(Clone, Copy, Debug)]
 struct QueuedMark {
     at: Tick,
     trigger: Option<Trigger>,
@@ -26,17 +25,6 @@ pub(super) struct Marks {
     output: TriggerOutput,
     /// What the last mark said of holds, until it is taken.
     hold: Option<u32>,
-}
-
-impl Hash for Marks {
-    fn hash<H: Hasher>(&self, hasher: &mut H) {
-        let Self { queue, output: TriggerOutput { cells, width, cell_end }, hold } = self;
-        queue.iter().for_each(|mark| mark.hash(hasher));
-        (queue.len(), hold).hash(hasher);
-        if *cells != 0 {
-            (cells, width, cell_end).hash(hasher);
-        }
-    }
 }
 
 impl Marks {

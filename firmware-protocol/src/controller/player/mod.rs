@@ -35,7 +35,6 @@ use crate::stroke::Lines;
 use crate::tick::Tick;
 use allowance::Allowance;
 use changes::Changes;
-use core::hash::{Hash, Hasher};
 pub use drivers::DRIVER_TAIL;
 use drivers::Drivers;
 use marks::Marks;
@@ -48,7 +47,7 @@ use recent::Recent;
 pub(super) const NEVER: Tick = Tick(u64::MAX);
 
 /// A burst up that shifts where a pin rests.
-#[derive(Clone, Copy, Debug, Hash)]
+#[derive(Clone, Copy, Debug)]
 struct Shifting {
     motor: u8,
     pulses: u16,
@@ -71,13 +70,6 @@ impl Lowered {
 
     fn is_empty(&self) -> bool {
         (self.late | self.held).is_empty()
-    }
-}
-
-impl Hash for Lowered {
-    fn hash<H: Hasher>(&self, hasher: &mut H) {
-        let from = (!self.is_empty()).then_some(self.from);
-        (self.late, self.held, from).hash(hasher);
     }
 }
 
@@ -109,28 +101,6 @@ pub(super) struct Player {
     recent: Recent,
     allowance: Allowance,
     queues: Queues,
-}
-
-impl Hash for Player {
-    fn hash<H: Hasher>(&self, hasher: &mut H) {
-        let Self {
-            rendered,
-            still_from,
-            lines,
-            drivers,
-            changes,
-            motors,
-            marks,
-            lowered,
-            shifting,
-            hold,
-            ..
-        } = self;
-        let Drivers { since, tail_end, lead: _ } = drivers;
-        (since, (*tail_end).max(*rendered), rendered, (*still_from).max(*rendered), lines).hash(hasher);
-        (changes, motors, marks, lowered, shifting, hold).hash(hasher);
-        (&self.recent, &self.allowance, &self.queues).hash(hasher);
-    }
 }
 
 impl Player {

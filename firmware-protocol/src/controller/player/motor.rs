@@ -7,10 +7,9 @@
 
 use crate::stroke::Direction;
 use crate::tick::{HORIZON, Tick};
-use core::hash::{Hash, Hasher};
 
 /// A burst that runs. Ticks are low halves.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Running {
     pub(super) direction: Direction,
     start: u32,
@@ -22,7 +21,7 @@ pub(super) struct Running {
 }
 
 /// A burst that moves the pin by another number of pulses than it has: a corrected one, one that pushes, a shift of rest.
-#[derive(Clone, Copy, Debug, Hash)]
+#[derive(Clone, Copy, Debug)]
 struct Uneven {
     of: Running,
     /// The height before it.
@@ -50,16 +49,6 @@ pub(super) struct Motor {
     pub(super) still_since: Tick,
     /// The last uneven bursts with ticks that may not have been played, in a ring.
     uneven: [Option<Uneven>; UNEVEN],
-}
-
-impl Hash for Motor {
-    fn hash<H: Hasher>(&self, hasher: &mut H) {
-        let Self { height, goal, running, correction, surplus, below, still_since, uneven } = self;
-        (height, goal, running, correction, surplus, uneven).hash(hasher);
-        if *height > 0 || uneven.iter().any(Option::is_some) {
-            (below, still_since).hash(hasher);
-        }
-    }
 }
 
 impl Running {

@@ -9,7 +9,6 @@
 use crate::array::CAPACITY;
 use crate::moves::Move;
 use crate::tick::Tick;
-use core::hash::{Hash, Hasher};
 use core::task::Poll;
 
 /// Number of slots.
@@ -56,21 +55,6 @@ pub(super) struct Queues {
     search: Search,
     queues: [Queue; CAPACITY],
     slots: [Waiting; POOL],
-}
-
-impl Hash for Queues {
-    /// The moves that wait, in order.
-    fn hash<H: Hasher>(&self, hasher: &mut H) {
-        for queue in &self.queues {
-            (queue.len, queue.begun_first, queue.begun, queue.last).hash(hasher);
-            let mut index = queue.head;
-            while let Some(slot) = self.get(index) {
-                let &Waiting { tick, level, surplus, correction, from, generation, joined, next } = slot;
-                (tick, level, surplus, correction, from, generation, joined).hash(hasher);
-                index = next;
-            }
-        }
-    }
 }
 
 /// Whether `moves` may follow moves at these ticks, the last one first: each later than the one before it, and at least `apart` after the last

@@ -5,10 +5,9 @@
 use crate::controller::HORIZON;
 use crate::message::Counters;
 use crate::stroke::Lines;
-use core::hash::{Hash, Hasher};
 
 /// What was counted of the moves that began in a tick: at most one of each motor.
-#[derive(Clone, Copy, Debug, Default, Hash)]
+#[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Begun {
     played: u8,
     amended: u8,
@@ -40,7 +39,7 @@ impl Begun {
 }
 
 /// Ticks in which no line changed.
-#[derive(Clone, Copy, Debug, Hash)]
+#[derive(Clone, Copy, Debug)]
 pub(super) struct Rendered {
     pub(super) lines: Lines,
     pub(super) ticks: u32,
@@ -56,12 +55,6 @@ pub(super) struct Recent {
     runs: [Rendered; RUNS],
     /// The place of the next run.
     next: usize,
-}
-
-impl Hash for Recent {
-    fn hash<H: Hasher>(&self, hasher: &mut H) {
-        self.newest_first().for_each(|run| run.hash(hasher));
-    }
 }
 
 impl Recent {

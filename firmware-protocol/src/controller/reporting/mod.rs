@@ -11,7 +11,6 @@ use crate::controller::board::BoardRequests;
 use crate::limits::Refusal;
 use crate::message::{Counters, Cut, DeviceMessage, MAX_SAMPLES, Report, Samples};
 use crate::tick::{Tick, WireTick};
-use core::hash::{Hash, Hasher};
 pub use reports::REPORTS;
 pub(super) use reports::RESERVE;
 use reports::Reports;
@@ -25,7 +24,7 @@ pub(super) struct Reporting {
 }
 
 /// What is to be sent besides reports.
-#[derive(Clone, Debug, Hash)]
+#[derive(Clone, Debug)]
 struct Pending {
     hello: bool,
     no_session: bool,
@@ -34,7 +33,7 @@ struct Pending {
 }
 
 /// A sample of all pins, of which those before `first` are sent.
-#[derive(Clone, Debug, Hash)]
+#[derive(Clone, Debug)]
 struct Telemetry {
     tick: WireTick,
     first: u8,
@@ -50,14 +49,6 @@ pub(super) enum Due {
     Hello,
     Status,
     Message(DeviceMessage),
-}
-
-impl Hash for Reporting {
-    /// Leaves out the last cut in the handshake, which is only for people.
-    fn hash<H: Hasher>(&self, hasher: &mut H) {
-        let Self { counters, pending, last_cut: _, reports } = self;
-        (counters, pending, reports).hash(hasher);
-    }
 }
 
 impl Reporting {

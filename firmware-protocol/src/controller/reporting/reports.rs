@@ -15,7 +15,6 @@ use crate::controller::newer;
 use crate::limits::Refusal;
 use crate::message::Report;
 use crate::tick::{Tick, WireTick};
-use core::hash::{Hash, Hasher};
 
 /// Most unseen reports besides refused moves; also the most reports sent and not seen yet.
 pub const REPORTS: usize = 32;
@@ -25,7 +24,7 @@ pub(in crate::controller) const RESERVE: usize = 12;
 const OF_FRAME: usize = 2;
 
 /// A queued move that was refused when it was to begin.
-#[derive(Clone, Copy, Debug, Hash)]
+#[derive(Clone, Copy, Debug)]
 struct RefusedMove {
     tick: WireTick,
     motor: u8,
@@ -44,15 +43,6 @@ pub(in crate::controller) struct Reports {
     repeated: Tick,
     /// Ticks after which unseen reports are repeated, once the host is heard again.
     repeat: u32,
-}
-
-impl Hash for Reports {
-    fn hash<H: Hasher>(&self, hasher: &mut H) {
-        let Self { ring, refused, made, sent, repeated, repeat: _ } = self;
-        ring.iter().for_each(|report| report.hash(hasher));
-        refused.iter().for_each(|refused| refused.hash(hasher));
-        (ring.len(), refused.len(), made, sent, repeated).hash(hasher);
-    }
 }
 
 impl Reports {

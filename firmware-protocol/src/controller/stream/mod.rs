@@ -20,7 +20,7 @@ use core::task::{Poll, ready};
 pub(super) use taking::Next;
 use taking::{Packed, Taking};
 
-#[derive(Clone, Debug, Hash)]
+#[derive(Clone, Debug)]
 pub(super) struct Stream {
     next_seq: u16,
     /// Whether a frame came after one that is missing.

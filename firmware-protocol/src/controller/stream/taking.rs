@@ -12,7 +12,6 @@ use crate::limits::Refusal;
 use crate::message::{Mark, MarkKind, Report, Withdraw};
 use crate::moves::Move;
 use crate::tick::Tick;
-use core::hash::{Hash, Hasher};
 use core::task::{Poll, ready};
 
 /// Most moves unpacked at a time, besides those of the last item.
@@ -27,7 +26,7 @@ const AMENDMENTS: usize = 4;
 const SEARCHED: u16 = 128;
 
 /// The head of the next frame of the ordered stream.
-#[derive(Clone, Copy, Debug, Hash)]
+#[derive(Clone, Copy, Debug)]
 pub(in crate::controller) struct Next {
     pub(in crate::controller) seq: u16,
     pub(in crate::controller) mark: Option<Mark>,
@@ -36,7 +35,7 @@ pub(in crate::controller) struct Next {
 }
 
 /// A frame of the ordered stream whose moves are being unpacked.
-#[derive(Clone, Copy, Debug, Hash)]
+#[derive(Clone, Copy, Debug)]
 pub(super) struct Packed {
     pub(super) head: Next,
     /// Its epoch and the reports that the host has seen.
@@ -74,41 +73,6 @@ pub(super) struct Taking {
     /// The amendments that are being taken: their generation, the bytes of them that are taken, and the tick from which the next
     /// one counts.
     amending: Option<(u16, usize, Tick)>,
-}
-
-impl Hash for Taking {
-    /// Leaves out what is taken: once nothing of a frame is left, its moves are not read again.
-    fn hash<H: Hasher>(&self, hasher: &mut H) {
-        let Self {
-            epoch,
-            items,
-            packed,
-            next,
-            moves,
-            seq,
-            taken,
-            late,
-            missed,
-            refused,
-            reason,
-            withdraw,
-            from,
-            kept,
-            amending,
-        } = self;
-        if packed.is_some() {
-            (epoch, items, packed, moves).hash(hasher);
-        }
-        if next.is_some() || seq.is_some() {
-            (epoch, next, moves, seq, taken).hash(hasher);
-            (late, missed, refused, reason, withdraw, from, kept).hash(hasher);
-        }
-        if let Some((generation, amended, at)) = amending
-            && let Some(left @ [_, ..]) = items.get(*amended..)
-        {
-            (epoch, left, generation, at).hash(hasher);
-        }
-    }
 }
 
 impl Taking {
