@@ -17,7 +17,7 @@
 //! 6. **Streamer** ([`meissner_stream`], a real-time thread) → chooses the onset, keeps the controller fed `lead_ms` ahead, and
 //!    corrects each burst from telemetry shortly before it begins (`control`). It accounts for every burst.
 //! 7. **Link** ([`meissner_stream::link`]) → a reliable, ordered stream of frames with credits; it estimates the device's clock and
-//!    knows the line's capacity. The wire format is specified in [`firmware_protocol`].
+//!    measures the line's capacity. The wire format is specified in [`firmware_protocol`].
 //! 8. **Device** ([`meissner_stream::device`]) → a board's serial port, its USB interface, or the mock.
 //!    `daemon/core/connector.rs` opens it.
 //! 9. **Controller** ([`firmware_protocol::controller`], the same code on boards and in the mock) → plays the ticks, guards the

@@ -12,7 +12,7 @@
 use serde::{Deserialize, Serialize};
 
 /// The protocol's version: the first byte of every message, in all versions.
-pub const PROTOCOL: u8 = 8;
+pub const PROTOCOL: u8 = 7;
 /// Most bytes of version, body and CRC: one COBS block.
 const MAX_MESSAGE: usize = 254;
 pub(crate) const CRC_LEN: usize = 4;

@@ -81,7 +81,7 @@
 //! The messages of a version never change. A new, removed or moved field or variant needs a new [`frame::PROTOCOL`]:
 //! postcard cannot skip what it does not know, and an older host that cannot read a `Status` or a report would wait for it
 //! for ever. Within a version only unused bits of `features` may get a meaning.
-//! Version 8 is not released yet: its messages may still change.
+//! Version 7 is not released yet: its messages may still change.
 //! The device answers a frame of another version with its own `Hello`, whose first byte is its version. The host ends the
 //! session when it reads a frame of another version, and tells the user to update the firmware or the program.
 //!
@@ -93,13 +93,13 @@
 //!
 //! # The ordered stream
 //! A `Moves` frame carries at most [`batch::MAX_BATCH`] packed moves. Frames are numbered from 0 in each epoch (`seq`).
-//! The device takes the next frame in order and ignores all others (go-back-N). It
+//! The device takes frames in order. It buffers the next 8 that arrive out of order and ignores repeated ones. It
 //! answers each valid frame with a `Status`, except `Board` and `SelfTest`, which have an answer of their own. In a `Status`
-//! `next_seq` acknowledges all frames before it, `gap` says that a later one came, and `credits` is the number of
+//! `next_seq` acknowledges all frames before it, `out_of_order` names those that are buffered, and `credits` is the number of
 //! moves that the device can still queue. A move to level 0 without a surplus takes no slot, and counts as played at once, if its pin is at
 //! rest by then whatever is refused before: if the goal is 0 and nothing of its motor waits, or the last that waits is a move to level 0 that
-//! belongs to no stroke. The host sends no more moves than it has credits. After a gap, and when no acknowledgement comes, it
-//! sends again all frames that are not acknowledged, in order.
+//! belongs to no stroke. The host sends no more moves than it has credits and no frame beyond those 8. It
+//! sends again what is neither acknowledged nor buffered (selective repeat).
 //! The device accepts, refuses or drops a move as a whole, and the two moves of a stroke together. A `Verdict` lists the moves of a frame
 //! that were not accepted; a frame without a verdict was accepted as sent.
 //!
@@ -194,7 +194,7 @@
 //! | `Status`: `tick` | not before the ping it answers; at most 1 s before the newest status | contradiction `clock`; a little older: ignored, a later one overtook it |
 //! | `Status`: `token` | one of the last 64 pings | measures nothing |
 //! | `Status`: `epoch`, `refusal` | from the last one named to the last one sent; what the command can be refused for; faulted after an e-stop, not armed after a disarm | contradiction `command` |
-//! | `Status`: `next_seq`, `gap` | not before the last one; frames that were sent, and one after it | contradiction `stream` |
+//! | `Status`: `next_seq`, `out_of_order` | not before the last one; frames that were sent | contradiction `stream` |
 //! | `Status`: `credits` | at most `pool` | contradiction `credits` |
 //! | `Status`: `reports` | does not shrink; at most `pool` + 32 beyond the last one read, not before it | contradiction `reports` |
 //! | `Status`: `state`, `cause`, `position_known` | arms and leaves faults only after a command; returns for at most 2 s, or longer where motors of a rail with long seeks take turns; learns positions after `arm` or a seek, and forgets them in a seek or with the cause `Output` only; a seek may be under way at the handshake | contradiction `state` |

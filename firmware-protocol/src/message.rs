@@ -374,8 +374,8 @@ pub struct Status {
     pub refusal: Option<Refusal>,
     /// The frame of the ordered stream that the device waits for; acknowledges all before it.
     pub next_seq: u16,
-    /// A frame after that one came, and was ignored: that one is missing.
-    pub gap: bool,
+    /// Bit i: frame `next_seq + 1 + i` arrived out of order and is buffered.
+    pub out_of_order: u8,
     /// Free slots for moves after all frames before `next_seq`, less the refused moves whose report is not seen.
     pub credits: u16,
     /// Reports made so far.

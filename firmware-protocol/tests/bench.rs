@@ -7,7 +7,7 @@
 use crate::rule::Rule;
 use firmware_protocol::array::{ArrayId, Layout, MotorSet, Name};
 use firmware_protocol::batch::{Amendment, BATCH_BYTES, Packer, Stroke};
-use firmware_protocol::controller::{BLOCK, Controller, DRIVER_TAIL, HORIZON, Identity, Run};
+use firmware_protocol::controller::{BLOCK, Controller, DRIVER_TAIL, HORIZON, Identity, REORDER_WINDOW, Run};
 use firmware_protocol::frame::{Decoder, MAX_FRAME, encode};
 use firmware_protocol::limits::PowerLimits;
 use firmware_protocol::message::{
@@ -441,6 +441,14 @@ impl Bench {
             self.device.receive(Tick(self.now), bytes);
         }
         self.changed_from(before);
+        self.drain();
+    }
+
+    /// Has the device take its buffered frames that are next in order, one with each poll.
+    pub(crate) fn follow(&mut self) {
+        for _ in 0..REORDER_WINDOW {
+            self.device.poll(Tick(self.now));
+        }
         self.drain();
     }
 

@@ -1,6 +1,6 @@
-"""Makes the golden bytes of version 8 without the program's encoder: COBS, CRC-32 and varints by hand."""
+"""Makes the golden bytes of version 7 without the program's encoder: COBS, CRC-32 and varints by hand."""
 import binascii,struct
-V=8
+V=7
 def u(n):
     out=b''
     while n>=0x80: out+=bytes([n&0x7f|0x80]); n>>=7
@@ -72,7 +72,7 @@ def cut(cause=6,ret=1200): return bytes([cause,1,2,3,4])+opt(None if ret is None
 def array(name=b'tula35-6x4',motors=24,hz=85000,du=200,dd=800,h=0x0123456789abcdef): return u(len(name))+name+bytes([motors])+u(hz)+u(du)+u(dd)+u(h)
 NONE=u(85000)+u(510000)+bytes([6,2])
 def hello(c): return b'\0'+u(0xdeadbeef)+bytes([1,2,3])+bytes([0xca,0xfe,0,1])+u(99)+array()+u(1024)+bytes([107])+u(3000)+NONE+u(3)+u(0xffd91a30)+u(1)+u(0)+opt(c)
-def status(state,cause,refusal): return b'\2'+u(513)+bytes([0xff,0,0xfe,0x7f])+u(2)+opt(refusal)+u(300)+b"\1"+u(1024)+u(5)+bytes([state,cause,1])+u(0)+COUNT
+def status(state,cause,refusal): return b'\2'+u(513)+bytes([0xff,0,0xfe,0x7f])+u(2)+opt(refusal)+u(300)+bytes([5])+u(1024)+u(5)+bytes([state,cause,1])+u(0)+COUNT
 def report(r): return b'\3'+u(200)+r
 def refused(n): return report(b'\4'+bytes([17])+base+bytes([n]))
 def telemetry(first,y): return b'\4'+rendered+bytes([first])+u(len(y))+b''.join(z(v) for v in y)

@@ -5,7 +5,7 @@
 use crate::bench::{Bench, FIRMWARE, NO_LIMITS, ONSET, TICK_HZ, frame, pack, stroke};
 use crate::interruptions::planned;
 use firmware_protocol::batch::{MAX_BATCH, Stroke};
-use firmware_protocol::controller::{POOL, REPORTS};
+use firmware_protocol::controller::{POOL, REORDER_WINDOW, REPORTS};
 use firmware_protocol::frame::PROTOCOL;
 use firmware_protocol::limits::Refusal;
 use firmware_protocol::message::{Cause, DeviceMessage, HostMessage, Op, Report, State};
@@ -31,26 +31,60 @@ fn three(bench: &Bench) -> ([Stroke; 3], [Vec<u8>; 3]) {
 }
 
 #[test]
-fn a_frame_that_is_not_the_next_in_order_is_ignored_and_a_missing_one_is_named() {
+fn frames_out_of_order_are_buffered_until_the_missing_one_arrives() {
     let mut bench = Bench::armed(FIRMWARE);
     let (sent, frames) = three(&bench);
-    let order = [2, 1, 0, 0, 2, 2, 1, 0, 2, 2];
-    let next = [(0, true), (0, true), (1, false), (1, false), (1, true), (1, true), (2, false), (2, false)];
-    for (i, expected) in order.into_iter().zip(next.into_iter().chain([(3, false); 2])) {
+    for (i, next_seq, early) in [(2, 0, 0b10), (2, 0, 0b10), (1, 0, 0b11), (0, 3, 0), (1, 3, 0)] {
         bench.bytes(&frames[i]);
-        assert_eq!((bench.status().next_seq, bench.status().gap), expected);
-    }
-    // One of half the numbers is after it, of the other half before.
-    for (seq, gap) in [(u16::MAX, false), (3 + 0x8000, false), (3 + 0x7fff, true)] {
-        bench.bytes(&strokes(&bench, bench.epoch, seq, &[stroke(2, bench.now + 300, 7, 6, 7)]));
-        assert_eq!((bench.status().next_seq, bench.status().gap), (3, gap), "{seq}");
+        if i == 0 {
+            // The others are taken one by one.
+            assert_eq!((bench.status().next_seq, bench.status().out_of_order), (1, 1));
+            bench.follow();
+        }
+        assert_eq!((bench.status().next_seq, bench.status().out_of_order), (next_seq, early));
     }
     bench.run(500);
     assert_eq!(bench.bursts(1), sent.iter().flat_map(planned).collect::<Vec<_>>());
-    assert_eq!(bench.bursts(2), []);
-    // A new epoch misses nothing.
+}
+
+#[test]
+fn a_frame_buffered_and_repeated_is_taken_once() {
+    let mut bench = Bench::armed(FIRMWARE);
+    let (sent, frames) = three(&bench);
+    bench.bytes(&frames[1]);
+    // In one packet, so that no buffered frame is taken in between.
+    bench.bytes(&[&frames[0][..], &frames[1], &frames[2]].concat());
+    assert_eq!((bench.status().next_seq, bench.status().out_of_order), (3, 0));
+    bench.follow();
+    assert_eq!((bench.status().next_seq, bench.reports()), (3, vec![]));
+    bench.run(500);
+    assert_eq!(bench.bursts(1), sent.iter().flat_map(planned).collect::<Vec<_>>());
+}
+
+#[test]
+fn a_frame_beyond_the_reorder_window_is_ignored() {
+    let mut bench = Bench::armed(FIRMWARE);
+    let late = |bench: &Bench, seq| {
+        let up = bench.now + 10_000 + u64::from(seq) * 100;
+        strokes(bench, bench.epoch, seq, &[stroke(2, up, 7, 6, 7)])
+    };
+    for seq in [REORDER_WINDOW as u16, REORDER_WINDOW as u16 + 1, u16::MAX] {
+        let frame = late(&bench, seq);
+        bench.bytes(&frame);
+    }
+    assert_eq!((bench.status().next_seq, bench.status().out_of_order), (0, 1 << (REORDER_WINDOW - 1)));
+    for seq in 0..REORDER_WINDOW as u16 {
+        let frame = late(&bench, seq);
+        bench.bytes(&frame);
+    }
+    bench.follow();
+    assert_eq!((bench.status().next_seq, bench.status().out_of_order), (REORDER_WINDOW as u16 + 1, 0));
+    // A new epoch drops the frames buffered in the old one.
+    let frame = late(&bench, REORDER_WINDOW as u16 + 3);
+    bench.bytes(&frame);
+    assert_eq!(bench.status().out_of_order, 0b10);
     bench.control(Op::Stop);
-    assert_eq!((bench.status().next_seq, bench.status().gap), (0, false));
+    assert_eq!((bench.status().next_seq, bench.status().out_of_order), (0, 0));
 }
 
 #[test]

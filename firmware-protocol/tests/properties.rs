@@ -281,6 +281,8 @@ impl World {
         let (before, counted) = (self.status(), self.bench.device.counters());
         let (armed, sent) = (self.state() == State::Armed, self.bench.inbox.len());
         self.bench.bytes(&bytes);
+        // A frame may be next in order now that was buffered before; its moves count here, too.
+        self.bench.follow();
         if let (Some(before), Some(after)) = (before, self.status()) {
             let counters = self.bench.device.counters();
             // Moves that changed nothing have been played.

@@ -17,7 +17,7 @@ use firmware_protocol::message::{
 use firmware_protocol::tick::Tick;
 use meissner_array::spec::Array;
 use meissner_array::strokes::{Step, Stroke};
-use meissner_stream::link::{Contradictions, Event, LineRate, LostReason, Session, Verdict};
+use meissner_stream::link::{Budget, Contradictions, Event, LineRate, LostReason, Session, Verdict};
 use meissner_stream::time::HostInstant;
 use serde::Serialize;
 use std::time::Duration;
@@ -57,7 +57,7 @@ pub fn run(data: &[u8]) {
         epoch: 0,
         refusal: None,
         next_seq: 0,
-        gap: false,
+        out_of_order: 0,
         credits: 512,
         reports: 0,
         state: State::Disarmed,
@@ -270,7 +270,7 @@ impl World {
                     );
                 }
                 4 => status.next_seq = status.next_seq.wrapping_add(by),
-                5 => status.gap = by & 1 == 1,
+                5 => status.out_of_order = by as u8,
                 6 => status.credits = by,
                 7 => status.reports = status.reports.wrapping_add(by),
                 8 => {
@@ -431,7 +431,12 @@ impl World {
                 };
                 let _ = self.session.amend(&amendment);
             }
-            28 | 29 => {
+            28 => {
+                let budget =
+                    Budget { bytes: word(input).into(), time: Duration::from_millis(byte(input).into()) };
+                self.session.probe(budget);
+            }
+            29 => {
                 let (every, now) = (Duration::from_millis(1 + u64::from(byte(input))), self.now());
                 self.session.keep_alive_every(every, now);
                 self.session.request_status();

@@ -1,6 +1,6 @@
 //! The bandwidth that a play requires, from its compiled strokes.
 //!
-//! The client computes [`Bandwidth::of`] before it sends a play; the streamer compares it with the line and
+//! The client computes [`Bandwidth::of`] before it sends a play; the streamer compares it with the measured line and
 //! refuses what the line does not carry.
 //!
 //! It packs strokes as the link packs them, in the batches of the streamer; the constants here bound the overhead of
@@ -27,7 +27,7 @@ use std::time::Duration;
 /// Length of a play that counts, s: after a minute few plays do anything new.
 const COUNTED_S: u64 = 60;
 /// Most overhead of a frame of moves that marks and withdraws nothing.
-const FRAME_BYTES: usize = 24;
+pub(crate) const FRAME_BYTES: usize = 24;
 /// Most bytes that the mark of an item adds to its frame.
 const MARK_BYTES: usize = 11;
 /// Most bytes that a withdrawal adds to its frame.

@@ -1,12 +1,13 @@
 //! Diagnoses a device's link: its identity, its round trips, what its line carries, how its clock drifts.
 //!
-//! [`measure`] opens a session of its own and sends only frames that move nothing: pings. It never arms; an armed device returns its pins, as it does for every new host. It blocks for some
+//! [`measure`] opens a session of its own and sends only frames that move nothing: pings, and the link probe's frames, which
+//! the device ignores. It never arms; an armed device returns its pins, as it does for every new host. It blocks for some
 //! seconds; the streamer does not use it.
 //!
 //! Invariant: [`measure`] ends within `TIMEOUT`.
 
 use crate::device::Device;
-use crate::link::{Event, LostReason, RoundTrip, Session};
+use crate::link::{Budget, Event, LostReason, RoundTrip, Session};
 use crate::time::HostInstant;
 use firmware_protocol::board::{Board, SelfTestState};
 use firmware_protocol::frame::MAX_FRAME;
@@ -22,6 +23,8 @@ use std::time::Duration;
 pub const PINGS: usize = 500;
 const SPAN: Duration = Duration::from_millis(2200);
 const PING_EVERY: Duration = Duration::from_millis(4);
+/// The budget for measuring throughput: two dozen rounds on USB, a second of a slow line.
+const PROBE: Budget = Budget { bytes: 64_000, time: Duration::from_secs(1) };
 /// Round trips that a drift is fitted to, at least.
 const MIN_POINTS: usize = 24;
 /// The measurement gives up after this time.
@@ -38,8 +41,7 @@ pub struct LinkReport {
     pub hello: DeviceHello,
     /// Its round trips.
     pub round_trip: RoundTripStats,
-    /// Bytes per second that its line carries, by the rate that the transport names and the round trips; `None` if the host stood
-    /// still in every one.
+    /// Bytes per second that it acknowledged; `None` if it answered no frame of the probe, or the host stood still in every round.
     pub throughput_bytes_per_s: Option<u32>,
     /// Its clock's drift against the host's.
     pub drift: Drift,
@@ -132,13 +134,15 @@ pub fn measure(device: &mut Device, array: Array, self_test: bool) -> Result<Lin
         }
         Ok(())
     };
-    until(&mut run, device, &|run| run.session.is_open())?;
+    until(&mut run, device, &|run| run.session.is_probed())?;
     run.trips.clear();
     until(&mut run, device, &|run| {
         let span =
             |first: &RoundTrip| run.trips.last().map_or(Duration::ZERO, |last| last.sent.since(first.sent));
         run.trips.len() >= PINGS && run.trips.first().map(span) >= Some(SPAN)
     })?;
+    run.session.probe(PROBE);
+    until(&mut run, device, &|run| run.session.is_probed())?;
     until(&mut run, device, &|run| run.board.is_some())?;
     if self_test {
         run.session.ask_self_test();
@@ -186,7 +190,7 @@ impl Measurement {
         }
         trips.extend(session.take_round_trip());
         session.check_silence(now, &mut on_event);
-        if session.is_open() && trips.last().is_none_or(|last| now.since(last.sent) >= PING_EVERY) {
+        if session.is_probed() && trips.last().is_none_or(|last| now.since(last.sent) >= PING_EVERY) {
             session.request_status();
         }
         let mut frame = [0; MAX_FRAME];

@@ -31,10 +31,8 @@ pub struct Line {
     pub delay: Duration,
     /// Most bytes per second towards the device; 0: no bound.
     pub bytes_per_s: u32,
-    /// Largest additional random delay.
+    /// Largest additional random delay: frames overtake each other.
     pub jitter: Duration,
-    /// A frame that is delayed less overtakes others. No line of a supported board does that.
-    pub overtakes: bool,
     /// It delivers nothing, and everything at once when this ends.
     pub holds: bool,
 }
@@ -45,9 +43,8 @@ pub struct Direction {
     /// How bad it is from here on.
     pub line: Line,
     random: ChaCha8Rng,
-    /// The line is busy until then with the bytes sent so far, and the last of them arrives then.
+    /// The line is busy until then with the bytes sent so far.
     busy: HostInstant,
-    last: HostInstant,
     /// Arrival time and frame, unsorted.
     frames: Vec<(HostInstant, Vec<u8>)>,
     harmed: u64,
@@ -64,14 +61,7 @@ impl Direction {
     #[must_use]
     pub fn new(line: Line, seed: u64) -> Self {
         let random = ChaCha8Rng::seed_from_u64(seed);
-        Self {
-            line,
-            random,
-            busy: HostInstant::default(),
-            last: HostInstant::default(),
-            frames: Vec::new(),
-            harmed: 0,
-        }
+        Self { line, random, busy: HostInstant::default(), frames: Vec::new(), harmed: 0 }
     }
 
     fn chance(&mut self, share: f64) -> bool {
@@ -105,8 +95,6 @@ impl Direction {
             for _ in 0..copies {
                 let share = f64::from(self.random.next_u32()) / 2f64.powi(32);
                 let at = self.busy + delay + jitter.mul_f64(share);
-                let at = if self.line.overtakes { at } else { at.max(self.last) };
-                self.last = self.last.max(at);
                 self.frames.push((at, frame.clone()));
             }
         }

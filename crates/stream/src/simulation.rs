@@ -106,12 +106,7 @@ impl Simulation {
     /// Opens a new session, as after [`Self::unplug`].
     pub fn connect(&mut self) {
         let id = self.now.as_ns() as u32;
-        // The transport names the rate of the line as it is now.
-        let rate = match self.to_device.line.bytes_per_s {
-            0 => LineRate::USB_FULL_SPEED,
-            bytes_per_s => LineRate(bytes_per_s),
-        };
-        self.streamer.connect(self.now, id, rate, &mut self.events);
+        self.streamer.connect(self.now, id, LineRate::USB_FULL_SPEED, &mut self.events);
     }
 
     /// Pulls the cable: the device returns the pins, and the streamer sees the disconnect.

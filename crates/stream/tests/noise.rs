@@ -1,4 +1,4 @@
-//! A line that loses bytes: it plays as long as frames get through, and a clear message says when none do.
+//! A line that loses bytes: frames short enough to get through, and a clear message when none do.
 
 use meissner_stream::Line;
 use meissner_stream::queues::{Command, StreamEvent};
@@ -50,12 +50,12 @@ fn try_play(pattern: &str, byte_loss: f64, seed: u64) -> Tried {
 }
 
 #[test]
-fn a_line_that_loses_a_byte_in_three_hundred_plays_nearly_all_of_a_light_pattern_and_most_of_the_heaviest() {
+fn a_line_that_loses_a_byte_in_fifty_plays_nearly_all_of_a_light_pattern_and_most_of_the_heaviest() {
     for seed in 0..3 {
-        let light = try_play("wave", 0.003, seed);
+        let light = try_play("wave", 0.02, seed);
         let nearly_all = light.bursts.0 * 100 >= light.bursts.1 * 98;
         assert!(light.armed && light.lost.is_empty() && nearly_all, "{light:?}");
-        let heavy = try_play("all-in-phase", 0.003, seed);
+        let heavy = try_play("all-in-phase", 0.02, seed);
         assert!(heavy.armed && heavy.bursts.0 * 100 >= heavy.bursts.1 * 95, "{heavy:?}");
     }
 }

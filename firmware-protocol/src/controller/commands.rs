@@ -22,7 +22,7 @@ impl Controller {
             // It is handled when all its strokes could be read.
             let head = Next { seq, mark, withdraw, base: base.near(self.now) };
             let (stream, mut parts) = self.stream();
-            stream.receive(head, (epoch, seen), batch, &mut parts);
+            stream.receive(head, Some((epoch, seen)), batch, &mut parts);
             return;
         }
         self.session.heard(self.now);

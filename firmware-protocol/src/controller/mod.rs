@@ -47,6 +47,7 @@ pub use player::{DRIVER_TAIL, POOL};
 pub use reporting::REPORTS;
 use reporting::{Due, Reporting};
 use session::Session;
+pub use stream::REORDER_WINDOW;
 use stream::{Parts, Stream};
 
 pub use crate::tick::{BLOCK, HORIZON};
@@ -248,16 +249,21 @@ impl Controller {
         self.player.is_consistent()
     }
 
-    /// Lets time pass: books what was played before `now` and checks the host timeout. Call it at least once per block.
-    pub fn poll(&mut self, now: Tick) {
+    /// Lets time pass: books what was played before `now` and checks the host timeout. Then takes one buffered frame if it
+    /// is next in order, and returns whether it did. Call it at least once per block.
+    pub fn poll(&mut self, now: Tick) -> bool {
         self.pass(now);
         while self.take() {}
+        let followed = self.follow();
+        while self.take() {}
+        followed
     }
 
-    /// Like [`Self::poll`], but does only a piece of what is left to do with the frame read last. Returns whether it did one.
+    /// Like [`Self::poll`], but does only a piece of what is left to do with the frame read last or with the buffered ones.
+    /// Returns whether it did one.
     pub fn advance(&mut self, now: Tick) -> bool {
         self.pass(now);
-        self.take()
+        self.take() || self.follow()
     }
 
     fn pass(&mut self, now: Tick) {
@@ -384,7 +390,7 @@ impl Controller {
             epoch: self.session.epoch(),
             refusal: self.session.refusal(),
             next_seq: self.stream.next_seq(),
-            gap: self.stream.has_gap(),
+            out_of_order: self.stream.out_of_order(),
             credits: self.player.credits(&self.reporting),
             reports: self.reporting.reports().made(),
             state: self.motion.state(),
@@ -406,6 +412,12 @@ impl Controller {
         }
         let (stream, mut parts) = self.stream();
         stream.take(&mut parts)
+    }
+
+    /// Prepares one buffered frame if it is next in order.
+    fn follow(&mut self) -> bool {
+        let (stream, mut parts) = self.stream();
+        stream.follow(&mut parts)
     }
 
     /// The stream, and the parts that it works on.

@@ -123,7 +123,7 @@ fn judged(at: &Examined) -> Vec<Finding> {
 
     let line = at.throughput_bytes_per_s.map_or_else(
         || {
-            let found = "not measured: the machine stood still meanwhile";
+            let found = "not measured: no full frame came through, or the machine stood still meanwhile";
             Finding::fail("line", found, "check its cable, end other programs, and run it again")
         },
         line,

@@ -341,8 +341,6 @@ pub struct LineFault {
     delay_ms: Option<Number>,
     #[serde(default)]
     jitter_ms: Option<Number>,
-    #[serde(default)]
-    overtakes: bool,
     /// It delivers nothing, and everything at once when the fault is over.
     #[serde(default)]
     holds: bool,
@@ -360,7 +358,6 @@ impl LineFault {
             byte_loss: share(self.loses_bytes_percent),
             delay: time(self.delay_ms),
             jitter: time(self.jitter_ms),
-            overtakes: self.overtakes,
             bytes_per_s: 0,
             holds: self.holds,
         };

@@ -22,7 +22,7 @@ use std::time::Duration;
 
 pub const OFF: Lines = Lines::OFF;
 
-/// A line that loses, repeats, delays and damages.
+/// A line that loses, repeats, delays, reorders and damages.
 pub fn bad_line() -> Line {
     Line {
         loss: 0.05,
@@ -31,7 +31,6 @@ pub fn bad_line() -> Line {
         byte_loss: 0.0,
         delay: Duration::from_micros(300),
         jitter: Duration::from_millis(2),
-        overtakes: false,
         bytes_per_s: 0,
         holds: false,
     }

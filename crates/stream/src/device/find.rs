@@ -6,7 +6,7 @@
 //! Invariant: nothing here opens a device.
 
 use meissner_input::message::escape;
-use serialport::{SerialPortInfo, SerialPortType, UsbPortInfo};
+use serialport::{SerialPortInfo, SerialPortType};
 use std::fmt;
 use std::path::{Path, PathBuf};
 
@@ -92,30 +92,20 @@ pub(super) fn port(query: &BoardQuery, ports: &[SerialPortInfo]) -> Option<PathB
     first.map(|port| PathBuf::from(&port.port_name))
 }
 
-/// The USB device behind a port.
-fn usb_of<'a>(path: &Path, ports: &'a [SerialPortInfo]) -> Option<&'a UsbPortInfo> {
+/// The serial number of the USB device behind a port, if it has one, escaped: the device may send any text.
+pub(super) fn serial_of(path: &Path, ports: &[SerialPortInfo]) -> Option<String> {
     let path = path.canonicalize().ok()?;
     let port = ports.iter().find(|port| Path::new(&port.port_name) == path)?;
     match &port.port_type {
-        SerialPortType::UsbPort(usb) => Some(usb),
+        SerialPortType::UsbPort(usb) => usb.serial_number.as_deref().map(escape),
         _ => None,
     }
-}
-
-/// The serial number of the USB device behind a port, if it has one, escaped: the device may send any text.
-pub(super) fn serial_of(path: &Path, ports: &[SerialPortInfo]) -> Option<String> {
-    usb_of(path, ports)?.serial_number.as_deref().map(escape)
-}
-
-/// Whether the USB device behind a port is no board of ours.
-pub(super) fn is_foreign(path: &Path, ports: &[SerialPortInfo]) -> bool {
-    let board = BoardQuery::default();
-    usb_of(path, ports).is_some_and(|usb| !board.matches((usb.vid, usb.pid), usb.product.as_deref(), None))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use serialport::UsbPortInfo;
 
     fn usb(name: &str, ids: (u16, u16), product: &str, serial: Option<&str>) -> SerialPortInfo {
         let usb = UsbPortInfo {
@@ -134,8 +124,6 @@ mod tests {
         let path = std::env::current_exe().unwrap();
         let ports = [usb(path.to_str().unwrap(), BOARD, PRODUCT, Some("e6\n\u{1b}[2J\u{202e}"))];
         assert_eq!(serial_of(&path, &ports).unwrap(), r"e6\n\u{1b}[2J\u{202e}");
-        let bridge = [usb(path.to_str().unwrap(), (0x1a86, 0x55d4), "USB Single Serial", None)];
-        assert!(is_foreign(&path, &bridge) && !is_foreign(&path, &ports) && !is_foreign(&path, &[]));
     }
 
     #[test]

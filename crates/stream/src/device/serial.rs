@@ -76,11 +76,8 @@ impl SerialPort {
         nonblocking.map_err(|error| failed(error.into()))?;
         let name = path.canonicalize().unwrap_or_else(|_| owned.clone());
         let uart = !NO_UART.iter().any(|start| name.to_string_lossy().starts_with(start));
-        let ports = find::ports();
-        // A UART behind a chip that looks like a modem has the name of a board's port.
-        let slow = uart || find::is_foreign(path, &ports);
-        let rate = if slow { LineRate(BAUD / BITS_PER_BYTE) } else { LineRate::USB_FULL_SPEED };
-        let serial = find::serial_of(path, &ports);
+        let rate = if uart { LineRate(BAUD / BITS_PER_BYTE) } else { LineRate::USB_FULL_SPEED };
+        let serial = find::serial_of(path, &find::ports());
         let e_stop = serial.as_deref().filter(|_| !uart).and_then(EStopLine::beside);
         Ok(Self { fd, path: owned, rate, serial, e_stop })
     }

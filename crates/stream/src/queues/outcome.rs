@@ -194,7 +194,7 @@ pub struct Snapshot {
     pub settings: Settings,
     /// What is known of the pins.
     pub pins: Pins,
-    /// Capacity of the line, bytes/s; `None` before a round trip is measured.
+    /// Measured capacity of the line, bytes/s; `None` before the link probe.
     pub line_bytes_per_s: Option<u32>,
     /// Bytes and frames since the device was connected.
     pub traffic: Traffic,

@@ -223,7 +223,7 @@ pub(super) fn margin(
 /// Decides when a waiting play starts.
 fn onset_of(on: &Connected<'_>, index: usize, horizon: Tick) -> Start {
     let active = &on.plays[index];
-    // A play sent together with the arm may have been taken before a round trip was measured.
+    // A play sent together with the arm was taken before the link probe measured the line.
     if margin(on.session, active.play(), on.control, on.known).is_err() {
         return Start::Never(EndCause::LineTooSlow);
     }

@@ -23,7 +23,7 @@ mod reports;
 
 use crate::active::{Active, Phase};
 use crate::control::PositionControl;
-use crate::link::{Event, LineRate, Session};
+use crate::link::{Budget, Event, LineRate, Session};
 use crate::queues::{CommandError, Emit, Pins, Snapshot, StreamEvent};
 use crate::settings::Settings;
 use crate::time::HostInstant;
@@ -189,6 +189,10 @@ impl Streamer {
             let events = &mut self.events;
             session.check_silence(now, &mut |event| events.push_back(event));
         }
+        let is_idle = self.state() == State::Disarmed && self.plays.is_empty() && self.operations.is_empty();
+        if let Some(session) = self.session.as_mut().filter(|session| is_idle && session.wants_probe(now)) {
+            session.probe(Budget::default());
+        }
         self.handle_link_events(now, emit);
         self.operations.send_next(self.session.as_mut(), &mut self.control);
         if self.operations.expire(now, self.session.as_mut(), emit) {
@@ -224,12 +228,13 @@ impl Streamer {
         }
         self.operations.close(now, self.is_off(), emit);
         let connected = self.is_connected();
+        let line = self.session.as_ref().and_then(Session::capacity);
         // Also until a snapshot has shown that the pins are still.
         let moved = self.tick_at(now).is_some_and(|tick| self.control.moved_lately(tick));
         let moves = moved || self.homing.is_moving() || self.state() == State::Returning;
         let playing = moves || !self.plays.is_empty();
         let every = if playing { SNAPSHOT_EVERY } else { IDLE_PING };
-        if self.reports.take_due(now, connected, every) {
+        if self.reports.take_due(now, connected, line, every) {
             let tick = self.tick_at(now).unwrap_or_default();
             self.reports.warn(&self.control, tick, self.settings.drift_warning_um, emit);
             emit.event(StreamEvent::Snapshot(self.snapshot(now)));

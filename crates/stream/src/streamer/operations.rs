@@ -135,8 +135,8 @@ impl Operations {
             return;
         };
         let Some(op) = self.pending.front().map(|first| first.op) else { return };
-        // The clock is set before anything can move.
-        if matches!(op, Op::Arm { .. }) && !session.is_open() {
+        // The link probe measures the line while nothing can move.
+        if matches!(op, Op::Arm { .. }) && !session.is_probed() {
             return;
         }
         self.in_flight = true;

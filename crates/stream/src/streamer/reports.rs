@@ -16,8 +16,9 @@ use std::time::Duration;
 #[derive(Debug)]
 pub(super) struct Reports {
     due: HostInstant,
-    /// Whether the last snapshot showed a device.
+    /// Whether the last snapshot showed a device, and which line rate.
     connected: bool,
+    line_rate: Option<u32>,
     /// Motors whose sensor fault is reported.
     faults: PerMotor<bool>,
     drift: bool,
@@ -27,7 +28,7 @@ impl Reports {
     /// Nothing is reported yet.
     pub(super) fn new(array: Array) -> Self {
         let (due, faults) = (HostInstant::default(), PerMotor::all(array, false));
-        Self { due, connected: false, faults, drift: false }
+        Self { due, connected: false, line_rate: None, faults, drift: false }
     }
 
     /// A snapshot is due now.
@@ -35,11 +36,17 @@ impl Reports {
         self.due = now;
     }
 
-    /// Whether a snapshot is due, also because a device came or went. Then the next is due after `every`.
-    pub(super) fn take_due(&mut self, now: HostInstant, connected: bool, every: Duration) -> bool {
-        let is_due = now >= self.due || connected != self.connected;
+    /// Whether a snapshot is due, also because it would show another device or line rate. Then the next is due after `every`.
+    pub(super) fn take_due(
+        &mut self,
+        now: HostInstant,
+        connected: bool,
+        line_rate: Option<u32>,
+        every: Duration,
+    ) -> bool {
+        let is_due = now >= self.due || (connected, line_rate) != (self.connected, self.line_rate);
         if is_due {
-            *self = Self { due: now + every, connected, ..*self };
+            *self = Self { due: now + every, connected, line_rate, ..*self };
         }
         is_due
     }

@@ -1,10 +1,11 @@
 //! Takes the ordered stream: frames of moves in the order of their numbers, and amendments.
 //!
-//! A frame is unpacked, then its head is taken, then its moves ([`Stream::take`]), a piece at a time; `taking` holds it. A frame
-//! that is not the next in order is ignored: the host sends it again.
+//! A frame is unpacked, then its head is taken, then its moves ([`Stream::take`]), a piece at a time. Frames that arrive out of order
+//! wait in `reorder`; `taking` holds the frame that is being taken.
 //!
 //! Invariant: each frame of an epoch is taken once, after all frames before it. No move of a motor in `kept` is queued.
 
+mod reorder;
 mod taking;
 
 use crate::array::MotorSet;
@@ -17,19 +18,20 @@ use crate::limits::Refusal;
 use crate::moves::Move;
 use crate::tick::Tick;
 use core::task::{Poll, ready};
+pub use reorder::REORDER_WINDOW;
+use reorder::ReorderBuffer;
 pub(super) use taking::Next;
 use taking::{Packed, Taking};
 
 #[derive(Clone, Debug)]
 pub(super) struct Stream {
     next_seq: u16,
-    /// Whether a frame came after one that is missing.
-    gap: bool,
     /// Motors whose moves are late until a frame withdraws again from them, because it came too late the last time.
     kept: MotorSet,
     /// The newest amendment of this epoch that the device knows of.
     generation: Option<u16>,
     taking: Taking,
+    reorder: ReorderBuffer,
 }
 
 /// The parts of the controller that the stream works on, and when it does.
@@ -42,12 +44,18 @@ pub(super) struct Parts<'a> {
 }
 
 impl Stream {
-    pub(super) const NOTHING: Self =
-        Self { next_seq: 0, gap: false, kept: MotorSet::EMPTY, generation: None, taking: Taking::NOTHING };
+    pub(super) const NOTHING: Self = Self {
+        next_seq: 0,
+        kept: MotorSet::EMPTY,
+        generation: None,
+        taking: Taking::NOTHING,
+        reorder: ReorderBuffer::new(),
+    };
 
     /// The stream begins again, with an epoch.
     pub(super) fn begin(&mut self) {
-        (self.next_seq, self.gap) = (0, false);
+        self.next_seq = 0;
+        self.reorder.clear();
         (self.kept, self.generation) = (MotorSet::EMPTY, None);
     }
 
@@ -56,9 +64,9 @@ impl Stream {
         self.next_seq
     }
 
-    /// Whether a frame after that one came, so that it is missing.
-    pub(super) fn has_gap(&self) -> bool {
-        self.gap
+    /// Bit i: the frame `i + 1` after the next one is buffered.
+    pub(super) fn out_of_order(&self) -> u8 {
+        self.reorder.mask(self.next_seq)
     }
 
     /// Begins to take the amendments of a message of this epoch.
@@ -66,8 +74,15 @@ impl Stream {
         self.taking.amend(epoch, generation, base, items);
     }
 
-    /// Unpacks the first piece of a frame. `received` is its epoch and the reports that the host has seen.
-    pub(super) fn receive(&mut self, head: Next, received: (u16, u16), batch: &[u8], parts: &mut Parts<'_>) {
+    /// Unpacks the first piece of a frame. `received` has its epoch and the reports that the host has seen, unless the frame was
+    /// buffered.
+    pub(super) fn receive(
+        &mut self,
+        head: Next,
+        received: Option<(u16, u16)>,
+        batch: &[u8],
+        parts: &mut Parts<'_>,
+    ) {
         let packed = self.taking.begin(parts.session.epoch(), head, received, batch);
         self.unpack(packed, parts);
     }
@@ -76,7 +91,8 @@ impl Stream {
     fn unpack(&mut self, packed: Packed, parts: &mut Parts<'_>) {
         match self.taking.unpack_piece(packed) {
             Ok(None) => {}
-            Ok(Some(Packed { head, received: (epoch, seen), .. })) => {
+            Ok(Some(Packed { head, received: None, .. })) => self.taking.next = Some(head),
+            Ok(Some(Packed { head, received: Some((epoch, seen)), .. })) => {
                 parts.session.heard(parts.now);
                 parts.reporting.send_status();
                 parts.reporting.seen(seen, parts.now);
@@ -88,13 +104,24 @@ impl Stream {
         }
     }
 
-    /// Prepares the frame that was unpacked if it is next in order and has room.
+    /// Prepares the frame that was unpacked if it is next in order. Else buffers it for [`Self::follow`].
     fn order(&mut self, head: Next, parts: &Parts<'_>) {
         if head.seq != self.next_seq {
-            self.gap |= newer(head.seq, self.next_seq);
+            self.reorder.insert(self.next_seq, head, self.taking.items());
         } else if parts.has_room(&head) {
             self.taking.next = Some(head);
         }
+    }
+
+    /// Prepares one buffered frame if it is next in order.
+    pub(super) fn follow(&mut self, parts: &mut Parts<'_>) -> bool {
+        let Some(frame) = self.reorder.take(self.next_seq) else { return false };
+        // Without room the frame is forgotten; the host sends it again.
+        if parts.has_room(&frame.head) {
+            parts.reporting.send_status();
+            self.receive(frame.head, None, &frame.batch, parts);
+        }
+        true
     }
 
     /// Queues a move, or the two of a stroke. `Ok(false)` if they are late.

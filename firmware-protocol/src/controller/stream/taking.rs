@@ -38,8 +38,8 @@ pub(in crate::controller) struct Next {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Packed {
     pub(super) head: Next,
-    /// Its epoch and the reports that the host has seen.
-    pub(super) received: (u16, u16),
+    /// Its epoch and the reports that the host has seen, unless it was buffered.
+    pub(super) received: Option<(u16, u16)>,
     place: Place,
 }
 
@@ -102,7 +102,13 @@ impl Taking {
     }
 
     /// Keeps the packed moves of a frame.
-    pub(super) fn begin(&mut self, epoch: u16, head: Next, received: (u16, u16), batch: &[u8]) -> Packed {
+    pub(super) fn begin(
+        &mut self,
+        epoch: u16,
+        head: Next,
+        received: Option<(u16, u16)>,
+        batch: &[u8],
+    ) -> Packed {
         self.epoch = epoch;
         self.keep_items(batch);
         self.moves.clear();
@@ -116,6 +122,11 @@ impl Taking {
         }
         self.packed = Some(packed);
         Ok(None)
+    }
+
+    /// The packed moves or amendments.
+    pub(super) fn items(&self) -> &[u8] {
+        &self.items
     }
 
     fn keep_items(&mut self, items: &[u8]) {
@@ -151,7 +162,9 @@ impl Stream {
 
     /// Takes the head of the next frame of the ordered stream.
     fn take_head(&mut self, Next { seq, mark, withdraw, base }: Next, parts: &mut Parts<'_>) {
-        (self.next_seq, self.gap) = (seq.wrapping_add(1), false);
+        self.next_seq = seq.wrapping_add(1);
+        // The frame may have been repeated before its buffered copy was taken.
+        let _ = self.reorder.take(seq);
         if let Some(mark) = mark
             && parts.armed
         {

@@ -112,7 +112,6 @@ pub(super) fn begin(world: &mut World) {
                 } else {
                     0.0
                 }),
-                overtakes: true,
                 bytes_per_s: 0,
                 holds: random.chance(0.2),
             };

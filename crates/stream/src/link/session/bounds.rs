@@ -9,12 +9,12 @@
 //! delays or reorders; time that passes only for the device (the host is suspended) is the exception.
 
 use crate::link::clock::ClockEstimate;
+use crate::link::session::batch::Batch;
 use crate::link::session::contradiction::Contradiction;
-use crate::link::session::outbox::Batch;
 use crate::time::HostInstant;
 use firmware_protocol::array::{ArrayId, Layout};
 use firmware_protocol::board::{Board, Output, Outputs, SelfTestState};
-use firmware_protocol::controller::{HORIZON, REPORTS};
+use firmware_protocol::controller::{HORIZON, REORDER_WINDOW, REPORTS};
 use firmware_protocol::limits::{PowerLimits, Refusal};
 use firmware_protocol::message::{Cause, Counters, Cut, DeviceHello, Op, Report, State, Status};
 use firmware_protocol::tick::{Tick, WireTick};
@@ -338,8 +338,8 @@ impl DeviceKnowledge {
         self.check_command(status, sent)?;
         if status.epoch == sent.epoch {
             let acked = usize::from(status.next_seq.wrapping_sub(sent.acked));
-            // Of a gap the device has seen a frame beyond it.
-            if acked > sent.frames || (status.gap && acked + 2 > sent.frames) {
+            let buffered = REORDER_WINDOW - status.out_of_order.leading_zeros() as usize;
+            if acked > sent.frames || (buffered > 0 && acked + buffered >= sent.frames) {
                 return Err(Contradiction::Stream);
             }
         }

@@ -29,6 +29,8 @@ struct Command {
 #[derive(Clone, Debug)]
 pub(super) struct Commands {
     epoch: u16,
+    /// The epoch the session began with.
+    first_epoch: u16,
     waiting: Option<Command>,
     /// The epoch of an e-stop that [`Self::take_e_stop`] has not returned yet.
     new_e_stop: Option<u16>,
@@ -39,16 +41,21 @@ pub(super) struct Commands {
 impl Commands {
     pub(super) const fn new() -> Self {
         let last = Repetition::new(E_STOP_EVERY);
-        Self { epoch: 0, waiting: None, new_e_stop: None, last }
+        Self { epoch: 0, first_epoch: 0, waiting: None, new_e_stop: None, last }
     }
 
     /// The handshake is done, and the device is in this epoch.
     pub(super) const fn open(&mut self, epoch: u16) {
-        self.epoch = epoch;
+        (self.epoch, self.first_epoch) = (epoch, epoch);
     }
 
     pub(super) const fn epoch(&self) -> u16 {
         self.epoch
+    }
+
+    /// An epoch that was over before the session began: the device ignores its strokes.
+    pub(super) const fn past_epoch(&self) -> u16 {
+        self.first_epoch.wrapping_sub(1)
     }
 
     /// Begins a command, and gives up the one that waits.

@@ -4,11 +4,10 @@
 //! The session concludes an acknowledged frame only once it has read all reports that the acknowledgement counts: the
 //! device accepted every stroke that no report names.
 
+use crate::link::session::batch::judged;
 use crate::link::session::bounds::{ClockReading, DeviceKnowledge, Sent};
 use crate::link::session::contradiction::Contradiction;
 use crate::link::session::event::{AnotherArray, Event, LostReason};
-use crate::link::session::line::RETRY;
-use crate::link::session::outbox::judged;
 use crate::link::session::pinger::RoundTrip;
 use crate::link::session::reports::Reported;
 use crate::link::session::{Phase, Session};
@@ -27,7 +26,6 @@ const SEEN_WITHIN: Duration = Duration::from_millis(4);
 impl Session {
     /// Takes bytes from the device, in any chunks.
     pub fn receive(&mut self, now: HostInstant, mut bytes: &[u8], emit: &mut dyn FnMut(Event)) {
-        self.awake(now);
         self.wire.received(bytes.len());
         while let Some(message) = self.wire.next(&mut bytes) {
             match message {
@@ -71,11 +69,8 @@ impl Session {
             DeviceMessage::NoSession => self.lose(LostReason::Restarted, emit),
             DeviceMessage::Status(status) => self.status(now, status, emit)?,
             DeviceMessage::Report { number, report } => {
-                if self.reports.is_next(number) {
-                    self.report(now, number, report, emit)?;
-                    // The next ping tells the device that it is read.
-                    self.pinger.hasten_within(SEEN_WITHIN);
-                    self.conclude(now, emit);
+                if self.reports.receive(number, report) {
+                    self.read_reports(now, emit)?;
                 }
             }
             DeviceMessage::Board(board) => self.board(board, emit)?,
@@ -138,14 +133,17 @@ impl Session {
         };
         let (tick, is_newest) = self.known.read_status(&status, self.reading(now)?, &sent)?;
         if let Some(sent) = pinged {
-            let carried = self.pinger.measured(status.token, RoundTrip { sent, tick, received: now });
-            carried.into_iter().for_each(|carried| self.line.carried(&carried));
+            self.pinger.answered(status.token);
+            if !self.line.answered(now, status.token, self.pinger.shortest()) {
+                self.pinger.measured(RoundTrip { sent, tick, received: now });
+            }
         }
         if !is_newest {
             // A later status overtook it, and says all this and more.
             return Ok(());
         }
         self.known.status(status, tick, sent.epoch);
+        self.line.heard(status.counters.bad_frames);
         self.reports.announce(status.reports);
         let mut answered = None;
         if status.epoch == sent.epoch {
@@ -156,7 +154,7 @@ impl Session {
             if matches!(answered, Some(Op::Arm { .. })) {
                 self.pinger.ping_at(now);
             }
-            self.outbox.acknowledge(&status, now, self.pinger.round_trip().unwrap_or(RETRY.0));
+            self.outbox.acknowledge(&status);
         }
         self.reports.status(Reported { reports: status.reports, tick, next_seq: self.outbox.acked() });
         if !self.reports.are_complete() {
@@ -167,6 +165,17 @@ impl Session {
         if answered.is_some() {
             emit(Event::Control(status.refusal.map_or(Ok(()), Err)));
         }
+        self.conclude(now, emit);
+        Ok(())
+    }
+
+    /// Reads the reports that are next in order.
+    fn read_reports(&mut self, now: HostInstant, emit: &mut dyn FnMut(Event)) -> Result<(), Contradiction> {
+        while let Some((number, report)) = self.reports.next() {
+            self.report(now, number, report, emit)?;
+        }
+        // The next ping tells the device that they are read.
+        self.pinger.hasten_within(SEEN_WITHIN);
         self.conclude(now, emit);
         Ok(())
     }

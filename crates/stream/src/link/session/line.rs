@@ -1,205 +1,179 @@
-//! What the line carries: what its transport says, checked by what was carried.
+//! What the line carries: its rate, as the probe measured it, and the share of it that gets through.
 //!
-//! It answers how much a play may need ([`Line::capacity`], [`Line::rate_beside`]) and how long the
-//! session waits before it sends again. Now and then the session sends a ping right before moves and one
-//! right behind them ([`Line::wants_check`]): the time between their answers, the moves took. So neither
-//! a delay nor a lost frame is measured.
+//! It answers how much a play may need ([`Line::capacity`], [`Line::rate_beside`]) and how long the session waits before it sends
+//! again. It counts no traffic: [`Wire`](super::wire::Wire) does.
 //!
-//! Invariant: the rate is at most the nominal one. At least a frame may be unacknowledged, and no more
-//! before something was carried.
+//! Invariant: what may be unacknowledged follows from the measured rate, or the nominal one until a probe has measured.
 
-use crate::link::session::pinger::Carried;
+use crate::link::session::probe::{Budget, Probe, Step};
+use crate::link::session::quality::Quality;
+use crate::link::session::rate::{LineRate, MeasuredLine};
 use crate::time::HostInstant;
 use firmware_protocol::frame::MAX_FRAME;
-use heapless::HistoryBuf;
 use std::time::Duration;
 
 /// The host retransmits a frame after a few round trips, within these bounds.
 pub(super) const RETRY: (Duration, Duration) = (Duration::from_millis(3), Duration::from_millis(50));
 
-/// The fastest of so many times counts: stalls of the device and slow answers make some too slow.
-const TIMES: usize = 8;
-/// Before it was checked it may be slower than it should be: moves are not sent again before this.
-const UNCHECKED: Duration = Duration::from_millis(10);
-/// How often the line is checked while moves are sent.
-const CHECKED_EVERY: Duration = Duration::from_millis(100);
-/// By so much an answer may be late without a slow line.
-const JITTER: Duration = Duration::from_millis(1);
-/// Frames after which older ones count half, and the fewest that tell a share.
-const COUNTED: u32 = 64;
-
-/// The rate of a line, bytes per second. It bounds what may wait in buffers that the host cannot reach.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct LineRate(pub u32);
-
-impl LineRate {
-    /// Bulk transfers of a full-speed USB device.
-    pub const USB_FULL_SPEED: Self = Self(800_000);
-
-    /// Bytes that may be unacknowledged: 2 ms of the line, at least one frame.
-    fn window_bytes(self) -> usize {
-        (self.0 as usize / 500).max(MAX_FRAME)
-    }
-
-    /// How long `bytes` occupy the line.
-    #[must_use]
-    pub fn time(self, bytes: usize) -> Duration {
-        Duration::from_secs_f64(bytes as f64 / f64::from(self.0.max(1)))
-    }
-}
+/// How long after a probe that has measured nothing the next one may begin.
+const PROBE_AGAIN: Duration = Duration::from_secs(1);
 
 /// The line of a session.
 #[derive(Clone, Debug)]
 pub(super) struct Line {
+    /// Its rate as its transport knows it, and as the probe measured it.
     nominal: LineRate,
-    /// What it carried, the last times, and when it was checked last.
-    carried: HistoryBuf<u32, TIMES>,
-    checked: HostInstant,
-    is_checking: bool,
-    /// Frames of moves sent lately, and how many of them again.
-    frames: u32,
-    again: u32,
+    measured: Option<MeasuredLine>,
+    window_bytes: usize,
+    probe: Probe,
+    /// When the last probe was over.
+    probed_at: HostInstant,
+    quality: Quality,
 }
 
 impl Line {
-    /// A line of this rate, as its transport knows it.
-    pub(super) const fn new(nominal: LineRate) -> Self {
-        let checked = HostInstant::from_ns(0);
-        Self { nominal, carried: HistoryBuf::new(), checked, is_checking: false, frames: 0, again: 0 }
-    }
-
-    /// A frame of moves leaves, perhaps again.
-    pub(super) const fn sent(&mut self, again: bool) {
-        if self.frames >= 2 * COUNTED {
-            (self.frames, self.again) = (self.frames / 2, self.again / 2);
-        }
-        (self.frames, self.again) = (self.frames + 1, self.again + again as u32);
-    }
-
-    /// Whether a ping is to be sent before the moves that leave now; the one behind them follows
-    /// [`Self::is_checked`].
-    pub(super) fn wants_check(&mut self, now: HostInstant) -> bool {
-        let every = if self.carried.is_empty() { Duration::from_nanos(1) } else { CHECKED_EVERY };
-        let is_due = now.since(self.checked) >= every;
-        if is_due {
-            (self.checked, self.is_checking) = (now, true);
-        }
-        is_due
-    }
-
-    /// Whether the moves that leave now are to be followed by a ping, once.
-    pub(super) fn is_checked(&mut self, now: HostInstant) -> bool {
-        std::mem::take(&mut self.is_checking) && self.checked == now
-    }
-
-    /// Moves were carried between two pings.
-    pub(super) fn carried(&mut self, &Carried { bytes, took, is_pair }: &Carried) {
-        let is_slow = took > self.nominal.time(bytes) + JITTER;
-        // Without both answers a slow one may be late.
-        if is_pair || !is_slow {
-            let rate = if is_slow { bytes as f64 / took.as_secs_f64() } else { f64::INFINITY };
-            self.carried.write((rate as u32).min(self.nominal.0));
+    /// A line that is to be probed.
+    pub(super) fn new(nominal: LineRate) -> Self {
+        Self {
+            nominal,
+            measured: None,
+            window_bytes: nominal.window_bytes(),
+            probe: Probe::new(Budget::default(), nominal),
+            probed_at: HostInstant::default(),
+            quality: Quality::default(),
         }
     }
 
-    fn rate(&self) -> LineRate {
-        LineRate(self.carried.iter().copied().max().unwrap_or(self.nominal.0))
+    /// Probes it again. What was measured holds until the probe is over.
+    pub(super) fn probe(&mut self, budget: Budget) {
+        self.probe = Probe::new(budget, self.nominal);
     }
 
-    /// The part of what is sent that gets through, in steps, so that chance does not change it all the time.
-    fn share(&self) -> f64 {
-        let share = 1.0 - f64::from(self.again) / f64::from(self.frames.max(COUNTED));
-        ((share * 16.0).ceil() / 16.0).max(1.0 / 16.0)
+    pub(super) fn is_probed(&self) -> bool {
+        self.probe.is_over()
     }
 
-    /// Bytes of moves that may be unacknowledged.
-    pub(super) fn window_bytes(&self) -> usize {
-        if self.carried.is_empty() { MAX_FRAME } else { self.rate().window_bytes() }
+    /// Whether a round of the probe is under way: the session sends no ping of its own.
+    pub(super) fn is_probing(&self) -> bool {
+        self.probe.is_busy()
+    }
+
+    /// What the probe sends next; the caller sends it and says so.
+    pub(super) fn next_step(&mut self, now: HostInstant, quiet: bool) -> Step {
+        self.awake(now);
+        let was_over = self.probe.is_over();
+        let step = self.probe.next(now, quiet);
+        if !was_over {
+            self.adopt(now);
+        }
+        step
+    }
+
+    /// The host is awake.
+    pub(super) fn awake(&mut self, now: HostInstant) {
+        if self.probe.is_busy() {
+            self.probe.awake(now);
+        }
+    }
+
+    /// Whether the probe has measured nothing, and it is time to probe again.
+    pub(super) fn wants_probe(&self, now: HostInstant) -> bool {
+        self.probe.is_over() && self.measured.is_none() && now.since(self.probed_at) >= PROBE_AGAIN
+    }
+
+    /// When [`Self::next_step`] has something, if no answer comes before. `quiet_by`: when an open line counts as quiet.
+    pub(super) fn step_due(&self, now: HostInstant, quiet_by: Option<HostInstant>) -> Option<HostInstant> {
+        self.probe.due(now, quiet_by)
+    }
+
+    /// A filler of the probe left.
+    pub(super) fn sent_filler(&mut self, len: usize) {
+        self.probe.sent_filler(len);
+    }
+
+    /// The probe's ping left.
+    pub(super) fn sent_ping(&mut self, now: HostInstant, len: usize, token: u16) {
+        self.probe.sent_ping(now, len, token);
+    }
+
+    /// The device answered the ping of this token; `true` if it was the probe's, which waits behind other bytes and so measures
+    /// neither the clock nor an idle round trip. `idle` is an idle round trip.
+    pub(super) fn answered(&mut self, now: HostInstant, token: u16, idle: Duration) -> bool {
+        let is_probe = self.probe.answered(now, token, idle);
+        if is_probe {
+            self.adopt(now);
+        }
+        is_probe
+    }
+
+    /// Takes over what the probe measured, once it is over.
+    fn adopt(&mut self, now: HostInstant) {
+        if self.probe.is_over() {
+            self.probed_at = now;
+            self.measured = self.probe.result();
+            self.window_bytes = self.measured.map_or(self.nominal, |line| line.rate).window_bytes();
+        }
+    }
+
+    /// A frame of so many bytes leaves.
+    pub(super) fn sent(&mut self, len: usize) {
+        self.quality.sent(len);
+    }
+
+    /// The device's count of frames that it could not read since its start.
+    pub(super) fn heard(&mut self, bad_frames: u64) {
+        self.quality.heard(bad_frames);
+    }
+
+    /// Bytes that may be unacknowledged.
+    pub(super) const fn window_bytes(&self) -> usize {
+        self.window_bytes
+    }
+
+    /// Most bytes of a frame of strokes.
+    pub(super) const fn frame_bytes(&self) -> usize {
+        self.quality.frame_bytes()
     }
 
     /// See [`Session::capacity`](super::Session::capacity).
-    pub(super) fn capacity(&self, round_trip: Duration) -> u32 {
-        let (rate, under_way) = (self.rate(), (self.frames_under_way() * MAX_FRAME) as f64);
-        let waiting = under_way / (round_trip + rate.time(MAX_FRAME)).as_secs_f64();
-        (waiting.min(rate.0.into()) * self.share()) as u32
+    pub(super) fn capacity(&self) -> Option<u32> {
+        let MeasuredLine { rate, ack_wait } = self.measured?;
+        let under_way = (self.frames_under_way() * MAX_FRAME) as f64;
+        let waiting = under_way / (ack_wait + rate.time(MAX_FRAME)).as_secs_f64();
+        Some((waiting.min(rate.0.into()) * self.quality.share()) as u32)
     }
 
     /// See [`Session::rate_beside`](super::Session::rate_beside).
-    pub(super) fn rate_beside(&self, frames_per_s: u32, round_trip: Duration) -> (u32, f64) {
-        let waiting = f64::from(frames_per_s) * self.ack_wait(round_trip).as_secs_f64() / self.share();
-        ((f64::from(self.rate().0) * self.share()) as u32, waiting)
+    pub(super) fn rate_beside(&self, frames_per_s: u32) -> Option<(u32, f64)> {
+        let share = self.quality.share();
+        let waiting = f64::from(frames_per_s) * self.ack_wait()?.as_secs_f64() / share;
+        Some(((f64::from(self.measured?.rate.0) * share) as u32, waiting))
     }
 
-    /// How long a frame that is sent now takes to the device behind so many bytes; `shortest` is the
-    /// shortest round trip.
+    /// How long a frame that is sent now takes to the device behind so many bytes; `shortest` is the shortest round trip.
     pub(super) fn delivery(&self, waiting: usize, shortest: Duration) -> Duration {
-        self.rate().time(waiting + MAX_FRAME) + shortest.min(RETRY.1) / 2
+        self.time(waiting + MAX_FRAME) + shortest.min(RETRY.1) / 2
     }
 
-    /// How long a frame waits, besides its bytes' time, until the device has acknowledged those before it.
-    pub(super) fn ack_wait(&self, round_trip: Duration) -> Duration {
-        round_trip / self.frames_under_way() as u32
+    /// How long a frame waits, besides its bytes' time, until the device has acknowledged the frames before it.
+    pub(super) fn ack_wait(&self) -> Option<Duration> {
+        Some(self.measured?.ack_wait / self.frames_under_way() as u32)
     }
 
-    /// How long the session waits for an answer before it asks again.
+    /// How long the session waits for an acknowledgement before it sends again.
     pub(super) fn retry_after(&self, round_trip: Duration) -> Duration {
         let usual = (round_trip * 3).clamp(RETRY.0, RETRY.1);
         // A frame on a slow line is late, not lost.
-        usual.max(round_trip.min(RETRY.1) + self.rate().time(self.rate().window_bytes() + MAX_FRAME))
+        usual.max(round_trip.min(RETRY.1) + self.time(self.window_bytes + MAX_FRAME))
     }
 
-    /// How long it waits for an acknowledgement before it sends moves again: longer before the line was checked.
-    pub(super) fn resend_after(&self, round_trip: Duration) -> Duration {
-        let least = if self.carried.is_empty() { UNCHECKED } else { RETRY.0 };
-        self.retry_after(round_trip).max(least)
+    /// How long `bytes` occupy the line; no time while its rate is unknown.
+    fn time(&self, bytes: usize) -> Duration {
+        self.measured.map_or(Duration::ZERO, |line| line.rate.time(bytes))
     }
 
     /// Whole frames that may be unacknowledged at once.
     fn frames_under_way(&self) -> usize {
-        self.rate().window_bytes() / MAX_FRAME
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    const IDLE: Duration = Duration::from_millis(1);
-
-    fn carried(bytes: usize, ms: u32, is_pair: bool) -> Carried {
-        Carried { bytes, took: ms * IDLE, is_pair }
-    }
-
-    fn at(ms: u64) -> HostInstant {
-        HostInstant::from_ns(ms * 1_000_000)
-    }
-
-    #[test]
-    fn a_line_is_as_fast_as_its_transport_says_unless_all_moves_take_longer() {
-        let mut line = Line::new(LineRate::USB_FULL_SPEED);
-        let usb = line.capacity(IDLE);
-        assert!(line.wants_check(at(1)) && !line.wants_check(at(1)) && line.is_checked(at(1)));
-        assert!(!line.is_checked(at(1)) && line.wants_check(at(2)) && !line.is_checked(at(3)));
-        assert_eq!((line.window_bytes(), line.resend_after(IDLE)), (MAX_FRAME, UNCHECKED));
-        line.carried(&carried(200, 20, false));
-        assert_eq!(line.window_bytes(), MAX_FRAME);
-        line.carried(&carried(200, 20, true));
-        assert_eq!((line.rate(), line.window_bytes()), (LineRate(10_000), MAX_FRAME));
-        assert_eq!(line.resend_after(IDLE), IDLE + line.rate().time(2 * MAX_FRAME));
-        assert!(!line.wants_check(at(101)) && line.wants_check(at(102)));
-        line.carried(&carried(40, 1, false));
-        assert_eq!((line.capacity(IDLE), line.window_bytes()), (usb, 1_600));
-        (1..TIMES).for_each(|_| line.carried(&carried(200, 20, true)));
-        assert_eq!(line.rate(), LineRate::USB_FULL_SPEED);
-        line.carried(&carried(200, 25, true));
-        assert_eq!(line.rate(), LineRate(10_000));
-    }
-
-    #[test]
-    fn what_is_sent_again_is_not_carried() {
-        let mut line = Line::new(LineRate::USB_FULL_SPEED);
-        let usb = line.capacity(IDLE);
-        (0..1000).for_each(|number| line.sent(number % 2 == 0));
-        assert_eq!(line.capacity(IDLE), usb / 2);
+        self.window_bytes / MAX_FRAME
     }
 }

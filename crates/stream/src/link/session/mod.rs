@@ -3,10 +3,10 @@
 //! | part | owns |
 //! |---|---|
 //! | `wire` | bytes become messages; what is counted of both |
-//! | `line` | what the line carries |
+//! | `line` | what the line carries: the `probe`, its `rate`, the `quality` of long frames |
 //! | `pinger` | pings, round trips, the device's clock |
 //! | `commands` | epochs, the command under way, e-stops |
-//! | `outbox` | frames of strokes until their verdicts, amendments |
+//! | `outbox` | frames of strokes (`batch`) until their verdicts, those that a command `retired`, amendments |
 //! | `reports` | the order of the device's reports, and what is decided once they are read |
 //! | `bounds` | what is known of the device, and whether what it says can be true |
 //! | `contradiction` | whether the device is trusted |
@@ -19,6 +19,7 @@
 //!
 //! Invariant: a session is opening, open, closing and over, in this order, and takes strokes only while it is open.
 
+mod batch;
 mod board;
 mod bounds;
 mod commands;
@@ -29,15 +30,20 @@ mod line;
 mod outbound;
 mod outbox;
 mod pinger;
+mod probe;
+mod quality;
+mod rate;
 mod repetition;
 mod reports;
+mod retired;
 mod telemetry;
 mod wire;
 
 pub use contradiction::{Contradiction, Contradictions};
 pub use event::{AnotherArray, Event, LostReason, Verdict};
-pub use line::LineRate;
 pub use pinger::RoundTrip;
+pub use probe::Budget;
+pub use rate::LineRate;
 pub use wire::{BadFrames, Traffic};
 
 use crate::link::clock::Clock;
@@ -63,8 +69,6 @@ use std::time::Duration;
 
 /// Interval of the hellos without an answer.
 const HELLO_EVERY: Duration = Duration::from_millis(50);
-/// A session that was not awake for so long stood still: what it measures meanwhile tells nothing of the line.
-const STOOD_STILL: Duration = Duration::from_millis(2);
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Phase {
@@ -91,8 +95,6 @@ pub struct Session {
     telemetry: Telemetry,
     trust: Trust,
     asking: BoardRequests,
-    /// When it was last called.
-    awake: HostInstant,
 }
 
 impl Session {
@@ -113,7 +115,6 @@ impl Session {
             telemetry: Telemetry::new(array),
             trust: Trust::default(),
             asking: BoardRequests::new(now),
-            awake: now,
         }
     }
 
@@ -134,18 +135,36 @@ impl Session {
         self.pinger.take_round_trip()
     }
 
+    /// Whether the link probe is over; before that, the line's rate is unknown.
+    #[must_use]
+    pub fn is_probed(&self) -> bool {
+        self.line.is_probed()
+    }
+
+    /// Whether the link probe has measured nothing, and it is time to probe again: the host stood still, or the device did not answer.
+    /// Until something is measured, the line counts as what its transport says, and no play is refused because of it.
+    #[must_use]
+    pub fn wants_probe(&self, now: HostInstant) -> bool {
+        self.line.wants_probe(now)
+    }
+
+    /// Probes the line again with this budget, for a closer measurement. Not while a play runs.
+    pub fn probe(&mut self, budget: Budget) {
+        self.line.probe(budget);
+    }
+
     /// Bytes per second of full frames that the device acknowledges: the line's rate, or less where the host waits for
-    /// acknowledgements because few bytes may be unacknowledged. `None` until a round trip is measured.
+    /// acknowledgements because few bytes may be unacknowledged. `None` until measured.
     #[must_use]
     pub fn capacity(&self) -> Option<u32> {
-        self.pinger.round_trip().map(|round_trip| self.line.capacity(round_trip))
+        self.line.capacity()
     }
 
     /// Bytes per second that the line carries while nothing waits, and the part of its time in which so many frames a second,
-    /// however short, wait for acknowledgements: more than 1 if it does not carry them. `None` until a round trip is measured.
+    /// however short, wait for acknowledgements: more than 1 if it does not carry them. `None` until measured.
     #[must_use]
     pub fn rate_beside(&self, frames_per_s: u32) -> Option<(u32, f64)> {
-        self.pinger.round_trip().map(|round_trip| self.line.rate_beside(frames_per_s, round_trip))
+        self.line.rate_beside(frames_per_s)
     }
 
     /// How long a frame that is sent now takes to the device, with those that are not acknowledged before it.
@@ -157,7 +176,7 @@ impl Session {
     /// How long a frame waits, besides its bytes' time, until the device has acknowledged the frames before it.
     #[must_use]
     pub fn ack_wait(&self) -> Option<Duration> {
-        self.pinger.round_trip().map(|round_trip| self.line.ack_wait(round_trip))
+        self.line.ack_wait()
     }
 
     /// Whether the session takes plays: the handshake is done, the clock is set and the session is not over.
@@ -272,7 +291,7 @@ impl Session {
     /// Takes a step that does not begin before the last one; `false` if it must wait for credits, the window or an
     /// onset's verdict.
     pub fn push(&mut self, step: &Step) -> bool {
-        self.has_room() && self.outbox.push(step)
+        self.has_room() && self.outbox.push(step, self.line.frame_bytes())
     }
 
     /// Ends the open frame, so that it can be sent. While it waits, it takes more strokes, unless it has a mark.
@@ -296,14 +315,6 @@ impl Session {
             }
             Phase::Closing(_) | Phase::Over => {}
         }
-    }
-
-    /// Notes that the host is awake, and whether it stood still until now.
-    fn awake(&mut self, now: HostInstant) {
-        if now.since(self.awake) > STOOD_STILL {
-            self.pinger.stood_still();
-        }
-        self.awake = now;
     }
 
     fn lose(&mut self, reason: LostReason, emit: &mut dyn FnMut(Event)) {

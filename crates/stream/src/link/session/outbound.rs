@@ -1,25 +1,24 @@
-//! Writes what is due: commands first, then corrections, frames of moves, requests, and pings.
+//! Writes what is due: commands first, then corrections, frames the device misses, the link probe's, and pings.
 //!
 //! The parts say what is due and when; here is their order. Invariant: while a command waits for its answer, no strokes, amendments
 //! or requests leave.
 
+use crate::link::session::batch::{Head, encoded};
 use crate::link::session::contradiction::Contradiction;
 use crate::link::session::event::{Event, LostReason};
-use crate::link::session::line::RETRY;
-use crate::link::session::outbox::{Head, encoded};
+use crate::link::session::probe::{self, Step};
 use crate::link::session::repetition::Turn;
 use crate::link::session::{Phase, Session};
 use crate::time::HostInstant;
 use firmware_protocol::frame::MAX_FRAME;
 use firmware_protocol::message::{HostMessage, Op};
+use firmware_protocol::tick::Tick;
 use std::time::Duration;
 
 /// Most hellos without an answer.
 const MAX_HELLOS: u16 = 40;
 /// A device that answers pings also answers commands and sends the reports that it announces: every 10 ms until it was heard.
 const WITHHELD_FOR: Duration = Duration::from_secs(3);
-/// While something is measured the session wakes up so often, so that it notices when the host stands still.
-const LOOK_EVERY: Duration = Duration::from_micros(500);
 
 impl Session {
     /// Writes the next frame that is due into `out` and returns its length; 0 when none is.
@@ -29,7 +28,6 @@ impl Session {
         out: &mut [u8; MAX_FRAME],
         emit: &mut dyn FnMut(Event),
     ) -> usize {
-        self.awake(now);
         let len = match self.phase {
             Phase::Opening => self.next_hello(now, out, emit),
             Phase::Open => self.next_frame(now, out),
@@ -38,6 +36,7 @@ impl Session {
         };
         if len > 0 {
             self.wire.sent(len);
+            self.line.sent(len);
         }
         len
     }
@@ -90,16 +89,10 @@ impl Session {
                 let (base, items) = (packed.base().wire(), packed.bytes());
                 return encoded(&HostMessage::Amend { epoch, generation, base, items }, out);
             }
-            let (resend, window_bytes) = (self.resend_after(), self.line.window_bytes());
-            let leaves = self.outbox.bytes_under_way() == 0 && self.outbox.due(now, resend) == Some(now);
-            if leaves && !self.pinger.has_pair(now) && self.line.wants_check(now) {
-                return self.ping(now, out);
-            }
-            if let Some(written) =
-                self.outbox.write_next(now, Head { epoch, seen }, resend, window_bytes, out)
+            let window_bytes = self.line.window_bytes();
+            if let Some(written) = self.outbox.write_next(now, Head { epoch, seen }, retry, window_bytes, out)
             {
                 self.wire.repeated(written.retransmitted);
-                self.line.sent(written.retransmitted);
                 written.marks.into_iter().for_each(|onset| self.known.mark_sent(onset));
                 return written.len;
             }
@@ -109,23 +102,49 @@ impl Session {
         {
             return encoded(&question, out);
         }
-        if self.line.is_checked(now) {
-            let len = self.ping(now, out);
-            self.pinger.begin_pair(self.outbox.bytes_under_way());
-            return len;
+        match self.next_probe(now, out) {
+            0 if now >= self.pinger.due() && !self.line.is_probing() => self.ping(now, out).1,
+            len => len,
         }
-        if now < self.pinger.due() { 0 } else { self.ping(now, out) }
     }
 
-    fn ping(&mut self, now: HostInstant, out: &mut [u8]) -> usize {
-        let is_idle = self.outbox.bytes_under_way() == 0;
-        let token = self.pinger.ping(now, !self.is_answered(), self.wire.is_disturbed(), is_idle);
-        encoded(&HostMessage::Ping { token, seen: self.reports.seen() }, out)
+    /// The link probe's next frame; 0 when there is none.
+    fn next_probe(&mut self, now: HostInstant, out: &mut [u8; MAX_FRAME]) -> usize {
+        let quiet = self.pinger.is_quiet(now)
+            && self.is_open()
+            && !self.commands.is_waiting()
+            && self.outbox.is_empty();
+        match self.line.next_step(now, quiet) {
+            Step::Filler => {
+                let len = self.filler(out);
+                self.line.sent_filler(len);
+                len
+            }
+            Step::Ping => {
+                let (token, len) = self.ping(now, out);
+                self.line.sent_ping(now, len, token);
+                len
+            }
+            Step::Nothing => 0,
+        }
+    }
+
+    /// A full frame of strokes of an epoch before the session's own: the device acknowledges and ignores it.
+    fn filler(&self, out: &mut [u8; MAX_FRAME]) -> usize {
+        let (epoch, seen, strokes) = (self.commands.past_epoch(), self.reports.seen(), probe::filler());
+        let (base, batch) = (Tick(0).wire(), strokes.bytes());
+        encoded(&HostMessage::Moves { epoch, seq: 0, seen, mark: None, withdraw: None, base, batch }, out)
+    }
+
+    /// Writes a ping; returns its token and its length.
+    fn ping(&mut self, now: HostInstant, out: &mut [u8]) -> (u16, usize) {
+        let token = self.pinger.ping(now, !self.is_answered(), self.wire.is_disturbed());
+        (token, encoded(&HostMessage::Ping { token, seen: self.reports.seen() }, out))
     }
 
     /// Ends the session if the device has not answered for too long, or withholds an answer or a report.
     pub fn check_silence(&mut self, now: HostInstant, emit: &mut dyn FnMut(Event)) {
-        self.awake(now);
+        self.line.awake(now);
         let withheld =
             |since: Option<HostInstant>| since.is_some_and(|since| now.since(since) >= WITHHELD_FOR);
         if withheld(self.reports.missing_since(now)) {
@@ -149,28 +168,24 @@ impl Session {
             Phase::Open => {
                 let due = [
                     self.commands.due(now, retry),
-                    self.outbox.due(now, self.resend_after()),
-                    Some(self.pinger.due()),
+                    self.outbox.due(now, retry),
+                    // While the probe's ping is under way, the session sends no other.
+                    (!self.line.is_probing()).then(|| self.pinger.due()),
                     self.may_ask().then(|| self.asking.due(now, retry)),
-                    self.pinger.is_measuring(now).then(|| self.awake + LOOK_EVERY),
+                    self.line.step_due(now, self.is_open().then(|| self.pinger.quiet_by())),
                 ];
                 due.into_iter().flatten().min().unwrap_or(now)
             }
         }
     }
 
-    /// Whether the line is free for requests: no command waits for its answer.
+    /// Whether the line is free for requests: the probe is over, and no command waits for its answer.
     fn may_ask(&self) -> bool {
-        self.is_open() && !self.commands.is_waiting()
+        self.is_open() && self.line.is_probed() && !self.commands.is_waiting()
     }
 
-    /// How long the session waits for an acknowledgement before it sends moves again.
-    fn resend_after(&self) -> Duration {
-        self.line.resend_after(self.pinger.round_trip().unwrap_or(RETRY.0))
-    }
-
-    /// How long it waits for an answer before it asks again.
+    /// How long the session waits for an acknowledgement before it sends again.
     fn retry_after(&self) -> Duration {
-        self.line.retry_after(self.pinger.round_trip().unwrap_or(RETRY.0))
+        self.line.retry_after(self.pinger.round_trip())
     }
 }

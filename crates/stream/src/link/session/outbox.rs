@@ -1,246 +1,86 @@
 //! The strokes on their way: frames that are filled, sent, sent again, and judged; and the amendments.
 //!
-//! The device takes the next frame in order and no other. So after a gap, and when no acknowledgement
-//! comes, the outbox sends all frames again from the first one that is not acknowledged (go-back-N).
-//! The session says what the device has acknowledged and which reports it has read; the outbox says
-//! which frame is to be sent, and emits the verdicts. It knows no commands: [`Outbox::begin_epoch`]
-//! ends all that is under way.
+//! The session says which frames the device has acknowledged and which reports it has read; the outbox says which frame is to be
+//! sent, and emits the verdicts. It knows no commands: [`Outbox::begin_epoch`] ends all that is under way.
 //!
-//! Invariant: frames are judged in the order of their numbers, each once. One that was sent takes no
-//! more steps, so what the device judges is what the host keeps. There are at most [`WINDOW`], and
-//! never more strokes in them than the device has credits.
+//! Invariant: frames are judged in the order of their numbers, each once. There are at most [`WINDOW`], and never more strokes in
+//! them than the device has credits.
 
-use crate::link::session::event::{Event, Verdict};
+use crate::link::session::batch::{Batch, Head, Written, judged, kept_motors};
+use crate::link::session::event::Event;
+use crate::link::session::retired::Retired;
 use crate::time::HostInstant;
 use firmware_protocol::array::MotorSet;
-use firmware_protocol::batch::{Amendment, BATCH_BYTES, MAX_BATCH, MAX_FIRST_BATCH, Packer};
-use firmware_protocol::controller::REPORTS;
-use firmware_protocol::frame::{self, MAX_FRAME};
-use firmware_protocol::limits::Refusal;
-use firmware_protocol::message::{HostMessage, Mark, MarkKind, Report, Status, Withdraw};
+use firmware_protocol::batch::{Amendment, BATCH_BYTES, Packer};
+use firmware_protocol::controller::{REORDER_WINDOW, REPORTS};
+use firmware_protocol::frame::MAX_FRAME;
+use firmware_protocol::message::{Mark, Report, Status};
 use firmware_protocol::tick::Tick;
 use meissner_array::strokes::Step;
 use std::collections::VecDeque;
 use std::time::Duration;
 
-/// Frames without a verdict at most.
-const WINDOW: usize = 9;
-/// Most bytes of a frame besides its moves.
-const HEADER: usize = MAX_FRAME - BATCH_BYTES;
-
-/// A frame of moves, from its first step to its verdicts.
-#[derive(Clone, Debug)]
-pub(super) struct Batch {
-    seq: u16,
-    mark: Option<Mark>,
-    /// The motors from which it withdraws what begins at its base or later.
-    withdraws: Option<MotorSet>,
-    packed: Packer<BATCH_BYTES>,
-    /// What is packed, in order.
-    steps: heapless::Vec<Step, MAX_BATCH>,
-    /// Its bytes on the wire, once sent.
-    len: usize,
-    first_sent: Option<HostInstant>,
-    last_sent: HostInstant,
-    retransmitted: bool,
-}
-
-/// What a frame says of its session, besides its moves.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Head {
-    pub(super) epoch: u16,
-    /// The last report that the host has read.
-    pub(super) seen: u16,
-}
-
-/// A frame that was written.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Written {
-    pub(super) len: usize,
-    pub(super) retransmitted: bool,
-    /// The onset that it marks, when it is sent for the first time.
-    pub(super) marks: Option<Tick>,
-}
-
-impl Batch {
-    fn new(seq: u16, base: Tick, mark: Option<Mark>, withdraws: Option<MotorSet>) -> Self {
-        Self {
-            seq,
-            mark,
-            withdraws,
-            packed: Packer::new(base),
-            steps: heapless::Vec::new(),
-            len: 0,
-            first_sent: None,
-            last_sent: HostInstant::default(),
-            retransmitted: false,
-        }
-    }
-
-    /// Whether it is the first frame of a play.
-    fn is_onset(&self) -> bool {
-        self.mark.is_some_and(|mark| mark.kind == MarkKind::Play)
-    }
-
-    /// The onset that it marks.
-    pub(super) fn marks(&self) -> Option<Tick> {
-        self.mark.map(|_| self.packed.base())
-    }
-
-    pub(super) const fn withdraws(&self) -> Option<MotorSet> {
-        self.withdraws
-    }
-
-    /// Number of its moves.
-    pub(super) fn moves(&self) -> usize {
-        self.packed.count()
-    }
-
-    /// Adds a step; `false` if it does not fit.
-    fn push(&mut self, step: &Step) -> bool {
-        // The device takes the first frame of a play in one piece.
-        let is_first = self.is_onset() && self.packed.count() + step.moves() > MAX_FIRST_BATCH;
-        // There is room: a step is a move or more.
-        !is_first && step.pack(&mut self.packed).is_ok() && self.steps.push(*step).is_ok()
-    }
-
-    /// Writes it into `out` and takes it for sent. The device has the amendments up to `generation` once
-    /// it takes the frame.
-    fn write(&mut self, now: HostInstant, head: Head, generation: u16, out: &mut [u8]) -> Written {
-        let Head { epoch, seen } = head;
-        let (seq, mark, base) = (self.seq, self.mark, self.packed.base().wire());
-        let withdraw = self.withdraws.map(|motors| Withdraw { motors, generation });
-        let batch = self.packed.bytes();
-        self.len = encoded(&HostMessage::Moves { epoch, seq, seen, mark, withdraw, base, batch }, out);
-        self.retransmitted = self.first_sent.is_some();
-        let marks = self.marks().filter(|_| !self.retransmitted);
-        self.first_sent.get_or_insert(now);
-        self.last_sent = now;
-        Written { len: self.len, retransmitted: self.retransmitted, marks }
-    }
-
-    /// Its steps with their verdicts, by the device's report if there is one. The device took no step of
-    /// the motors `kept`.
-    fn verdicts(
-        &self,
-        report: Option<Report>,
-        kept: MotorSet,
-        tick: Tick,
-        now: HostInstant,
-    ) -> impl Iterator<Item = (Step, Verdict)> {
-        let (late, refused, why, free) = match report {
-            Some(Report::Verdict { late, refused, reason, rendered, .. }) => {
-                (late, refused, reason.unwrap_or(Refusal::Malformed), rendered.near(tick))
-            }
-            _ => (0, 0, Refusal::Malformed, tick),
-        };
-        let sent = self.first_sent.unwrap_or(now);
-        let mut place = 0;
-        self.steps.iter().map(move |step| {
-            // Both moves of a stroke have one verdict.
-            let i = place;
-            place += step.moves();
-            let verdict = if late >> i & 1 == 1 && kept.contains(step.motor()) {
-                Verdict::Superseded
-            } else if late >> i & 1 == 1 {
-                Verdict::Late { rendered: free, sent, retransmitted: self.retransmitted }
-            } else if refused >> i & 1 == 1 {
-                Verdict::Refused(why)
-            } else {
-                Verdict::Accepted
-            };
-            (*step, verdict)
-        })
-    }
-}
-
-/// The frames of an epoch that have no verdict.
-#[derive(Clone, Debug)]
-struct Unjudged {
-    frames: VecDeque<Batch>,
-    /// The motors whose old strokes the device keeps: it takes no others until it is asked to withdraw
-    /// again.
-    kept: MotorSet,
-    /// Verdicts that are read and not emitted.
-    verdicts: VecDeque<Report>,
-}
-
-impl Unjudged {
-    fn new() -> Self {
-        let (frames, verdicts) = (VecDeque::with_capacity(WINDOW + 1), VecDeque::with_capacity(REPORTS));
-        Self { frames, kept: MotorSet::EMPTY, verdicts }
-    }
-
-    /// The device took a frame that withdraws, all but what it reports.
-    fn keep(&mut self, batch: &Batch, report: Option<Report>) -> Option<Event> {
-        let motors = batch.withdraws?;
-        let kept = match report {
-            Some(Report::Verdict { kept, .. }) => kept,
-            _ => MotorSet::EMPTY,
-        };
-        self.kept = self.kept.without(motors) | kept;
-        Some(Event::Replaced { motors: motors.without(kept), kept })
-    }
-}
+/// Unacknowledged frames at most: the next in order, and those the device keeps out of order (selective repeat).
+const WINDOW: usize = 1 + REORDER_WINDOW;
 
 /// The frames of the present epoch, and those that the last command ended.
 #[derive(Clone, Debug)]
 pub(super) struct Outbox {
-    window: Unjudged,
+    window: VecDeque<Batch>,
     open: Option<Batch>,
     /// A replacement that is not in frames yet: from which tick on, and the motors.
     replacing: Option<(Tick, MotorSet)>,
+    /// The motors whose old strokes the device keeps: it takes no others until it is asked to withdraw again.
+    kept: MotorSet,
     next_seq: u16,
     /// The device acknowledged all frames before this one.
     acked: u16,
-    /// The frame to be sent next, perhaps again: those from `acked` to this one are under way.
-    cursor: u16,
     /// The device's free stroke slots, after the frames before `acked`.
     credits: usize,
     amendments: Packer<BATCH_BYTES>,
     generation: u16,
-    /// The frames that had no verdict when a command ended their epoch; reports up to this one are about
-    /// earlier epochs. The device may have refused strokes before it read the command. What no report
-    /// names was taken, or not played because of the command: nothing is emitted of it.
-    retired: Unjudged,
-    retired_after: u16,
+    /// Verdicts that came before their acknowledgement.
+    verdicts: VecDeque<Report>,
+    retired: Retired,
 }
 
 impl Outbox {
     pub(super) fn new() -> Self {
         Self {
-            window: Unjudged::new(),
+            window: VecDeque::with_capacity(WINDOW + 1),
             open: None,
             replacing: None,
+            kept: MotorSet::EMPTY,
             next_seq: 0,
             acked: 0,
-            cursor: 0,
             credits: 0,
             amendments: Packer::new(Tick(0)),
             generation: 0,
-            retired: Unjudged::new(),
-            retired_after: 0,
+            verdicts: VecDeque::with_capacity(REPORTS),
+            retired: Retired::new(WINDOW + 1),
         }
     }
 
-    /// A new epoch: nothing of the old one is sent any more. `retires`: its frames may still be judged,
-    /// by reports after this one.
+    /// A new epoch: nothing of the old one is sent any more. `retires`: its frames may still be judged, by reports after this one.
     pub(super) fn begin_epoch(&mut self, retires: Option<u16>) {
         if let Some(after) = retires {
-            std::mem::swap(&mut self.window, &mut self.retired);
-            self.retired_after = after;
+            self.retired.take(&mut self.window, &mut self.verdicts, self.kept, after);
         }
         self.drop_frames();
-        self.window.verdicts.clear();
-        self.window.kept = MotorSet::EMPTY;
-        (self.next_seq, self.acked, self.cursor, self.generation) = (0, 0, 0, 0);
+        self.verdicts.clear();
+        (self.kept, self.next_seq, self.acked, self.generation) = (MotorSet::EMPTY, 0, 0, 0);
         self.amendments = Packer::new(Tick(0));
     }
 
     /// Sends no frame any more.
     pub(super) fn drop_frames(&mut self) {
-        self.window.frames.clear();
+        self.window.clear();
         (self.open, self.replacing) = (None, None);
+    }
+
+    /// Whether no frame waits for its verdict.
+    pub(super) fn is_empty(&self) -> bool {
+        self.window.is_empty()
     }
 
     /// Begins a frame with a mark.
@@ -258,53 +98,53 @@ impl Outbox {
 
     /// Moves that the device's credits still allow.
     pub(super) fn credits(&self) -> usize {
-        let under_way: usize = self.window.frames.iter().chain(&self.open).map(Batch::moves).sum();
+        let under_way: usize = self.window.iter().chain(&self.open).map(Batch::moves).sum();
         self.credits.saturating_sub(under_way)
     }
 
     /// Whether a frame may be begun: the window has room, and no onset waits for its verdict.
     pub(super) fn has_room(&self) -> bool {
-        let frames = &self.window.frames;
-        frames.len() < WINDOW && !frames.back().is_some_and(Batch::is_onset)
+        self.window.len() < WINDOW && !self.window.back().is_some_and(Batch::is_onset)
     }
 
-    /// Takes a step; `false` if it must wait for credits, the window or an onset's verdict.
-    pub(super) fn push(&mut self, step: &Step) -> bool {
+    /// Takes a step, in frames of at most `longest` bytes; `false` if it must wait for credits, the window or an onset's verdict.
+    pub(super) fn push(&mut self, step: &Step, longest: usize) -> bool {
         if !self.has_room() || self.credits() < step.moves() {
             return false;
         }
+        let mut bit = MotorSet::EMPTY;
+        bit.insert(step.motor());
         if let Some(batch) = &mut self.open {
-            if !batch.push(step) {
-                self.seal();
-                return self.push(step);
+            if batch.push(step, longest) {
+                // The first step of a motor takes the place of its old ones.
+                if let Some((from, motors)) = self.replacing
+                    && batch.withdraw(bit & motors)
+                {
+                    self.replacing =
+                        Some((from, motors.without(bit))).filter(|(_, motors)| !motors.is_empty());
+                }
+                return true;
             }
-            let mut bit = MotorSet::EMPTY;
-            bit.insert(step.motor());
-            // The first step of a motor takes the place of its old ones.
-            if let (Some((from, motors)), Some(withdraws)) = (self.replacing, &mut batch.withdraws) {
-                *withdraws |= bit & motors;
-                self.replacing = Some((from, motors.without(bit))).filter(|(_, motors)| !motors.is_empty());
-            }
-            return true;
+            self.seal();
+            return self.push(step, longest);
         }
         if let Some((from, _)) = self.replacing {
             self.open = Some(Batch::new(self.next_seq, from, None, Some(MotorSet::EMPTY)));
-            return self.push(step);
+            return self.push(step, longest);
         }
-        // A frame that waits takes more steps, unless it has a mark: on a link with slow answers frames
-        // get longer, not more.
-        let last = self.window.frames.back_mut();
-        if last.is_some_and(|last| last.first_sent.is_none() && last.mark.is_none() && last.push(step)) {
+        // A frame that waits takes more steps: on a link with slow answers frames get longer, not more.
+        if self.window.back_mut().is_some_and(|last| last.extend(step, longest)) {
             return true;
         }
-        self.open.insert(Batch::new(self.next_seq, step.begin(), None, None)).push(step)
+        let batch = self.open.insert(Batch::new(self.next_seq, step.begin(), None, None));
+        batch.push(step, longest)
     }
 
     /// Ends the open frame, so that it can be sent.
     pub(super) fn seal(&mut self) {
         if let Some(batch) = self.open.take() {
             self.next_seq = self.next_seq.wrapping_add(1);
-            self.window.frames.push_back(batch);
+            self.window.push_back(batch);
         }
     }
 
@@ -325,25 +165,8 @@ impl Outbox {
         Some((self.generation, std::mem::replace(&mut self.amendments, Packer::new(Tick(0)))))
     }
 
-    /// The place of a frame in the window.
-    fn place(&self, seq: u16) -> usize {
-        self.window.frames.front().map_or(0, |first| seq.wrapping_sub(first.seq)).into()
-    }
-
-    /// The first frame that is not acknowledged, if it is under way.
-    fn first_under_way(&self) -> Option<&Batch> {
-        self.window.frames.get(self.place(self.acked)).filter(|_| self.cursor != self.acked)
-    }
-
-    /// Sends all that is not acknowledged again if the first of it was sent so long ago.
-    fn go_back(&mut self, now: HostInstant, after: Duration) {
-        if self.first_under_way().is_some_and(|first| now.since(first.last_sent) >= after) {
-            self.cursor = self.acked;
-        }
-    }
-
-    /// Writes the next frame, while at most `window_bytes` are under way. After `retry` without an
-    /// acknowledgement it begins again.
+    /// Writes the next frame that the device misses, new or lost on the way: a lost one once `retry` has passed, a new one while
+    /// at most `window_bytes` are unacknowledged.
     pub(super) fn write_next(
         &mut self,
         now: HostInstant,
@@ -352,30 +175,33 @@ impl Outbox {
         window_bytes: usize,
         out: &mut [u8],
     ) -> Option<Written> {
-        self.go_back(now, retry);
-        let (place, under_way) = (self.place(self.cursor), self.bytes_under_way());
-        let next = self.window.frames.get_mut(place)?;
-        if under_way > 0 && under_way + HEADER + next.packed.bytes().len() > window_bytes {
+        let mut unacknowledged = 0;
+        let mut next = None;
+        for batch in self.window.iter_mut().filter(|batch| batch.is_missing(self.acked)) {
+            if !batch.is_due(now, retry) {
+                unacknowledged += batch.bytes_under_way();
+            } else if next.is_none() {
+                next = Some(batch);
+            }
+        }
+        let next = next?;
+        // A missing frame must not wait for the frames after it.
+        if !next.is_retransmitted() && unacknowledged > 0 && unacknowledged + MAX_FRAME > window_bytes {
             return None;
         }
-        self.cursor = self.cursor.wrapping_add(1);
-        // No amendment of a stroke of this frame is sent before its verdict, so the amendments up to now
-        // concern old strokes.
+        // No amendment of a stroke of this frame is sent before its verdict, so the amendments up to now concern old strokes.
         Some(next.write(now, head, self.generation, out))
     }
 
     /// When [`Self::write_next`] may have a frame, if no answer comes.
     pub(super) fn due(&self, now: HostInstant, retry: Duration) -> Option<HostInstant> {
-        match self.first_under_way() {
-            Some(first) => Some(first.last_sent + retry),
-            None => self.window.frames.get(self.place(self.cursor)).map(|_| now),
-        }
+        let missing = self.window.iter().find(|batch| batch.is_missing(self.acked));
+        missing.map(|batch| batch.due(now, retry))
     }
 
     /// Bytes that are sent and not with the device, as far as it has said.
     pub(super) fn bytes_under_way(&self) -> usize {
-        let frames = self.cursor.wrapping_sub(self.acked).into();
-        self.window.frames.iter().skip(self.place(self.acked)).take(frames).map(|batch| batch.len).sum()
+        self.window.iter().map(Batch::bytes_under_way).sum()
     }
 
     /// The device acknowledged all frames before this one.
@@ -385,48 +211,35 @@ impl Outbox {
 
     /// Frames from [`Self::acked`] on that were sent.
     pub(super) fn unacknowledged(&self) -> usize {
-        let last = self.window.frames.iter().rev().find(|batch| batch.first_sent.is_some());
-        last.map_or(0, |last| last.seq.wrapping_add(1).wrapping_sub(self.acked).into())
+        let last = self.window.iter().rev().find(|batch| batch.is_sent());
+        last.map_or(0, |last| last.seq().wrapping_add(1).wrapping_sub(self.acked).into())
     }
 
-    /// Takes over what a status of this epoch acknowledges. After a gap it begins again, unless that was
-    /// less than a round trip ago.
-    pub(super) fn acknowledge(&mut self, status: &Status, now: HostInstant, round_trip: Duration) {
+    /// Takes over what a status of this epoch acknowledges.
+    pub(super) fn acknowledge(&mut self, status: &Status) {
         (self.acked, self.credits) = (status.next_seq, status.credits.into());
-        if self.acked.wrapping_sub(self.cursor) <= u16::MAX / 2 {
-            self.cursor = self.acked;
-        }
-        if status.gap {
-            self.go_back(now, round_trip);
-        }
+        self.window.iter_mut().for_each(|batch| batch.acknowledge(status));
     }
 
     /// The frame of this number, if it was sent and has no verdict.
     pub(super) fn unjudged(&self, seq: u16) -> Option<&Batch> {
-        let has_verdict = self.window.verdicts.iter().any(|report| judged(report) == Some(seq));
-        let mut frames = self.window.frames.iter();
-        frames.find(|batch| batch.seq == seq && batch.first_sent.is_some()).filter(|_| !has_verdict)
+        let has_verdict = self.verdicts.iter().any(|report| judged(report) == Some(seq));
+        self.window.iter().find(|batch| batch.seq() == seq && batch.is_sent()).filter(|_| !has_verdict)
     }
 
     /// Takes a verdict, the report of this number; `stale`: of an epoch that is over.
     pub(super) fn judge(&mut self, number: u16, report: Report, stale: bool) {
         match report {
-            _ if stale => {
-                let is_later = (1..=u16::MAX / 2).contains(&number.wrapping_sub(self.retired_after));
-                if is_later && self.retired.verdicts.len() < REPORTS {
-                    self.retired.verdicts.push_back(report);
-                }
-            }
-            // The steps of an item's frame are judged one by one, and the streamer learns of a mark when it
-            // has passed.
+            _ if stale => self.retired.judge(number, report),
+            // The steps of an item's frame are judged one by one, and the streamer learns of a mark when it has passed.
             Report::OnsetRefused { seq, .. } if self.unjudged(seq).is_some_and(|frame| !frame.is_onset()) => {
             }
-            _ => self.window.verdicts.push_back(report),
+            _ => self.verdicts.push_back(report),
         }
     }
 
-    /// Emits the verdicts of the frames before `next_seq`. All their reports are read: the device accepted
-    /// every step that no report names. `tick` is the device's clock.
+    /// Emits the verdicts of the frames before `next_seq`. All their reports are read: the device accepted every step that no
+    /// report names. `tick` is the device's clock.
     pub(super) fn conclude(
         &mut self,
         next_seq: u16,
@@ -434,60 +247,88 @@ impl Outbox {
         now: HostInstant,
         emit: &mut dyn FnMut(Event),
     ) {
-        self.conclude_retired(tick, now, emit);
-        let window = &mut self.window;
-        let is_decided = |batch: &mut Batch| (1..=u16::MAX / 2).contains(&next_seq.wrapping_sub(batch.seq));
-        while let Some(batch) = window.frames.pop_front_if(is_decided) {
-            let report = window.verdicts.pop_front_if(|report| judged(report) == Some(batch.seq));
+        self.retired.conclude(tick, now, emit);
+        let is_decided = |batch: &mut Batch| (1..=u16::MAX / 2).contains(&next_seq.wrapping_sub(batch.seq()));
+        while let Some(batch) = self.window.pop_front_if(is_decided) {
+            let report = self.verdicts.pop_front_if(|report| judged(report) == Some(batch.seq()));
             if let Some(Report::OnsetRefused { rendered, .. }) = report {
                 emit(Event::OnsetRefused { rendered: rendered.near(tick) });
                 continue;
             }
             if batch.is_onset() {
-                window.kept = MotorSet::EMPTY;
+                self.kept = MotorSet::EMPTY;
                 emit(Event::OnsetAccepted);
             }
-            window.keep(&batch, report).into_iter().for_each(&mut *emit);
+            if let Some(motors) = batch.withdraws() {
+                let kept = kept_motors(report);
+                self.kept = self.kept.without(motors) | kept;
+                emit(Event::Replaced { motors: motors.without(kept), kept });
+            }
             batch
-                .verdicts(report, window.kept, tick, now)
+                .verdicts(report, self.kept, tick, now)
                 .for_each(|(step, verdict)| emit(Event::Step(step, verdict)));
         }
     }
-
-    /// Emits the verdicts late and refused of the epoch that was ended.
-    fn conclude_retired(&mut self, tick: Tick, now: HostInstant, emit: &mut dyn FnMut(Event)) {
-        let retired = &mut self.retired;
-        while let Some(report) = retired.verdicts.pop_front() {
-            let Report::Verdict { seq, .. } = report else { continue };
-            if !retired.frames.iter().any(|batch| batch.seq == seq) {
-                continue;
-            }
-            // Frames before it without a report were taken as sent.
-            while let Some(before) = retired.frames.pop_front_if(|batch| batch.seq != seq) {
-                retired.keep(&before, None);
-            }
-            let Some(batch) = retired.frames.pop_front() else { continue };
-            retired.keep(&batch, Some(report));
-            batch
-                .verdicts(Some(report), retired.kept, tick, now)
-                .filter(|(_, verdict)| *verdict != Verdict::Accepted)
-                .for_each(|(step, verdict)| emit(Event::Step(step, verdict)));
-        }
-    }
-}
-
-/// The frame that a report judges.
-pub(super) const fn judged(report: &Report) -> Option<u16> {
-    match *report {
-        Report::Verdict { seq, .. } | Report::OnsetRefused { seq, .. } => Some(seq),
-        _ => None,
-    }
-}
-
-pub(super) fn encoded(message: &HostMessage<'_>, out: &mut [u8]) -> usize {
-    // Every message fits a frame: batches are bounded by `BATCH_BYTES`.
-    frame::encode(message, out).unwrap_or(0)
 }
 
 #[cfg(test)]
-mod tests;
+mod tests {
+    use super::*;
+    use firmware_protocol::message::{Cause, Counters, MarkKind, State};
+    use meissner_array::strokes::Stroke;
+
+    const RETRY: Duration = Duration::from_millis(3);
+
+    fn at(ms: u64) -> HostInstant {
+        HostInstant::from_ns(ms * 1_000_000)
+    }
+
+    /// A status of a device with many free slots, which misses frame 0.
+    fn status(out_of_order: u8) -> Status {
+        Status {
+            token: 0,
+            tick: Tick(0).wire(),
+            epoch: 1,
+            refusal: None,
+            next_seq: 0,
+            out_of_order,
+            credits: 100,
+            reports: 0,
+            state: State::Armed,
+            cause: Cause::Request,
+            position_known: true,
+            outstanding: 0,
+            counters: Counters::NONE,
+        }
+    }
+
+    /// A frame of one stroke, at a mark.
+    fn frame(outbox: &mut Outbox, mark: u64, up: u64) {
+        outbox.begin(Tick(mark), Mark { kind: MarkKind::Item, trigger: None, hold: 0 });
+        let stroke = Stroke { motor: 0, up: Tick(up), up_pulses: 10, down: Tick(up + 50), down_pulses: 10 };
+        assert!(outbox.push(&stroke.into(), MAX_FRAME));
+        outbox.seal();
+    }
+
+    fn write(outbox: &mut Outbox, ms: u64, window_bytes: usize) -> Option<Written> {
+        let head = Head { epoch: 1, seen: 0 };
+        outbox.write_next(at(ms), head, RETRY, window_bytes, &mut [0; MAX_FRAME])
+    }
+
+    #[test]
+    fn a_lost_frame_is_sent_again_and_does_not_wait_for_the_window() {
+        let mut outbox = Outbox::new();
+        outbox.acknowledge(&status(0));
+        frame(&mut outbox, 5, 5);
+        frame(&mut outbox, 9, 900);
+        assert_eq!(write(&mut outbox, 1, MAX_FRAME).and_then(|written| written.marks), Some(Tick(5)));
+        assert!(write(&mut outbox, 1, MAX_FRAME).is_none(), "the window is full");
+        assert!(write(&mut outbox, 1, 2 * MAX_FRAME).is_some_and(|written| !written.retransmitted));
+        assert_eq!((outbox.unacknowledged(), outbox.credits()), (2, 96));
+        // The device keeps the second: only the first is missing.
+        outbox.acknowledge(&status(1));
+        assert!(write(&mut outbox, 3, MAX_FRAME).is_none() && outbox.due(at(3), RETRY) == Some(at(4)));
+        let again = write(&mut outbox, 4, MAX_FRAME).unwrap();
+        assert!(again.retransmitted && again.marks.is_none() && write(&mut outbox, 4, MAX_FRAME).is_none());
+    }
+}

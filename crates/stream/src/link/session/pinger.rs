@@ -1,29 +1,26 @@
 //! Pings and what their answers tell: that the device is there, its clock, and how long a round trip takes.
 //!
-//! Every answer counts as heard and sets the clock; only that to a ping on an idle line tells how long a round trip takes.
+//! Every answer counts as heard; only that to a ping on a quiet line sets the clock, which the session decides.
 //!
 //! Invariant: an answer is matched with its own ping, also when later pings have left, up to [`PINGS`] of them.
 
 use crate::link::clock::Clock;
 use crate::link::session::bounds::ClockReading;
+use crate::link::session::line::RETRY;
 use crate::time::HostInstant;
 use firmware_protocol::tick::Tick;
 use meissner_array::units::TickRate;
 use std::time::Duration;
 
-/// Round trips right after the handshake, one after the other, to set the clock and to know how long they take; and the interval of
-/// their pings on a bad line, and without an answer.
-const FIRST_PINGS: u32 = TRIPS as u32;
+/// Round trips right after the handshake, to set the clock, and the interval of their pings.
+const FIRST_PINGS: u32 = 8;
 const FIRST_PING_EVERY: Duration = Duration::from_millis(2);
-const FIRST_PING_WITHIN: Duration = Duration::from_millis(50);
 /// Pings that may be under way at once and still be told apart.
 const PINGS: usize = 64;
 /// A session that waits for a status asks this often.
 const STATUS_EVERY: Duration = Duration::from_millis(1);
-/// Round trips of which the upper quartile counts: a link that jitters rarely has the shortest, and the longest are stalls.
-const TRIPS: usize = 8;
-/// A ping without an answer for so long measures nothing.
-const MEASURED_FOR: Duration = Duration::from_millis(250);
+/// A ping still under way would be measured with the link probe's first round: the probe waits for its answer, but not longer than this.
+const QUIET_TIMEOUT: Duration = Duration::from_millis(100);
 /// The device counts as lost when it leaves so many pings in a row unanswered, over so long a time.
 const MAX_UNANSWERED: u32 = 5;
 const UNANSWERED_FOR: Duration = Duration::from_millis(400);
@@ -44,50 +41,22 @@ pub struct RoundTrip {
     pub received: HostInstant,
 }
 
-/// Two pings that left with moves between them.
-#[derive(Clone, Copy, Debug)]
-struct Pair {
-    /// The second one's.
-    token: u16,
-    sent: HostInstant,
-    /// Of the moves.
-    bytes: usize,
-    /// When the first one was answered.
-    first: Option<HostInstant>,
-}
-
-/// What was carried between two pings.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Carried {
-    /// Bytes of moves.
-    pub(super) bytes: usize,
-    /// By how much the answer to the second ping came after that to the first one, or after an idle round trip.
-    pub(super) took: Duration,
-    /// Both were answered.
-    pub(super) is_pair: bool,
-}
-
 /// The pings of a session, and the device's clock.
 #[derive(Clone, Debug)]
 pub(super) struct Pinger {
     clock: Clock,
     token: u16,
+    /// The last ping that the device answered.
+    answered: u16,
     /// The last pings and when they left: an answer may come after later pings have left.
     pinged: [(u16, HostInstant); PINGS],
     last: HostInstant,
-    /// When the newest ping left that was answered.
-    answered: HostInstant,
     due: HostInstant,
     every: Duration,
     first_pings: u32,
     unanswered: u32,
     first_unanswered: HostInstant,
-    /// The ping under way that measures an idle line.
-    measures: Option<HostInstant>,
-    pair: Option<Pair>,
-    /// Round trips of pings on an idle line, the last ones.
-    trips: heapless::HistoryBuf<Duration, TRIPS>,
-    round_trip: Option<Duration>,
+    round_trip: Duration,
     /// The shortest round trip so far.
     shortest: Duration,
     last_trip: Option<RoundTrip>,
@@ -98,18 +67,15 @@ impl Pinger {
         Self {
             clock: Clock::new(rate),
             token: 0,
+            answered: 0,
             pinged: [(0, HostInstant::default()); PINGS],
             last: HostInstant::default(),
-            answered: HostInstant::default(),
             due: now,
             every: Duration::from_secs(1),
             first_pings: 0,
             unanswered: 0,
             first_unanswered: now,
-            measures: None,
-            pair: None,
-            trips: heapless::HistoryBuf::new(),
-            round_trip: None,
+            round_trip: RETRY.0,
             shortest: Duration::MAX,
             last_trip: None,
         }
@@ -129,8 +95,8 @@ impl Pinger {
         self.first_pings >= FIRST_PINGS
     }
 
-    /// How long a round trip takes on an idle line; `None` until measured.
-    pub(super) const fn round_trip(&self) -> Option<Duration> {
+    /// About how long a round trip takes.
+    pub(super) const fn round_trip(&self) -> Duration {
         self.round_trip
     }
 
@@ -160,44 +126,19 @@ impl Pinger {
         Some(sent).filter(|_| token != 0 && found == token)
     }
 
-    /// The ping of this token and its answer. Returns what it tells of the moves before it.
-    pub(super) fn measured(&mut self, token: u16, trip: RoundTrip) -> Option<Carried> {
+    /// The device answered the ping of this token.
+    pub(super) const fn answered(&mut self, token: u16) {
+        self.answered = token;
+    }
+
+    /// A ping on a quiet line and its answer.
+    pub(super) fn measured(&mut self, trip: RoundTrip) {
         let took = trip.received.since(trip.sent);
         self.clock.round_trip(trip.sent, trip.tick, trip.received);
+        self.round_trip = (self.round_trip * 7 + took) / 8;
         self.shortest = self.shortest.min(took);
         self.first_pings = self.first_pings.saturating_add(1);
         self.last_trip = Some(trip);
-        self.answered = self.answered.max(trip.sent);
-        if !self.is_set() {
-            self.due = trip.received;
-        }
-        if self.measures.take_if(|sent| *sent <= trip.sent).is_some_and(|sent| sent == trip.sent) {
-            self.trips.write(took);
-            let mut trips: heapless::Vec<_, TRIPS> = self.trips.oldest_ordered().copied().collect();
-            trips.sort_unstable();
-            self.round_trip = trips.get(trips.len() * 3 / 4).copied();
-        }
-        let pair = self.pair.as_mut()?;
-        if token == pair.token.wrapping_sub(1) {
-            pair.first = Some(trip.received);
-        }
-        let is_over = |pair: &mut Pair| pair.token == token || pair.sent < trip.sent;
-        let Pair { bytes, first, .. } = self.pair.take_if(is_over).filter(|pair| pair.token == token)?;
-        let took = match first {
-            Some(first) => trip.received.since(first),
-            None => took.saturating_sub(self.round_trip?),
-        };
-        Some(Carried { bytes, took, is_pair: first.is_some() })
-    }
-
-    /// The last ping left right behind moves of so many bytes, and the one before right before them.
-    pub(super) const fn begin_pair(&mut self, bytes: usize) {
-        self.pair = Some(Pair { token: self.token, sent: self.last, bytes, first: None });
-    }
-
-    /// Whether such pings are under way.
-    pub(super) fn has_pair(&self, now: HostInstant) -> bool {
-        self.pair.is_some_and(|pair| now.since(pair.sent) < MEASURED_FOR)
     }
 
     /// Pings at least this often.
@@ -225,40 +166,32 @@ impl Pinger {
         self.due
     }
 
-    /// Sends a ping, and returns its token. `waits`: for an answer or a report; `disturbed`: the line damages answers; `idle`: no moves
-    /// are under way.
-    pub(super) fn ping(&mut self, now: HostInstant, waits: bool, disturbed: bool, idle: bool) -> u16 {
-        let is_alone = self.answered >= self.last || now.since(self.last) >= MEASURED_FOR;
+    /// Sends a ping, and returns its token. `waits`: for an answer or a report; `disturbed`: the line damages answers.
+    pub(super) fn ping(&mut self, now: HostInstant, waits: bool, disturbed: bool) -> u16 {
         if self.unanswered == 0 {
             self.first_unanswered = now;
         }
         self.unanswered += 1;
         let every = match self.unanswered {
-            _ if waits || (disturbed && !self.is_set()) => FIRST_PING_EVERY,
-            // The next one follows the answer.
-            _ if !self.is_set() => FIRST_PING_WITHIN,
+            _ if waits || !self.is_set() => FIRST_PING_EVERY,
             _ if disturbed => NOISY_EVERY,
             1 => self.every,
             _ => self.every.min(RECHECK_EVERY),
         };
         (self.last, self.due) = (now, now + every);
-        if !self.is_measuring(now) {
-            // Behind other pings it would measure those.
-            self.measures = (idle && is_alone).then_some(now);
-        }
         self.token = self.token.wrapping_add(1).max(1);
         self.pinged[usize::from(self.token) % PINGS] = (self.token, now);
         self.token
     }
 
-    /// Whether a ping under way measures a round trip.
-    pub(super) fn is_measuring(&self, now: HostInstant) -> bool {
-        self.measures.is_some_and(|sent| now.since(sent) < MEASURED_FOR)
+    /// Whether no ping is under way, as far as that may be waited for.
+    pub(super) fn is_quiet(&self, now: HostInstant) -> bool {
+        self.answered == self.token || now.since(self.last) >= QUIET_TIMEOUT
     }
 
-    /// The host stood still: what is under way measures nothing.
-    pub(super) const fn stood_still(&mut self) {
-        (self.measures, self.pair) = (None, None);
+    /// When the line counts as quiet even without an answer.
+    pub(super) fn quiet_by(&self) -> HostInstant {
+        self.last + QUIET_TIMEOUT
     }
 
     /// Whether the device has left too many pings unanswered.
@@ -281,10 +214,10 @@ mod tests {
     fn set() -> Pinger {
         let mut pinger = Pinger::new(RATE, at(0));
         for ms in 0..u64::from(FIRST_PINGS) {
-            let token = pinger.ping(at(ms), false, false, true);
+            let token = pinger.ping(at(ms), false, false);
             pinger.heard();
-            let trip = RoundTrip { sent: at(ms), tick: Tick::BOOT + 85 * ms, received: at(ms + 1) };
-            assert_eq!(pinger.measured(token, trip), None);
+            pinger.answered(token);
+            pinger.measured(RoundTrip { sent: at(ms), tick: Tick::BOOT + 85 * ms, received: at(ms + 1) });
         }
         pinger
     }
@@ -295,14 +228,15 @@ mod tests {
             let (mut pinger, mut now) = (set(), at(10));
             for _ in 0..pings {
                 assert!(!pinger.is_silent(now + UNANSWERED_FOR, disturbed));
-                pinger.ping(now, false, disturbed, true);
-                assert!(pinger.due() > now);
+                pinger.ping(now, false, disturbed);
+                assert!(!pinger.is_quiet(now) && pinger.due() > now);
                 now = pinger.due().min(now + Duration::from_millis(10));
             }
             assert!(
                 !pinger.is_silent(at(10) + UNANSWERED_FOR / 2, disturbed)
                     && pinger.is_silent(at(10) + UNANSWERED_FOR, disturbed)
             );
+            assert!(pinger.is_quiet(now + QUIET_TIMEOUT));
             pinger.heard();
             assert!(!pinger.is_silent(at(10_000), disturbed));
         }

@@ -1,12 +1,14 @@
 //! The order of the device's reports: which are read, which are missing, and what a status says once its reports are read.
 //!
-//! Reports are numbered. The session reads the next in order ([`Reports::is_next`]) and tells the device how far it is
-//! ([`Reports::seen`]), which sends the others again. Numbers wrap; half their range is before, half after.
+//! Reports are numbered and may overtake each other. The session reads them in order ([`Reports::next`]) and tells the device how
+//! far it is ([`Reports::seen`]). Numbers wrap; half their range is before, half after.
 //!
 //! Invariant: what [`Reports::conclude`] gives is true of all reports that the device had made by then: a status counts only once
 //! they are read. Later reports may be missing: on a line that loses frames, one always is while the device refuses many strokes.
 
 use crate::time::HostInstant;
+use firmware_protocol::controller::REPORTS;
+use firmware_protocol::message::Report;
 use firmware_protocol::tick::Tick;
 
 /// What a status says about strokes once all the reports that it counts are read.
@@ -25,6 +27,8 @@ pub(super) struct Reported {
 pub(super) struct Reports {
     /// The last report read; all before it were read too.
     seen: u16,
+    /// Reports that overtook one before them, by number: the device sends no others ahead.
+    early: [Option<(u16, Report)>; REPORTS],
     /// The last report that the device is known to have made.
     announced: u16,
     /// Since when the report after this number is announced and missing.
@@ -41,6 +45,7 @@ impl Reports {
     pub(super) fn new() -> Self {
         Self {
             seen: 0,
+            early: [None; REPORTS],
             announced: 0,
             missing: None,
             concluded: Reported::default(),
@@ -73,9 +78,19 @@ impl Reports {
         self.missing.map(|(_, since)| since)
     }
 
-    /// Whether this is the next report in order. It counts as read after [`Self::read`]; the device sends others again.
-    pub(super) const fn is_next(&self, number: u16) -> bool {
-        number == self.seen.wrapping_add(1)
+    /// Takes a report off the line; `false` if the device cannot send it now.
+    pub(super) fn receive(&mut self, number: u16, report: Report) -> bool {
+        let is_ahead = (1..=REPORTS as u16).contains(&number.wrapping_sub(self.seen));
+        if is_ahead {
+            self.early[usize::from(number) % REPORTS] = Some((number, report));
+        }
+        is_ahead
+    }
+
+    /// The next report in order. It counts as read after [`Self::read`]; otherwise the device sends it again.
+    pub(super) fn next(&mut self) -> Option<(u16, Report)> {
+        let number = self.seen.wrapping_add(1);
+        self.early[usize::from(number) % REPORTS].take_if(|(found, _)| *found == number)
     }
 
     /// The next report is read.
@@ -140,5 +155,33 @@ impl Reports {
     /// What was decided last.
     pub(super) const fn concluded(&self) -> Reported {
         self.concluded
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use firmware_protocol::limits::Refusal;
+
+    fn report(motor: u8) -> Report {
+        Report::Refused { motor, tick: Tick(0).wire(), reason: Refusal::RailOnTime }
+    }
+
+    fn read_all(reports: &mut Reports) -> Vec<u16> {
+        std::iter::from_fn(|| reports.next().map(|(number, _)| reports.read(number)).map(|()| reports.seen()))
+            .collect()
+    }
+
+    #[test]
+    fn reports_are_read_in_order_across_the_wrap() {
+        let mut reports = Reports::new();
+        reports.open(u16::MAX - 1);
+        assert!(reports.receive(0, report(2)) && reports.receive(1, report(3)));
+        assert!(!reports.receive(u16::MAX - 1, report(0)), "it was read");
+        assert!(!reports.receive(u16::MAX.wrapping_add(REPORTS as u16), report(0)), "the device keeps it");
+        assert!(read_all(&mut reports).is_empty());
+        assert!(reports.receive(u16::MAX, report(1)));
+        assert_eq!(read_all(&mut reports), [u16::MAX, 0, 1]);
+        assert!(reports.are_complete());
     }
 }
