@@ -256,7 +256,7 @@ fn is_served(answer: io::Result<String>) -> Result<(), String> {
 }
 
 fn by_socket(place: &Place) -> Result<(), String> {
-    expect(exchange(&estop_socket(&place.socket), b"!"), |answer| answer.trim_end() == STOPPED)
+    expect(exchange(&estop_socket(&place.socket), b"!"), |answer| answer.starts_with(STOPPED))
 }
 
 fn by_http(place: &Place) -> Result<(), String> {
