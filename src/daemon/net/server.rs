@@ -309,7 +309,7 @@ pub(in crate::daemon) async fn serve_client<S>(
         }
     };
     if let Err(error) = ended {
-        debug!("a client's connection broke: {error}");
+        debug!("the connection of {:?} broke: {error}", client.peer);
     }
 }
 

@@ -121,7 +121,7 @@ fn a_restart_and_a_kill_keep_the_days_sum() {
     assert!(doctor.findings.iter().any(|finding| finding.found.contains(says)), "{doctor:?}");
 }
 
-/// The disk gets sums that it has refused as soon as it works: nobody has to play for that.
+/// The record writes the sums that a full disk has refused once the disk has room again, also if nothing is played.
 #[test]
 fn a_kill_after_a_full_disk_leaves_no_smaller_sum() {
     let daemon = limited(SHORT);
