@@ -77,14 +77,6 @@ fn a_search_is_compared_with_the_naive_rules() {
     assert!(summary.contains("the rule naive-pitch needs no search and reaches as much"), "{summary}");
 }
 
-/// The paper's pattern of the library, as its provenance says.
-#[test]
-fn the_papers_pattern_is_made_again() {
-    let paper = fs::read_to_string("library/patterns/paper/dot-paper.toml").unwrap();
-    let made = printed(offline().args(["optimise", "dot", "--robust"]));
-    assert!(made.trim_end() == paper.trim_end().replace("\"dot-paper\"", "\"dot\""));
-}
-
 #[test]
 fn the_same_command_makes_the_same_bytes_on_any_number_of_threads() {
     let dir = tempfile::tempdir().unwrap();
