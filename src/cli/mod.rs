@@ -37,7 +37,6 @@ mod simulate;
 mod text;
 mod token;
 mod tradeoff;
-mod validate;
 mod watch;
 
 use crate::config::Source;
@@ -241,8 +240,6 @@ enum Command {
     Judge(judge::Judge),
     /// Compare simulation methods on this machine: time against error
     Tradeoff(tradeoff::Tradeoff),
-    /// Compare both models of skin and afferents with published figures
-    Validate,
     /// Write the man pages, the completions of three shells and the OpenAPI document to a folder
     Manual {
         /// The folder
@@ -378,7 +375,6 @@ fn run(command: Command) -> Result<ExitCode> {
         Command::Tradeoff(asked) => tradeoff::run(&asked),
         Command::Render(asked) => render::run(&asked),
         Command::Judge(asked) => judge::run(&asked),
-        Command::Validate => validate::run(),
         Command::Manual { folder } => manual::manual(&Cli::command(), &folder).map(|()| ExitCode::SUCCESS),
         Command::Doctor { device, array, board, seconds, options } => {
             doctor::run(device, array.find()?, board, Duration::from_secs_f64(seconds), &options)

@@ -118,7 +118,7 @@ mod tests {
         let highest = |pin: usize, from: usize, to: usize| {
             rows[from..to].iter().map(|row| row[pin]).fold(0.0, f64::max)
         };
-        let reached = SteadyState::of(Array::paper(), 60.0, 80.0).unwrap().played_peak_to_peak_um;
+        let reached = SteadyState::of(Array::paper(), 60.0, 80.0).unwrap().peak_to_peak_um;
         // The first stroke starts from rest and reaches higher than the steady vibration.
         assert!((reached..80.0).contains(&highest(1, 0, 1_050)), "{}", highest(1, 0, 1_050));
         assert!((reached..80.0).contains(&highest(0, 2_000, rows.len())));

@@ -330,16 +330,4 @@ mod tests {
         let vague = Spread::measured(0.08, [1.02, 0.98], [0.003, 0.004], 24);
         assert!((vague.asymmetry - 0.04 - 0.005 * 2.858).abs() < 1e-12);
     }
-
-    /// Bisection finds the smallest surplus only if more surplus always lowers the rest error.
-    #[test]
-    fn the_rest_error_falls_with_the_surplus() {
-        for scatter in [0.01, 0.1, 0.3] {
-            let rms = |step: u32| {
-                let spread = Spread { scatter, asymmetry: 0.0 };
-                ReflectedWalk::new(80.0, f64::from(step), spread).rms_um()
-            };
-            assert!((1..80).all(|step| rms(step + 1) <= rms(step)), "{scatter}");
-        }
-    }
 }

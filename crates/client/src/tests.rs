@@ -67,40 +67,6 @@ fn a_call_fails_after_its_timeout() {
     assert!(slow.contains("mute.sock: no answer within 0.1 s: "), "{slow}");
 }
 
-#[test]
-fn a_closed_connection_is_an_error() {
-    let dir = tempfile::tempdir().unwrap();
-    let socket = dir.path().join("rude.sock");
-    let listener = std::os::unix::net::UnixListener::bind(&socket).unwrap();
-    let rude = std::thread::spawn(move || drop(listener.accept().unwrap()));
-    let error = Client::new(&socket).unwrap().get::<serde_json::Value>("/v1/status").unwrap_err();
-    assert!(matches!(error, ClientError::HungUp { .. }), "{error:?}");
-    rude.join().unwrap();
-}
-
-#[test]
-fn a_connection_that_was_closed_while_idle_is_reopened() {
-    use std::io::{Read, Write};
-    let dir = tempfile::tempdir().unwrap();
-    let socket = dir.path().join("brief.sock");
-    let listener = std::os::unix::net::UnixListener::bind(&socket).unwrap();
-    let brief = std::thread::spawn(move || {
-        for _ in 0..2 {
-            let (mut stream, _) = listener.accept().unwrap();
-            stream.read_exact(&mut [0; 16]).unwrap();
-            stream.write_all(b"HTTP/1.1 200 OK\r\ncontent-length: 1\r\n\r\n7").unwrap();
-            // Closing a socket with unread data would discard the answer.
-            stream.set_read_timeout(Some(Duration::from_millis(100))).unwrap();
-            while stream.read(&mut [0; 1024]).is_ok_and(|len| len > 0) {}
-        }
-    });
-    let mut client = Client::new(&socket).unwrap();
-    assert_eq!(client.get::<u8>("/v1/status").unwrap(), 7);
-    std::thread::sleep(Duration::from_millis(200));
-    assert_eq!(client.get::<u8>("/v1/status").unwrap(), 7);
-    brief.join().unwrap();
-}
-
 /// A daemon that answers each connection's first request and then closes it. Returns the method of each request.
 fn brief_daemon(listener: std::os::unix::net::UnixListener, answers: &[&[u8]]) -> Vec<String> {
     use std::io::{Read, Write};

@@ -2,7 +2,6 @@ use firmware_protocol::stroke::Direction;
 use firmware_protocol::tick::Tick;
 use meissner_array::motor::Ramp;
 use meissner_array::pattern::Pattern;
-use meissner_array::simulated::SimulatedMotorsConfig;
 use meissner_array::spec::Array;
 use meissner_array::strokes::Burst;
 use meissner_array::strokes::{StrokeOptions, Strokes};
@@ -11,8 +10,7 @@ use meissner_paper::{
 };
 use meissner_skin::membrane::population;
 use meissner_skin::{Ramps, RampsError, Scene, simulate_ramps};
-use meissner_test_support::paper::{MOTORS, UM_PER_PULSE};
-use meissner_test_support::played::by_simulated_motors;
+use meissner_test_support::paper::UM_PER_PULSE;
 use meissner_test_support::random::Random;
 use meissner_test_support::{both, oracle};
 
@@ -83,17 +81,6 @@ fn designed(play: &Play<'_>) -> Vec<(u8, Ramp)> {
         Ramp::new(play.onset + start.0, pulses.into(), direction, UM_PER_PULSE)
     };
     strokes.flat_map(|step| step.bursts().map(move |burst| (step.motor(), ramp(burst)))).collect()
-}
-
-/// The largest distance of a pin from its start.
-fn farthest_um(ramps: &[(u8, Ramp)]) -> f64 {
-    let (mut at_um, mut farthest_um) = ([0.0; MOTORS], 0.0_f64);
-    for &(motor, ramp) in ramps {
-        let at_um: &mut f64 = &mut at_um[usize::from(motor)];
-        *at_um += f64::from(ramp.ticks) * ramp.um_per_tick;
-        farthest_um = farthest_um.max(at_um.abs());
-    }
-    farthest_um
 }
 
 /// `judge` simulates a target at rest for a second, and a moving one for one repeat.
@@ -191,44 +178,4 @@ fn only_the_observed_time_counts() {
     assert_eq!(predict_response(&Play { observed_s: 9.0, ..play.clone() }, []).unwrap().seconds, 1.0);
     let long = Play { options: StrokeOptions::lasting(70.0), observed_s: 65.0, ..play };
     assert_eq!(predict_response(&long, []).unwrap().seconds, 60.0);
-}
-
-/// Without correction the pins drift to their end stops, where they vibrate less. Afferents respond to velocity, so the
-/// contrast falls little.
-#[test]
-fn pins_that_drift_to_their_stops_in_a_minute_keep_nine_tenths_of_the_contrast() {
-    let pattern = pattern("edge-45-paper");
-    let minute = play(&pattern, 60.0);
-    let bursts = by_simulated_motors(SimulatedMotorsConfig::default(), &minute, u16::MAX);
-    assert!((farthest_um(&bursts) - 500.0).abs() < 1e-6, "{}", farthest_um(&bursts));
-    let found = predict_response(&minute, bursts).unwrap();
-    let (designed_hz, played_hz) = (found.designed_hz.contrast.unwrap(), found.played_hz.contrast.unwrap());
-    assert!(designed_hz > 150.0 && played_hz < designed_hz && played_hz > 0.9 * designed_hz, "{found:?}");
-    let short = play(&pattern, 3.0);
-    let ideal =
-        predict_response(&short, by_simulated_motors(SimulatedMotorsConfig::ideal(), &short, u16::MAX))
-            .unwrap();
-    assert_eq!(ideal.played_hz, ideal.designed_hz);
-}
-
-/// A burst that ends at a stop counts as a slower one. That costs next to no contrast if the stops are as far as usual,
-/// and an eighth if they cut the second half of a burst.
-#[test]
-fn a_burst_that_meets_a_distant_stop_may_count_as_a_slower_one() {
-    let pattern = pattern("edge-45-paper");
-    for (end_stop_um, seconds, too_low_hz) in
-        [(500.0, 5.0, -0.5..0.5), (60.0, 2.0, 0.5..4.0), (30.0, 2.0, 10.0..30.0)]
-    {
-        let (config, play) = (
-            SimulatedMotorsConfig { end_stop_um, ..SimulatedMotorsConfig::default() },
-            play(&pattern, seconds),
-        );
-        let [slower, real] = [u16::MAX, 16].map(|ticks| {
-            let bursts = by_simulated_motors(config, &play, ticks);
-            assert!(farthest_um(&bursts) > end_stop_um - 1e-6);
-            predict_response(&play, bursts).unwrap().played_hz.contrast.unwrap()
-        });
-        println!("stops at {end_stop_um} um: contrast {real:.2}, with slower bursts {slower:.2} impulses/s");
-        assert!(too_low_hz.contains(&(real - slower)), "{end_stop_um}: {slower} {real}");
-    }
 }

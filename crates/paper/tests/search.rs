@@ -12,7 +12,6 @@ use meissner_paper::{
 use meissner_skin::membrane::{self, Position};
 use meissner_skin::{Method, Options, Scene, simulate};
 use meissner_test_support::paper::MOTORS;
-use meissner_touch::Shape;
 use proptest::prelude::*;
 use rayon::ThreadPoolBuilder;
 use std::ops::ControlFlow;
@@ -180,13 +179,6 @@ fn assert_rises(trace: &[Step]) {
     assert!(trace.windows(2).all(|pair| pair[0].spent.evaluations < pair[1].spent.evaluations));
 }
 
-/// The yardstick with other values of some keys.
-fn like_yardstick(keys: &str) -> Target {
-    let mut definition = yardstick().definition();
-    definition.extend(keys.parse::<toml::Table>().unwrap());
-    Target::read(&toml::to_string(&definition).unwrap(), "t.toml").unwrap()
-}
-
 fn everywhere(decihertz: u16) -> Point {
     Point(PerMotor::all(Array::paper(), Some(Vibration { decihertz, percent: 0 })))
 }
@@ -227,38 +219,6 @@ fn a_search_leaves_the_null_and_a_ridge() {
         let own = found.trace.iter().rfind(|step| step.pass == 0).unwrap();
         let hz = exact_hz(&target, 0, own.point);
         assert!(hz > 120.0 && hz > before, "from {start}: {hz}");
-    }
-}
-
-#[test]
-fn one_on_afferent_is_enough() {
-    let places = membrane::population(0);
-    let shape = yardstick().frames()[0].shape.clone();
-    let mut distances: Vec<f64> = places.iter().map(|&at| shape.distance_mm(at)).collect();
-    distances.sort_by(f64::total_cmp);
-    let target = like_yardstick(&format!("reach_mm = {}", f64::midpoint(distances[0], distances[1])));
-    assert_eq!(Partition::of(&shape, target.reach_mm(), &places).on_count(), 1);
-    let space = Setting::Default.space(Array::paper());
-    let found = converged(&target, &space, space.random(0));
-    assert!(exact_hz(&target, 0, found.point) > 120.0);
-}
-
-/// The search drives both of two dots that mirror each other.
-#[test]
-fn two_equal_dots_both_get_a_response() {
-    let dots = Target::read(
-        "name = \"mirrored\"\nshape = \"dots\"\npoints = [[-4.35, 1.45], [4.35, 1.45]]\nreach_mm = 1.5",
-        "t.toml",
-    );
-    let (target, space) = (dots.unwrap(), Setting::Default.space(Array::paper()));
-    let found = converged(&target, &space, space.random(0));
-    let places = membrane::population(0);
-    let drives = found.point.drives(target.amplitude_um(), None, None);
-    let scene = Scene::new(Array::paper(), 1.0, 9, drives, places.clone(), *target.model()).unwrap();
-    let rates_hz = simulate(&scene, &Options::rates(Method::Exact), &|_| ()).unwrap().rates_hz(&scene);
-    for dot in [[-4.35, 1.45], [4.35, 1.45]] {
-        let partition = Partition::of(&Shape::Dots(vec![dot]), 1.5, &places);
-        assert!(partition.on_hz(&rates_hz).unwrap() > 120.0, "{dot:?}");
     }
 }
 

@@ -123,14 +123,4 @@ mod tests {
         });
         assert_ne!(spikes_s[0], spikes_s[1]);
     }
-
-    #[test]
-    fn slower_bursts_lower_the_response() {
-        let total = |share| {
-            let ramps = ramps(&[drive(9, 60.0, 80.0)], share);
-            Finger::new(4).spikes_s(&ramps, 0.5, 4).unwrap().iter().map(Vec::len).sum::<usize>()
-        };
-        let (slow, whole) = (total(0.5), total(1.0));
-        assert!(slow > 0 && 10 * slow < 9 * whole, "{slow} of {whole}");
-    }
 }

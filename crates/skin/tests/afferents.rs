@@ -202,31 +202,6 @@ fn everything_stays_finite_at_the_edge_of_a_pin_and_far_away() {
     }
 }
 
-/// Pins that are pressed in within one step give the spikes of pins whose motors have not begun.
-#[test]
-fn motors_move_the_pins_of_the_array() {
-    let at = |class: &str| json!({"class": class, "row": 0, "x_mm": -1.45, "y_mm": 1.45});
-    let scene = |amplitude_um: f64| {
-        json!({
-            "model": "afferents", "duration_s": 1.0, "afferents": [at("SA1"), at("RA"), at("PC")],
-            "drives": [{"motor": 9, "frequency_hz": 40.0, "amplitude_um": amplitude_um}],
-        })
-    };
-    let at_rest = spikes_s(&scene(0.0));
-    // The finger lies on the pins: nothing moves, and 24 pins share the weight.
-    assert!(at_rest[1].is_empty() && at_rest[2].is_empty(), "{at_rest:?}");
-    let moved = spikes_s(&scene(80.0));
-    // There is at most one spike per cycle, and spikes are whole cycles of 25 ms apart.
-    assert!((15..=41).contains(&moved[1].len()), "{}", moved[1].len());
-    let cycles = moved[1].windows(2).skip(3).map(|pair| (pair[1] - pair[0]) / 0.025);
-    assert!(cycles.clone().all(|cycles| (cycles - cycles.round()).abs() < 0.05), "{:?}", moved[1]);
-    assert!(moved[2].len() >= 39, "{}", moved[2].len());
-    assert_ne!(moved[0], at_rest[0]);
-    // At the null of the motor model, near 230 Hz, no pin moves.
-    let null = json!([{"motor": 9, "frequency_hz": 232.558_139_534_883_7, "amplitude_um": 400.0}]);
-    assert!(spikes_s(&with(scene(80.0), &[("/drives", null)]))[1].len() < 4);
-}
-
 #[test]
 fn noise_belongs_to_the_number_of_an_afferent() {
     let at = |class: &str, x_mm: f64| json!({"class": class, "row": 0, "x_mm": x_mm, "y_mm": 0.0});

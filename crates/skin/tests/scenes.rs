@@ -89,19 +89,6 @@ fn a_missing_key_has_its_default() {
     assert_eq!(read(json, "a.json").unwrap().seed(), u64::MAX);
 }
 
-#[test]
-fn the_reference_scenes_are_read() {
-    let scenes: Vec<Value> = serde_json::from_str(include_str!("data/spikes.json")).unwrap();
-    assert_eq!(scenes.len(), 18);
-    for scene in scenes {
-        let read = read(&scene.to_string(), "scene.json").unwrap();
-        assert_eq!(read.afferents().len(), scene["promised_spikes"].as_array().unwrap().len());
-        assert_eq!(read.drives().len(), scene["drives"].as_array().unwrap().len());
-        assert_eq!(read.model().alpha_per_um, scene["receptor"]["alpha_per_um"]);
-        assert_eq!(read.model().noise_sd, 0.0);
-    }
-}
-
 const MISTAKES: &str = r#"
 duration_s = 2 =>  => 1: `duration_s` is missing…add how long
 duration_s = 2 => duration_s = -1 => 1: `duration_s` is -1…0 to 1000000000 s

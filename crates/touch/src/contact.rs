@@ -147,12 +147,7 @@ impl Contact {
         let place = share.sqrt() * DEPTHS as f64;
         let from = (place.floor() as usize).min(DEPTHS - 1);
         let t = place - from as f64;
-        let mut of = [0.0; 4];
-        // Catmull & Rom: the slope at each end is that of its neighbours.
-        of[0] = 0.5 * t * (t * (2.0 - t) - 1.0);
-        of[1] = 0.5 * (t * t * (3.0 * t - 5.0) + 2.0);
-        of[2] = 0.5 * t * (t * (4.0 - 3.0 * t) + 1.0);
-        of[3] = 0.5 * t * t * (t - 1.0);
+        let mut of = cubic(t);
         if from == 0 {
             // At depth 0 loads rise at least as the depth, so their slope over its root is 0.
             of[2] += of[0];
@@ -252,6 +247,16 @@ impl<'g> Solver<'g> {
         }
         Err(ContactError::NotFound { grains: count, depth_mm })
     }
+}
+
+/// The weights of four points for a place between the two in the middle, by Catmull & Rom: the slope at each is that of its neighbours.
+pub(crate) fn cubic(t: f64) -> [f64; 4] {
+    [
+        0.5 * t * (t * (2.0 - t) - 1.0),
+        0.5 * (t * t * (3.0 * t - 5.0) + 2.0),
+        0.5 * t * (t * (4.0 - 3.0 * t) + 1.0),
+        0.5 * t * t * (t - 1.0),
+    ]
 }
 
 pub(crate) fn distance(a: [f64; 2], b: [f64; 2]) -> f64 {

@@ -10,7 +10,7 @@
 //!
 //! Invariant: a look-up depends on the grains and the depth alone, and on the box of places only by its rounding.
 
-use crate::contact::{Contact, MAX_BYTES, Weights, distance};
+use crate::contact::{Contact, MAX_BYTES, Weights, cubic, distance};
 use crate::fft::{Convolution, Plan};
 use crate::grains::Grains;
 use meissner_skin::afferents::{Class, Punch};
@@ -226,14 +226,4 @@ impl Table {
         }
         sum
     }
-}
-
-/// The weights of four points for a place between the two in the middle.
-pub(crate) fn cubic(t: f64) -> [f64; 4] {
-    [
-        0.5 * t * (t * (2.0 - t) - 1.0),
-        0.5 * (t * t * (3.0 * t - 5.0) + 2.0),
-        0.5 * t * (t * (4.0 - 3.0 * t) + 1.0),
-        0.5 * t * t * (t - 1.0),
-    ]
 }

@@ -7,9 +7,8 @@
 //!
 //! Invariant: a look-up costs the same wherever the object is and however many grains it has.
 
-use crate::contact::{Contact, ContactError, MAX_BYTES};
+use crate::contact::{Contact, ContactError, MAX_BYTES, cubic};
 use crate::fft::{Convolution, Plan, Work, padded};
-use crate::field::cubic;
 use crate::touch::{Frame, Pose};
 
 /// Points beyond the reach that an interpolation takes.

@@ -191,32 +191,6 @@ mod tests {
     }
 
     #[test]
-    fn a_segment_is_nearest_between_its_ends_or_at_one() {
-        let segment = Shape::Polyline(vec![[1.0, 1.0], [5.0, 1.0]]);
-        for (point, expected) in
-            [(at(2.0, 3.0), 2.0), (at(9.0, 4.0), 5.0), (at(-2.0, -3.0), 5.0), (at(5.0, 1.0), 0.0)]
-        {
-            assert!((segment.distance_mm(point) - expected).abs() < 1e-12, "{point:?}");
-        }
-        let no_length = Shape::Polyline(vec![[1.0, 1.0]; 2]);
-        assert_eq!(no_length.distance_mm(at(4.0, 5.0)), 5.0);
-        assert_eq!(Shape::Polyline(vec![[1.0, 1.0]]).distance_mm(at(4.0, 5.0)), 5.0);
-        assert_eq!(Shape::Dots(vec![]).distance_mm(at(0.0, 0.0)), f64::INFINITY);
-    }
-
-    #[test]
-    fn a_disc_is_filled_and_a_grating_has_no_end() {
-        let disc = Shape::Disc { center_mm: [1.0, 0.0], radius_mm: 2.0 };
-        assert_eq!((disc.distance_mm(at(2.0, 1.0)), disc.distance_mm(at(1.0, 5.0))), (0.0, 3.0));
-        let grating = Shape::Grating { period_mm: 6.0, angle_deg: 0.0, offset_mm: 1.0 };
-        for (y, expected) in [(1.0, 0.0), (2.5, 1.5), (6.5, 0.5), (-5.5, 0.5), (4.0, 3.0)] {
-            assert_eq!(grating.distance_mm(at(7.0, y)), expected, "{y}");
-        }
-        let upright = Shape::Grating { period_mm: 6.0, angle_deg: 90.0, offset_mm: 1.0 };
-        assert!(upright.distance_mm(at(-1.0, 9.0)) < 1e-12 && upright.distance_mm(at(1.0, 9.0)) > 1.9);
-    }
-
-    #[test]
     fn a_quarter_turn_takes_right_to_up() {
         let close = |a: &[[f64; 2]], b: &[[f64; 2]]| a.iter().zip(b).all(|(&a, &b)| distance(a, b) < 1e-12);
         let turned = Shape::Dots(vec![[2.0, 0.0]]).moved([0.0, 1.0], 90.0);

@@ -6,6 +6,7 @@
 //! Invariant: every number is finite and within its limit, the first pose is at time 0, times grow, and no pose is further from the
 //! one before than the highest speed allows.
 
+use crate::shape::direction;
 use std::ops::RangeInclusive;
 
 /// The depth up to which the model is used, mm. Beyond it, the skin of a fingertip is no half space any more: it is some millimetres
@@ -255,11 +256,6 @@ fn within(
 fn depth(depth_mm: f64) -> Result<(), TouchError> {
     within("the depth", depth_mm, 0.0..=MAX_DEPTH_MM, "mm")?;
     if depth_mm == 0.0 { Err(TouchError::Floats) } else { Ok(()) }
-}
-
-pub(crate) fn direction(deg: f64) -> [f64; 2] {
-    let angle = deg.to_radians();
-    [libm::cos(angle), libm::sin(angle)]
 }
 
 /// A frame on the skin.

@@ -122,27 +122,6 @@ fn moving(speed_mm_s: f64) -> Object {
     bar(Touch::scan(Pose::default(), scan).expect("a scan"))
 }
 
-/// The stimulus of a moving object is the rate of the displacement of the skin, with the delays of waves. Without delays it follows from
-/// displacements that are summed grain by grain.
-#[test]
-fn the_response_to_a_moving_bar_converges_with_the_pitch() {
-    let afferents = population(3);
-    for speed_mm_s in [20.0, 80.0] {
-        let object = moving(speed_mm_s);
-        let found: Vec<_> = [0.4, 0.2, 0.1]
-            .into_iter()
-            .map(|pitch_mm| {
-                let spikes = respond(&solved(&object, pitch_mm), object.touch(), &afferents, None, &|_| ());
-                counts(&spikes, &afferents)
-            })
-            .collect();
-        for class in 0..3 {
-            let [coarse, fine] = [found[1][class], found[2][class]];
-            assert!(coarse.abs_diff(fine) <= 3 + fine / 7, "{speed_mm_s}: {found:?}");
-        }
-    }
-}
-
 #[test]
 fn results_do_not_depend_on_threads() {
     let (object, afferents) = (moving(80.0), population(3));

@@ -17,7 +17,6 @@ pub mod documents;
 pub mod oracle;
 pub mod paper;
 pub mod patterns;
-pub mod played;
 pub mod random;
 pub mod rig;
 pub mod statistics;

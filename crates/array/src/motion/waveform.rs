@@ -54,7 +54,9 @@ pub struct Section {
 /// See the module. The default is rest throughout.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Waveform {
-    pieces: Vec<Piece>,
+    pieces: Arc<[Piece]>,
+    /// The factor of all heights; what is below is before it.
+    scale: f64,
     /// The lowest and the highest displacement, µm.
     extremes_um: [f64; 2],
 }
@@ -62,16 +64,9 @@ pub struct Waveform {
 /// A part of a waveform, at rest before and after.
 #[derive(Clone, Debug, PartialEq)]
 enum Piece {
-    Knots(Knots),
+    /// The first and the last are at rest.
+    Knots(Arc<[Knot]>),
     Samples(Samples),
-}
-
-/// A list of knots; the first and the last are at rest.
-#[derive(Clone, Debug, PartialEq)]
-struct Knots {
-    knots: Arc<[Knot]>,
-    /// The factor of all heights.
-    scale: f64,
 }
 
 /// Samples at a rate, with a jump from and to rest where the first or the last is not 0.
@@ -82,8 +77,6 @@ struct Samples {
     end_ns: u64,
     rate_hz: f64,
     um: Arc<[f32]>,
-    /// The factor of all samples.
-    scale: f64,
 }
 
 /// Seconds in nanoseconds, rounded.
@@ -134,7 +127,7 @@ impl Samples {
             return Knot { ns: self.start_ns, um: 0.0 };
         };
         match self.um.get(number) {
-            Some(um) => Knot { ns: self.ns(number), um: f64::from(*um) * self.scale },
+            Some(um) => Knot { ns: self.ns(number), um: f64::from(*um) },
             None => Knot { ns: self.ns(self.um.len() - 1), um: 0.0 },
         }
     }
@@ -157,22 +150,16 @@ impl Samples {
 }
 
 impl Piece {
-    fn of_knots(knots: Vec<Knot>) -> Self {
-        Self::Knots(Knots { knots: knots.into(), scale: 1.0 })
-    }
-
     fn len(&self) -> usize {
         match self {
-            Self::Knots(of) => of.knots.len(),
+            Self::Knots(knots) => knots.len(),
             Self::Samples(samples) => samples.len(),
         }
     }
 
     fn get(&self, index: usize) -> Option<Knot> {
         match self {
-            Self::Knots(Knots { knots, scale }) => {
-                knots.get(index).map(|knot| Knot { um: knot.um * scale, ..*knot })
-            }
+            Self::Knots(knots) => knots.get(index).copied(),
             Self::Samples(samples) => (index < samples.len()).then(|| samples.knot(index)),
         }
     }
@@ -180,7 +167,7 @@ impl Piece {
     /// How many knots are before an instant.
     fn before(&self, ns: u64) -> usize {
         match self {
-            Self::Knots(of) => of.knots.partition_point(|knot| knot.ns < ns),
+            Self::Knots(knots) => knots.partition_point(|knot| knot.ns < ns),
             Self::Samples(samples) => samples.before(ns),
         }
     }
@@ -193,7 +180,7 @@ impl Piece {
     /// The first and the last instant, ns.
     fn span_ns(&self) -> (u64, u64) {
         match self {
-            Self::Knots(Knots { knots, .. }) => (knots[0].ns, knots[knots.len() - 1].ns),
+            Self::Knots(knots) => (knots[0].ns, knots[knots.len() - 1].ns),
             Self::Samples(samples) => (samples.start_ns, samples.end_ns),
         }
     }
@@ -218,7 +205,7 @@ impl Waveform {
         let knots = pieces.iter().flat_map(|piece| piece.knots_from(0));
         let extremes_um =
             knots.fold([0.0; 2], |[low, high]: [f64; 2], knot| [low.min(knot.um), high.max(knot.um)]);
-        Self { pieces, extremes_um }
+        Self { pieces: pieces.into(), scale: 1.0, extremes_um }
     }
 
     /// Samples of displacement in µm at `rate_hz`, the first at `start_s`; linear between them, at rest before and after.
@@ -246,7 +233,7 @@ impl Waveform {
         for (number, um) in um.iter().enumerate() {
             check_sample(number, (*um).into())?;
         }
-        let mut samples = Samples { start_ns, end_ns: start_ns, rate_hz, um, scale: 1.0 };
+        let mut samples = Samples { start_ns, end_ns: start_ns, rate_hz, um };
         samples.end_ns = samples.ns(samples.um.len() - 1);
         Ok(Self::new(vec![Piece::Samples(samples)]))
     }
@@ -279,16 +266,16 @@ impl Waveform {
         if end.um != 0.0 {
             knots.push(Knot { ns: end.ns, um: 0.0 });
         }
-        Ok(Self::new(vec![Piece::of_knots(knots)]))
+        Ok(Self::new(vec![Piece::Knots(knots.into())]))
     }
 
-    /// The sum of waveforms. Where they overlap it has a knot wherever one of them has one; the rest stays as it is. Takes time in
+    /// The sum of waveforms that are not scaled. Where they overlap it has a knot wherever one of them has one; the rest stays as it is. Takes time in
     /// proportion to the knots and to the number of waveforms at once.
     ///
     /// # Errors
     /// More than [`MAX_KNOTS`] knots in a part that overlaps.
     pub fn sum(parts: &[Self]) -> Result<Self, MotionError> {
-        let mut pieces: Vec<&Piece> = parts.iter().flat_map(|part| &part.pieces).collect();
+        let mut pieces: Vec<&Piece> = parts.iter().flat_map(|part| &*part.pieces).collect();
         pieces.sort_by_key(|piece| piece.span_ns());
         let mut sum = Vec::new();
         let (mut first, mut end) = (0, 0);
@@ -297,7 +284,7 @@ impl Waveform {
             if next > first && span.is_none_or(|(from, _)| from >= end) {
                 sum.push(match &pieces[first..next] {
                     [one] => (*one).clone(),
-                    some => Piece::of_knots(merged(some)?),
+                    some => Piece::Knots(merged(some)?.into()),
                 });
                 first = next;
             }
@@ -306,24 +293,16 @@ impl Waveform {
         Ok(Self::new(sum))
     }
 
-    /// The same motion, so many times as large.
+    /// The same motion, so many times as large: 0 or more.
     #[must_use]
-    pub fn scaled(mut self, factor: f64) -> Self {
-        for piece in &mut self.pieces {
-            match piece {
-                Piece::Knots(knots) => knots.scale *= factor,
-                Piece::Samples(samples) => samples.scale *= factor,
-            }
-        }
-        let [a, b] = self.extremes_um.map(|um| um * factor);
-        self.extremes_um = [a.min(b), a.max(b)];
-        self
+    pub fn scaled(self, factor: f64) -> Self {
+        Self { scale: self.scale * factor, ..self }
     }
 
     /// Bytes of its knots, and of samples that formulas have made; samples of a wave may be shared with it.
     pub(crate) fn own_bytes(&self) -> usize {
         let bytes = self.pieces.iter().map(|piece| match piece {
-            Piece::Knots(of) => size_of_val(&*of.knots),
+            Piece::Knots(knots) => size_of_val(&**knots),
             Piece::Samples(samples) if Arc::strong_count(&samples.um) == 1 => size_of_val(&*samples.um),
             Piece::Samples(_) => 0,
         });
@@ -347,7 +326,8 @@ impl Waveform {
 
     /// Its knots, in order of time.
     pub fn knots(&self) -> impl Iterator<Item = Knot> + '_ {
-        self.pieces.iter().flat_map(|piece| piece.knots_from(0))
+        let knots = self.pieces.iter().flat_map(|piece| piece.knots_from(0));
+        knots.map(|knot| Knot { um: self.scale * knot.um, ..knot })
     }
 
     /// The first and the last instant at which it may not be at rest, ns; `None` if it always is.
@@ -356,8 +336,8 @@ impl Waveform {
     }
 
     /// The lowest and the highest displacement, µm; rest counts.
-    pub const fn extremes_um(&self) -> [f64; 2] {
-        self.extremes_um
+    pub fn extremes_um(&self) -> [f64; 2] {
+        self.extremes_um.map(|um| self.scale * um)
     }
 
     /// The displacement at an instant, µm; at a jump, after it.
@@ -367,6 +347,11 @@ impl Waveform {
 
     /// The displacement just before an instant and from it on, µm. They differ at a jump.
     pub fn um_around(&self, ns: u64) -> [f64; 2] {
+        self.around(ns).map(|um| self.scale * um)
+    }
+
+    /// [`Self::um_around`] before the scale.
+    fn around(&self, ns: u64) -> [f64; 2] {
         let first = self.pieces.partition_point(|piece| piece.span_ns().1 < ns);
         // Two where one ends and the next begins.
         let here = self.pieces[first..].iter().take_while(|piece| piece.span_ns().0 <= ns);
@@ -389,20 +374,21 @@ impl Waveform {
             }
             let mut knots: Vec<Knot> = piece.knots_from(0).take_while(|knot| knot.ns < end).collect();
             knots.extend([piece.um_around(end)[0], 0.0].map(|um| Knot { ns: end, um }));
-            pieces.push(Piece::of_knots(knots));
+            pieces.push(Piece::Knots(knots.into()));
         }
         if pieces.last().is_none_or(|last| last.span_ns().1 < end) {
             // The rest until then is part of it.
-            pieces.push(Piece::of_knots(vec![Knot { ns: end, um: 0.0 }; 2]));
+            pieces.push(Piece::Knots([Knot { ns: end, um: 0.0 }; 2].into()));
         }
-        Self::new(pieces)
+        Self::new(pieces).scaled(self.scale)
     }
 
     /// Until when it stays from `low` to `high` µm, from an instant on, ns; [`u64::MAX`]: for good. And the number of knots that it looked at,
-    /// which is bounded, so the waveform may stay there for longer.
-    pub fn stays_until(&self, ns: u64, [low, high]: [f64; 2]) -> (u64, usize) {
+    /// which is bounded, so the waveform may stay there for longer. The scale is not 0.
+    pub(crate) fn stays_until(&self, ns: u64, within_um: [f64; 2]) -> (u64, usize) {
+        let [low, high] = within_um.map(|um| um / self.scale);
         let is_within = |um: f64| (low..=high).contains(&um);
-        let mut last = Knot { ns, um: self.um_at(ns) };
+        let mut last = Knot { ns, um: self.around(ns)[1] };
         if !is_within(last.um) {
             return (ns, 0);
         }
@@ -425,8 +411,8 @@ impl Waveform {
 
     /// What it does from one instant to a later one.
     pub fn section(&self, from_ns: u64, to_ns: u64) -> Section {
-        let first = Knot { ns: from_ns, um: self.um_at(from_ns) };
-        let end = Knot { ns: to_ns, um: self.um_around(to_ns)[0] };
+        let first = Knot { ns: from_ns, um: self.around(from_ns)[1] };
+        let end = Knot { ns: to_ns, um: self.around(to_ns)[0] };
         let piece = self.pieces.partition_point(|piece| piece.span_ns().1 <= from_ns);
         let pieces = self.pieces[piece..].iter().take_while(|piece| piece.span_ns().0 < to_ns);
         let inside = pieces.flat_map(|piece| piece.knots_from(piece.before(from_ns + 1)));
@@ -439,7 +425,12 @@ impl Waveform {
             knots += 1;
         }
         let mean_um = doubled / (2.0 * (to_ns - from_ns) as f64);
-        Section { rise_um: end.um - first.um, mean_um, extremes_um, knots }
+        Section {
+            rise_um: self.scale * (end.um - first.um),
+            mean_um: self.scale * mean_um,
+            extremes_um: extremes_um.map(|um| self.scale * um),
+            knots,
+        }
     }
 }
 
@@ -520,17 +511,6 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_waveform_is_refused_with_its_name() {
-        let refused =
-            |start_s, rate_hz, um: &[f64]| Waveform::samples(start_s, rate_hz, um).unwrap_err().to_string();
-        assert_eq!(refused(0.0, 0.5, &[1.0; 3]), "rate_hz is 0.5 Hz: must be 1 to 8000 Hz");
-        assert_eq!(refused(-1.0, 5.0, &[1.0; 3]), "start_s is -1 s: must be 0 to 100000000 s");
-        assert_eq!(refused(0.0, 5.0, &[1.0]), "1 samples: must be 2 to 4194302");
-        let nan = refused(0.0, 5.0, &[1.0, f64::NAN]);
-        assert_eq!(nan, "sample 1 is NaN um: must be a number, at most a metre from rest");
-    }
-
-    #[test]
     fn parts_that_do_not_overlap_stay_as_they_are() {
         let wave = |start_s| Waveform::samples(start_s, 1000.0, &[2.0, 4.0, 1.0]).unwrap();
         // The second begins when the first ends; the third overlaps the fourth.
@@ -559,7 +539,7 @@ mod tests {
         assert_eq!(sum.pieces.len(), 1);
         assert!(sum.own_bytes() <= 16 * 4096 * (64 + 2), "{}", sum.own_bytes());
         let knots = |waveform: &Waveform| match &waveform.pieces[0] {
-            Piece::Knots(of) => Arc::as_ptr(&of.knots).cast::<Knot>(),
+            Piece::Knots(knots) => Arc::as_ptr(knots).cast::<Knot>(),
             Piece::Samples(_) => panic!("a sum"),
         };
         for copy in [sum.clone().scaled(0.5), sum.first(u64::MAX / 4)] {

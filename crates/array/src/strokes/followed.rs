@@ -46,7 +46,8 @@ impl Run {
     fn followed(&self) -> Vec<Followed> {
         let sharing = self.motions().count();
         let of_lane = self.motions().map(|lane| {
-            let (array, motor, grid, waveform) = (lane.array(), lane.motor(), lane.grid(), lane.scaled());
+            let (array, motor, grid, waveform) =
+                (lane.array(), lane.motor(), lane.grid(), lane.waveform().clone());
             let (moves, reached) =
                 beginning(array, motor, &waveform, grid, tried_ns(lane.tried_s(), sharing));
             let whole_s = waveform.span_ns().map_or(0.0, |(from, until)| s_of(until - from));

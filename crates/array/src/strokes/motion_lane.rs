@@ -25,43 +25,13 @@ use crate::strokes::Step;
 use firmware_protocol::limits::correction;
 use firmware_protocol::moves::Move;
 use firmware_protocol::tick::Tick;
-use std::sync::Arc;
 
 /// Steps and knots that are looked at for a move, at most; some thousand knots more if the last step has so many. Some 50 µs of work.
 const MOST_WORK: u64 = 4_096;
 
-/// A waveform of a pattern, so many times as high.
-#[derive(Clone, Debug)]
-struct Scaled {
-    /// The pattern's waveforms, and which of them this is.
-    waveforms: Arc<[(u8, Waveform)]>,
-    of: usize,
-    scale: f64,
-}
-
-impl Scaled {
-    fn motor(&self) -> u8 {
-        self.waveforms[self.of].0
-    }
-
-    fn unscaled(&self) -> &Waveform {
-        &self.waveforms[self.of].1
-    }
-
-    fn highest_um(&self) -> f64 {
-        self.scale * self.unscaled().extremes_um()[1]
-    }
-
-    /// [`Waveform::stays_until`]; the scale is not 0.
-    fn stays_until(&self, from_ns: u64, within_um: [f64; 2]) -> (u64, usize) {
-        self.unscaled().stays_until(from_ns, within_um.map(|um| um / self.scale))
-    }
-}
-
 /// The moves of a motor that follow a waveform whose time 0 is tick 0, in order of time. Surplus is 0.
 pub(crate) fn moves(array: Array, motor: u8, waveform: &Waveform, grid: Grid) -> Vec<Move> {
-    let waveform = Scaled { waveforms: [(motor, waveform.clone())].into(), of: 0, scale: 1.0 };
-    let mut lane = MotionLane::new(array, waveform, grid);
+    let mut lane = MotionLane::new(array, motor, waveform.clone(), grid);
     let (mut moves, mut begins) = (Vec::new(), lane.begin(NEVER));
     while begins != NEVER {
         let (next, from) = lane.next;
@@ -136,7 +106,9 @@ pub(crate) fn beginning(
 pub(super) struct MotionLane {
     array: Array,
     rule: Rule,
-    waveform: Scaled,
+    motor: u8,
+    /// As high as it is played.
+    waveform: Waveform,
     tried_s: f64,
     surplus: Surplus,
     duration_s: Option<f64>,
@@ -167,29 +139,24 @@ impl MotionLane {
         grid: Grid,
         options: &StrokeOptions,
     ) -> impl Iterator<Item = Self> {
-        let (array, waveforms) = (pattern.array(), pattern.shared_waveforms());
-        (0..waveforms.len()).map(move |of| {
-            let waveform = Scaled { waveforms: waveforms.clone(), of, scale: options.scale };
-            let motor = waveform.motor();
-            Self {
-                tried_s: options.tried_s,
-                surplus: options.surplus.clone(),
-                duration_s: pattern.duration_s(),
-                has_drives: pattern.drives().iter().any(|drive| drive.motor == motor),
-                ..Self::new(array, waveform, grid)
-            }
+        pattern.waveforms().iter().map(move |(motor, waveform)| Self {
+            tried_s: options.tried_s,
+            surplus: options.surplus.clone(),
+            duration_s: pattern.duration_s(),
+            has_drives: pattern.drives().iter().any(|drive| drive.motor == *motor),
+            ..Self::new(pattern.array(), *motor, waveform.clone().scaled(options.scale), grid)
         })
     }
 
     /// A waveform alone, without a surplus.
-    fn new(array: Array, waveform: Scaled, grid: Grid) -> Self {
-        let (motor, rule) = (waveform.motor(), Rule::new(array, grid));
-        let span_ns = waveform.unscaled().span_ns();
+    fn new(array: Array, motor: u8, waveform: Waveform, grid: Grid) -> Self {
+        let rule = Rule::new(array, grid);
         Self {
             array,
             rule,
-            is_silent: waveform.highest_um() < rule.kept_um(0)[1],
-            over: span_ns.map_or(0, |(_, until)| tick_of(until, array.rate())),
+            motor,
+            is_silent: waveform.extremes_um()[1] < rule.kept_um(0)[1],
+            over: waveform.span_ns().map_or(0, |(_, until)| tick_of(until, array.rate())),
             waveform,
             tried_s: 0.0,
             surplus: Surplus::None,
@@ -209,8 +176,8 @@ impl MotionLane {
         self.array
     }
 
-    pub(super) fn motor(&self) -> u8 {
-        self.waveform.motor()
+    pub(super) const fn motor(&self) -> u8 {
+        self.motor
     }
 
     /// The grid of its moves.
@@ -224,9 +191,8 @@ impl MotionLane {
     }
 
     /// The motor's waveform in one run, as high as it is played.
-    pub(super) fn scaled(&self) -> Waveform {
-        let (whole, scale) = (self.waveform.unscaled().clone(), self.waveform.scale);
-        if scale == 1.0 { whole } else { whole.scaled(scale) }
+    pub(super) const fn waveform(&self) -> &Waveform {
+        &self.waveform
     }
 
     /// Goes back to the beginning of a play that ends at `end`; returns when the first move begins.
@@ -291,10 +257,10 @@ impl MotionLane {
         let mut surplus = 0;
         if goal == 0 && self.level > 0 {
             let most = correction(self.array.layout().max_up_pulses());
-            surplus = self.surplus.pulses_after(self.array, self.motor(), &self.bursts, most);
+            surplus = self.surplus.pulses_after(self.array, self.motor, &self.bursts, most);
             self.bursts = Bursts::default();
         }
-        let of = Move { motor: self.motor(), tick: Tick(start), level: goal, surplus };
+        let of = Move { motor: self.motor, tick: Tick(start), level: goal, surplus };
         self.next = (of, std::mem::replace(&mut self.level, goal));
     }
 
@@ -321,7 +287,7 @@ impl MotionLane {
             let until = to.min(repeat.end);
             let [begin, end] = [at, until].map(|tick| ns_at(tick - repeat.start, rate));
             let Section { rise_um, mean_um, extremes_um: [low, high], knots } =
-                self.waveform.unscaled().section(begin, end);
+                self.waveform.section(begin, end);
             let share = (until - at) as f64 / (to - from) as f64;
             let before = whole.unwrap_or(Section { extremes_um: [low, high], ..Section::default() });
             whole = Some(Section {
@@ -332,12 +298,6 @@ impl MotionLane {
             });
             (at, repeat) = (until, Repeat::of(repeat.number + 1, self.duration_s, rate));
         }
-        let (whole, scale) = (whole.unwrap_or_default(), self.waveform.scale);
-        Section {
-            knots: whole.knots,
-            rise_um: scale * whole.rise_um,
-            mean_um: scale * whole.mean_um,
-            extremes_um: whole.extremes_um.map(|um| scale * um),
-        }
+        whole.unwrap_or_default()
     }
 }

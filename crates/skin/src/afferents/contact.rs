@@ -175,16 +175,6 @@ mod tests {
         places.iter().map(under).collect()
     }
 
-    #[test]
-    fn loads_of_touching_pins_give_their_indentations() {
-        let wanted: Vec<f64> = (0..24).map(|pin| 0.5 + 0.002 * f64::from(pin)).collect();
-        let loads = loads(&array(), &wanted);
-        assert!(loads.iter().all(|&load| load > 0.0));
-        for (found, wanted) in profile_mm(&array(), &loads).iter().zip(&wanted) {
-            assert!((found - wanted).abs() < 1e-14);
-        }
-    }
-
     /// The conditions of contact: no pin pulls, pins that press lie on the skin, and no other reaches it.
     #[test]
     fn a_pin_that_would_pull_has_lost_contact() {

@@ -148,14 +148,6 @@ mod tests {
     }
 
     #[test]
-    fn far_and_narrow_fields_weigh_zero_and_wide_ones_one() {
-        let far = Position { x_mm: 1e6, y_mm: -1e6 };
-        assert_eq!(weight(far, [-4.35, 7.25], SIGMA_MM), 0.0);
-        assert_eq!(weight(Position { x_mm: 0.0, y_mm: 0.0 }, [-4.35, 7.25], 1e-3), 0.0);
-        assert!(weight(Position { x_mm: 0.0, y_mm: 0.0 }, [-4.35, 7.25], 1e6) > 0.999_999);
-    }
-
-    #[test]
     fn the_defaults_differ_in_alpha_alone() {
         let half = AfferentModel::default_for(Rectify::Half, 0.0);
         assert_eq!((half.alpha_per_um, half.tau_s, half.sigma_mm), (0.0492, 0.044, 1.1));

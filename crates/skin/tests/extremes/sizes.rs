@@ -23,19 +23,6 @@ fn no_afferents_and_no_drives() {
 }
 
 #[test]
-fn two_afferents_at_one_place_differ_in_their_noise_alone() {
-    for noise_sd in [0.0, 0.05] {
-        let model = AfferentModel { noise_sd, ..model(Rectify::Half) };
-        let scene = scene(1.0, &[drive(9, 60.0, 80.0)], &[beside(9, 0.3), beside(9, 0.3)], model);
-        as_the_oracle(&scene, 200);
-        for method in methods(100) {
-            let found = spikes(&scene, method);
-            assert_eq!(found[0] == found[1], noise_sd == 0.0, "{method:?}");
-        }
-    }
-}
-
-#[test]
 fn a_million_afferents_take_their_places_and_their_counts() {
     // A thousand by a thousand afferents on 20 mm by 20 mm. Tiles hold 4096, so only the answer stays in memory: one count per
     // afferent.
@@ -80,23 +67,6 @@ fn no_time_and_a_microsecond() {
     }
 }
 
-#[test]
-fn a_scene_that_ends_in_mid_burst_is_the_beginning_of_a_longer_one() {
-    let sensitive = AfferentModel { alpha_per_um: 0.5, ..model(Rectify::Half) };
-    let of = |duration_s| scene(duration_s, &[drive(9, 60.0, 80.0)], &[under(9)], sensitive);
-    // The bursts up last from 0 to 6.9 ms and from 16.7 to 23.6 ms.
-    for duration_s in [0.003, 0.018_123_4, 0.02] {
-        as_the_oracle(&of(duration_s), 1);
-        for method in methods(100) {
-            let mut longer = spikes(&of(0.1), method);
-            longer[0].retain(|&t| t < duration_s);
-            let shorter = spikes(&of(duration_s), method);
-            // The exact method's last segment ends with the scene.
-            assert_close(&shorter[0], &longer[0], 1e-13, &format!("{duration_s} s, {method:?}"));
-        }
-    }
-}
-
 /// The last step ends after the scene, and the proof of silence must cover it.
 #[test]
 fn a_scene_that_ends_within_a_step_is_the_same_with_and_without_skipping() {
@@ -120,28 +90,5 @@ fn a_month_s_last_hour_is_that_hour_alone() {
         // 2 units in the last place.
         assert_close(&last, &expected, 1e-9_f64.max(2.0 * (MONTH_S.next_up() - MONTH_S)), "the last hour");
         assert_eq!(month.len(), 720 * hour.len());
-    }
-}
-
-#[test]
-fn a_month_in_steps() {
-    // A period is 400 steps. All periods are alike once the start's effect has leaked away.
-    let model = AfferentModel { alpha_per_um: 0.1, ..model(Rectify::Full) };
-    let of = |duration_s| scene(duration_s, &[drive(9, 0.01, 80.0)], &[under(9)], model);
-    let count = |duration_s| {
-        let options = Options { skip: false, ..Options::rates(propagator(250_000)) };
-        simulate(&of(duration_s), &options, &|_| ()).unwrap().counts[0]
-    };
-    assert!(count(3600.0) > 0 && count(MONTH_S) == 720 * count(3600.0));
-    // Four hours in steps short enough for Euler to see every stroke.
-    for method in stepped(5_000) {
-        let found = |duration_s| {
-            let options = Options::spikes(method);
-            simulate(&of(duration_s), &options, &|_| ()).unwrap().spikes_s.unwrap().remove(0)
-        };
-        let (hour, four) = (found(3600.0), found(14_400.0));
-        let last: Vec<f64> = four.iter().filter(|&&t| t >= 10_800.0).map(|t| t - 10_800.0).collect();
-        assert_close(&last, &hour, 1e-9, &format!("{method:?}"));
-        assert!(hour.len() >= 72);
     }
 }
