@@ -22,6 +22,7 @@ const OTHERS: &[(&str, &str, &str)] = &[
     ("crates/api/src/live.rs", "24", "the length of the finger's pad, mm"),
     ("crates/paper/src/target/checked.rs", "24", "the length of the finger's pad, mm"),
     ("crates/skin/src/afferents/noise.rs", "23", "bits of a number"),
+    ("crates/skin/src/validate/measure.rs", "24", "a range of samples"),
     ("crates/stream/src/bandwidth.rs", "24", "bytes around a frame"),
     ("crates/stream/src/diagnostics.rs", "24", "points of a line fit"),
     ("firmware-protocol/src/array.rs", "24", "lines of a Pico"),

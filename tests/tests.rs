@@ -63,3 +63,5 @@ mod service;
 mod sessions;
 /// `simulate` and `tradeoff`: documents, mistakes, the comparison of methods; the shipped scenes.
 mod simulate;
+/// `validate`: a verdict for every case, and the book's table.
+mod validate;

@@ -37,6 +37,7 @@ mod simulate;
 mod text;
 mod token;
 mod tradeoff;
+mod validate;
 mod watch;
 
 use crate::config::Source;
@@ -240,6 +241,8 @@ enum Command {
     Judge(judge::Judge),
     /// Compare simulation methods on this machine: time against error
     Tradeoff(tradeoff::Tradeoff),
+    /// Compare both models of skin and afferents with published figures
+    Validate,
     /// Write the man pages, the completions of three shells and the OpenAPI document to a folder
     Manual {
         /// The folder
@@ -375,6 +378,7 @@ fn run(command: Command) -> Result<ExitCode> {
         Command::Tradeoff(asked) => tradeoff::run(&asked),
         Command::Render(asked) => render::run(&asked),
         Command::Judge(asked) => judge::run(&asked),
+        Command::Validate => validate::run(),
         Command::Manual { folder } => manual::manual(&Cli::command(), &folder).map(|()| ExitCode::SUCCESS),
         Command::Doctor { device, array, board, seconds, options } => {
             doctor::run(device, array.find()?, board, Duration::from_secs_f64(seconds), &options)

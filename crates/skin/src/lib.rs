@@ -19,6 +19,7 @@
 //!
 //! The above is the model `membrane`. [`afferents`] is a second model with modules of its own: skin mechanics, and SA1, RA and PC afferents. An [`AnyScene`] is a
 //! scene of either model, and reads the files. A [`Finger`] of the second model responds to ramps.
+//! [`validate`] compares both models with published figures.
 //!
 //! Both methods use the same noise, so they can be compared spike by spike. Work is skipped only if the answer is known without it
 //! ([`Skipped`]): motors at rest, afferents out of reach or provably silent.
@@ -69,6 +70,7 @@
 
 pub mod afferents;
 pub mod membrane;
+pub mod validate;
 
 mod any_scene;
 mod blocks;

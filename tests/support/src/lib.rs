@@ -17,6 +17,7 @@ pub mod documents;
 pub mod oracle;
 pub mod paper;
 pub mod patterns;
+pub mod played;
 pub mod random;
 pub mod rig;
 pub mod statistics;
