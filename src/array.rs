@@ -64,7 +64,6 @@ pub fn shown(details: &ArrayDetails) -> Result<Array, FindError> {
 }
 
 /// The array as the API shows it.
-#[must_use]
 pub fn details(array: Array) -> ArrayDetails {
     let motor = array.motor();
     ArrayDetails {

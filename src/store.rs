@@ -187,7 +187,6 @@ impl Store {
     }
 
     /// The pattern of that name, if it is part of the library. Does not read the disk.
-    #[must_use]
     pub fn library(&self, name: &str) -> Option<&Stored> {
         self.library.get(name)
     }
@@ -252,7 +251,6 @@ impl Store {
     }
 
     /// All patterns, and a line for each file that cannot be read as one, up to [`MAX_LISTED`].
-    #[must_use]
     pub fn list(&self) -> PatternList {
         let mut list = PatternList::default();
         list.patterns.extend(self.library.values().map(Stored::entry));
@@ -333,7 +331,6 @@ impl Store {
 
 impl Stored {
     /// A pattern that does not come from the store.
-    #[must_use]
     pub fn made(pattern: Pattern) -> Self {
         let text = pattern.to_toml();
         Self::new(Arc::new(pattern), text.as_bytes(), false)
@@ -364,14 +361,12 @@ impl Stored {
     }
 
     /// The order for one run of the pattern.
-    #[must_use]
     pub fn run(&self) -> &Outline {
         // The default options are within their ranges.
         self.run.get_or_init(|| Outline::of(&self.pattern, &StrokeOptions::default()).unwrap_or_default())
     }
 
     /// [`PatternDetails`](meissner_api::PatternDetails) as JSON: made once, in milliseconds for a long pattern.
-    #[must_use]
     pub fn json(&self) -> Arc<[u8]> {
         let made = self.json.get_or_init(|| {
             let Self { pattern, sha256, library, .. } = self;
@@ -392,7 +387,6 @@ impl Stored {
     }
 
     /// The JSON, if it was made already.
-    #[must_use]
     pub fn made_json(&self) -> Option<Arc<[u8]>> {
         self.json.get().cloned()
     }

@@ -36,7 +36,6 @@ mod session_token;
 mod simulate;
 mod text;
 mod token;
-mod tradeoff;
 mod validate;
 mod watch;
 
@@ -239,8 +238,6 @@ enum Command {
     Render(render::Render),
     /// Compare what fingers feel of a pattern with what they feel of the real object
     Judge(judge::Judge),
-    /// Compare simulation methods on this machine: time against error
-    Tradeoff(tradeoff::Tradeoff),
     /// Compare both models of skin and afferents with published figures
     Validate,
     /// Write the man pages, the completions of three shells and the OpenAPI document to a folder
@@ -270,13 +267,11 @@ enum Command {
 }
 
 /// All commands and their flags, as clap describes them: the source of manual pages and shell completions.
-#[must_use]
 pub fn command() -> clap::Command {
     Cli::command()
 }
 
 /// Runs the program.
-#[must_use]
 pub fn main() -> ExitCode {
     if render_process::is_asked(env::args_os().next().as_deref()) {
         return render_process::work();
@@ -293,7 +288,6 @@ pub fn main() -> ExitCode {
 
 /// Runs a command on this thread, for tests: exit code and output as of a process. The arguments begin with the program's name.
 #[doc(hidden)]
-#[must_use]
 pub fn answered(arguments: &[OsString]) -> process::Output {
     let run = || Cli::try_parse_from(arguments).map_or_else(usage, |cli| exit_code(run(cli.command)));
     let (code, [stdout, stderr]) = output::held(run);
@@ -375,7 +369,6 @@ fn run(command: Command) -> Result<ExitCode> {
         Command::Displacement(asked) => displacement::run(&asked),
         Command::Simulate(asked) => simulate::run(&asked),
         Command::Optimise(asked) => optimise::run(&asked),
-        Command::Tradeoff(asked) => tradeoff::run(&asked),
         Command::Render(asked) => render::run(&asked),
         Command::Judge(asked) => judge::run(&asked),
         Command::Validate => validate::run(),

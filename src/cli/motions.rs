@@ -119,7 +119,6 @@ impl FollowedMotor {
     }
 
     /// In one line, why the pin does not follow; `None` if it does.
-    #[must_use]
     pub(super) fn problem(&self, array: Array) -> Option<String> {
         let Self { motor, highest_um, .. } = *self;
         let spec = array.motor();
@@ -172,7 +171,6 @@ impl Motions {
     }
 
     /// A line for each motor that does not follow its motion.
-    #[must_use]
     pub(super) fn problems(&self, array: Array) -> Vec<String> {
         self.motors.iter().filter_map(|of| of.problem(array)).collect()
     }

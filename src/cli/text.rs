@@ -29,7 +29,6 @@ pub(super) fn pairs(pairs: &[(&str, String)]) -> String {
 }
 
 /// A table without rules; the head may be empty.
-#[must_use]
 pub(super) fn columns(head: &[&str], rows: impl IntoIterator<Item = Vec<String>>) -> String {
     let mut table = Table::new();
     table.load_style(NOTHING).add_rows(rows);
@@ -43,7 +42,6 @@ pub(super) fn columns(head: &[&str], rows: impl IntoIterator<Item = Vec<String>>
 }
 
 /// A number with `digits` digits after the point; `-` if there is none.
-#[must_use]
 pub(super) fn number(number: Option<f64>, digits: usize) -> String {
     number.map_or_else(|| "-".to_owned(), |number| format!("{number:.digits$}"))
 }

@@ -70,7 +70,6 @@ fn verdicts(case: &Case) -> String {
 }
 
 /// A number with three significant digits.
-#[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "clamped")]
 fn three(number: f64) -> String {
     let digits = (2.0 - number.abs().max(1e-9).log10().floor()).clamp(0.0, 6.0) as usize;
     format!("{number:.digits$}")

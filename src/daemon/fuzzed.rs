@@ -7,7 +7,6 @@ use crate::daemon::core::error::DaemonError;
 use crate::daemon::net::app::App;
 use crate::daemon::net::bounds::Bounds;
 use crate::daemon::net::estop;
-use crate::daemon::net::server::Counts;
 use crate::daemon::routes::router;
 use crate::daemon::run::{Daemon, Hosted};
 use crate::record::{NetworkPeer, Peer};
@@ -33,7 +32,7 @@ impl Fuzzed {
     /// As [`Daemon::host`].
     pub fn new(daemon: Daemon) -> Result<Self, DaemonError> {
         let (engine, store) = (Arc::clone(&daemon.engine), daemon.store.clone());
-        let router = router(App::new(engine, store, &Bounds::of_process(), Arc::new(Counts::default())));
+        let router = router(App::new(engine, store, &Bounds::of_process()));
         Ok(Self { router, daemon: daemon.host()? })
     }
 
@@ -57,7 +56,6 @@ impl Fuzzed {
 }
 
 /// The token of an emergency stop on its own port that these bytes begin with, if it is complete.
-#[must_use]
 pub fn estop_token(sent: &[u8]) -> Option<&str> {
     estop::parse(sent).ok().flatten().map(|(_, token)| token)
 }

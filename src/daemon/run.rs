@@ -14,7 +14,7 @@ use crate::daemon::core::engine::Engine;
 use crate::daemon::core::error::{DaemonError, system};
 use crate::daemon::core::panics;
 use crate::daemon::core::runtime::runtime;
-use crate::daemon::core::service::{self, Manager, Notification, StatusReporter};
+use crate::daemon::core::service::{self, Manager, StatusReporter};
 use crate::daemon::core::signals::Signals;
 use crate::daemon::exposure::state::Exposure;
 use crate::daemon::exposure::sums;
@@ -23,7 +23,7 @@ use crate::daemon::net::bounds::Bounds;
 use crate::daemon::net::estop::EStopThread;
 use crate::daemon::net::gate::Gate;
 use crate::daemon::net::listen;
-use crate::daemon::net::server::{Counts, Server};
+use crate::daemon::net::server::Server;
 use crate::daemon::net::socket::Bound;
 use crate::daemon::routes;
 use crate::daemon::sessions::handlers::look_for_losses;
@@ -34,6 +34,7 @@ use crate::store::Store;
 use meissner_api::Realtime;
 use meissner_stream::device::mock::TruePositions;
 use meissner_stream::queues::{CommandQueue, EventQueue};
+use sd_notify::NotifyState;
 use std::io;
 use std::sync::Arc;
 use std::thread::{self, JoinHandle};
@@ -133,12 +134,12 @@ impl Daemon {
             .map_err(system("socket"))?;
         let (tcp, tcp_estop) = tcp.map_or((None, None), |[api, estop]| (Some(api), Some(estop)));
         let tcp = tcp.map(TcpListener::from_std).transpose().map_err(system("socket"))?;
-        let (bounds, counts) = (Bounds::of_process(), Arc::new(Counts::default()));
+        let bounds = Bounds::of_process();
         let (estops, gate) = (Arc::clone(&engine.estops), Arc::clone(&engine.gate));
         let (estop_thread, asked, mut estops_ended) =
             EStopThread::spawn(estop, tcp_estop, estops, gate, bounds.estops)
                 .map_err(system("thread for emergency stops"))?;
-        let manager = Manager::find().map_err(system("thread"))?;
+        let manager = Manager::find();
         let (close, closing) = watch::channel(false);
         let reporter = StatusReporter::new(manager.clone());
         let mut event_loop = tokio::spawn(Arc::clone(&engine).event_loop(events, reporter));
@@ -146,12 +147,12 @@ impl Daemon {
         let mut streamer = ended(streamer).map_err(system("thread"))?;
         // A client's first command may have started the daemon: give the device time to connect.
         engine.first_device().await;
-        let router = routes::router(App::new(Arc::clone(&engine), store, &bounds, Arc::clone(&counts)));
+        let router = routes::router(App::new(Arc::clone(&engine), store, &bounds));
         let looking = Arc::clone(&engine);
         tokio::spawn(async move { look_for_losses(&looking, RECORD_TIMEOUT).await });
-        let server = Server::new(Arc::clone(&engine), router, bounds, counts);
+        let server = Server::new(Arc::clone(&engine), router, bounds);
         let server = tokio::spawn(server.serve(unix, tcp, asked, closing));
-        manager.notify(Notification::Ready);
+        tokio::spawn(service::ready(manager.clone()));
         let result = tokio::select! {
             () = signals.end() => Ok(()),
             _ = &mut streamer => Err(DaemonError::Streamer),
@@ -159,7 +160,7 @@ impl Daemon {
             _ = &mut event_loop => Err(DaemonError::EventLoop),
             () = panics::of_needed_thread() => Err(DaemonError::Panicked),
         };
-        manager.notify(Notification::Stopping);
+        manager.notify(&NotifyState::Stopping);
         // An error means that the connector has ended already.
         let _ = connector.try_send(ConnectorMessage::Quit);
         if !matches!(result, Err(DaemonError::Streamer)) {
@@ -236,13 +237,11 @@ pub struct Hosted {
 
 impl Hosted {
     /// The true positions of the simulated motors, once a simulated device is connected.
-    #[must_use]
     pub fn true_positions(&self) -> Option<Arc<TruePositions>> {
         self.engine.true_positions()
     }
 
     /// Which real-time rights the system granted.
-    #[must_use]
     pub const fn realtime(&self) -> Realtime {
         self.realtime
     }

@@ -132,7 +132,6 @@ impl Account {
     }
 
     /// The sums as the file's text, including the time that plays may still use; none while the sums are unknown.
-    #[must_use]
     pub fn text(&self, now: Now) -> Option<String> {
         if self.unknown.is_some() {
             return None;

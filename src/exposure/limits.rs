@@ -53,7 +53,6 @@ pub enum Limit {
 
 impl Limit {
     /// Its key in the configuration.
-    #[must_use]
     pub const fn key(self) -> &'static str {
         match self {
             Self::Continuous => "max_continuous_s",

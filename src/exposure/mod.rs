@@ -60,7 +60,6 @@ pub struct Now {
 
 impl Now {
     /// Reads the system's clocks and time zone.
-    #[must_use]
     pub fn read() -> Self {
         static BEGAN: OnceLock<(SignedDuration, Zoned)> = OnceLock::new();
         let (at, wall) = clock::now();
@@ -78,7 +77,6 @@ impl Now {
     }
 
     /// The same at another instant of the monotonic clock.
-    #[must_use]
     pub const fn at(self, at: HostInstant) -> Self {
         Self { at, ..self }
     }
@@ -91,7 +89,6 @@ fn seconds(at: HostInstant) -> f64 {
 
 impl Exceeded {
     /// The limit, what is left, and when to try again, in one line.
-    #[must_use]
     pub fn text(&self) -> String {
         let Self { limit, most_s, used_s, play_s, pause_s } = self;
         let left_s = (most_s - used_s).max(0.0);
@@ -184,13 +181,11 @@ fn add(sums: &mut Sums, person: Option<String>, vibration_s: f64) {
 
 impl Account {
     /// An account without sums.
-    #[must_use]
     pub fn new(limits: ParticipantLimits) -> Self {
         Self { limits, ..Self::default() }
     }
 
     /// The limits.
-    #[must_use]
     pub const fn limits(&self) -> &ParticipantLimits {
         &self.limits
     }
@@ -391,7 +386,6 @@ impl Account {
     }
 
     /// How long the pins of a play take to come down if it is cut, s.
-    #[must_use]
     pub fn return_s(&self, id: u64) -> f64 {
         self.live.iter().find(|live| live.id == id).map_or(0.0, |live| live.vibration.return_s())
     }
@@ -408,7 +402,6 @@ impl Account {
     }
 
     /// How long the running session has vibrated, s.
-    #[must_use]
     pub fn session_s(&self) -> f64 {
         self.session_s.unwrap_or(0.0)
     }
@@ -419,7 +412,6 @@ impl Account {
     }
 
     /// The problem with the sums, and what to do; none if there is none.
-    #[must_use]
     pub fn problem(&self, now: Now) -> Option<String> {
         let later = || {
             let (date, _) =
@@ -440,13 +432,11 @@ impl Account {
     }
 
     /// Why the sums are not known.
-    #[must_use]
     pub fn unknown(&self) -> Option<&str> {
         self.unknown.as_deref()
     }
 
     /// Limits, and what is used and left.
-    #[must_use]
     pub fn status(&self, now: Now) -> ParticipantStatus {
         let ParticipantLimits { max_amplitude_um, max_continuous_s, pause_s, max_session_s, max_day_s } =
             self.limits;

@@ -8,7 +8,6 @@ use std::sync::Arc;
 /// The tolerance of sums, s: more than the accumulated rounding errors.
 pub(super) const ROUNDING_S: f64 = 1e-6;
 /// Movements less than this apart are one vibration, s, also those of two plays.
-#[expect(clippy::cast_precision_loss, reason = "half a second")]
 pub(super) const STILL_S: f64 = STILL_MS as f64 / 1000.0;
 
 /// Vibration since the last pause.
@@ -31,25 +30,21 @@ impl Stretch {
     pub const NONE: Self = Self { used_s: 0.0, until_s: f64::NEG_INFINITY };
 
     /// Whether a pause is over at `at_s`.
-    #[must_use]
     pub fn is_over(&self, at_s: f64, pause_s: f64) -> bool {
         at_s - self.until_s >= pause_s - ROUNDING_S
     }
 
     /// The stretch after vibration from `from_s` to `to_s`.
-    #[must_use]
     pub fn with(self, from_s: f64, to_s: f64, pause_s: f64) -> Self {
         Self { used_s: self.used_at(from_s, pause_s) + to_s - from_s, until_s: self.until_s.max(to_s) }
     }
 
     /// The earlier vibration that counts for vibration beginning at `at_s`, s.
-    #[must_use]
     pub fn used_at(&self, at_s: f64, pause_s: f64) -> f64 {
         if self.is_over(at_s, pause_s) { 0.0 } else { self.used_s }
     }
 
     /// The time since the last vibration that counts if a movement begins at `at_s`: all of it, if it is less than [`STILL_S`].
-    #[must_use]
     pub fn gap_s(&self, at_s: f64) -> f64 {
         let gap_s = at_s - self.until_s;
         if gap_s < STILL_S { gap_s.max(0.0) } else { 0.0 }
@@ -75,7 +70,6 @@ fn return_s(pulses: u16, settings: &Settings) -> f64 {
 
 impl Vibration {
     /// The vibration of a play with these steps, which ends after so many ticks.
-    #[must_use]
     pub fn of(hold: &Hold, end: Option<u64>, settings: &Settings) -> Self {
         let rate = settings.array.rate();
         let seconds = |tick| if tick == u64::MAX { f64::INFINITY } else { rate.ticks_to_seconds(tick) };
@@ -84,13 +78,11 @@ impl Vibration {
     }
 
     /// Vibration in these spans, s, of a play that ends then.
-    #[must_use]
     pub fn new(spans: impl IntoIterator<Item = (f64, f64)>, end_s: Option<f64>) -> Self {
         Self { spans: spans.into_iter().collect(), end_s, return_s: 0.0 }
     }
 
     /// Vibration from the onset on, without end, of pins that may be at any height.
-    #[must_use]
     pub fn without_end(settings: &Settings) -> Self {
         let most = settings.array.motor().most_pulses;
         Self { return_s: return_s(most, settings), ..Self::new([(0.0, f64::INFINITY)], None) }
@@ -106,50 +98,42 @@ impl Vibration {
     }
 
     /// How long it vibrates between two times, s.
-    #[must_use]
     pub fn within(&self, from_s: f64, to_s: f64) -> f64 {
         self.between(from_s, self.end().min(to_s)).map(|(start, stop)| stop - start).sum()
     }
 
     /// How long it vibrates in all, s; `None`: without end.
-    #[must_use]
     pub fn total(&self) -> Option<f64> {
         self.end_s.map(|end_s| self.within(0.0, end_s))
     }
 
     /// Whether the play has no end.
-    #[must_use]
     pub const fn is_endless(&self) -> bool {
         self.end_s.is_none()
     }
 
     /// When it ends, s; infinite without end.
-    #[must_use]
     pub fn end(&self) -> f64 {
         self.end_s.unwrap_or(f64::INFINITY)
     }
 
     /// When it first vibrates, s.
-    #[must_use]
     pub fn first(&self) -> f64 {
         self.spans.first().map_or(0.0, |first| first.0)
     }
 
     /// How long its pins take to come down if it is cut, s.
-    #[must_use]
     pub const fn return_s(&self) -> f64 {
         self.return_s
     }
 
     /// The longest vibration without a pause of `pause_s`, s; infinite if the play has no end and no such pause.
-    #[must_use]
     pub fn longest(&self, pause_s: f64) -> f64 {
         self.walk(0.0, (0.0, f64::INFINITY), Stretch::NONE, pause_s).0
     }
 
     /// Adds to a stretch the vibration between `from_s` and `to_s` of a play that began at `onset_s`. Returns the largest value of
     /// the stretch, and the stretch afterwards.
-    #[must_use]
     pub fn walk(
         &self,
         onset_s: f64,

@@ -13,7 +13,6 @@ use meissner_stream::queues::CommandError;
 use std::collections::BTreeMap;
 
 /// The controller's state as the API names it.
-#[must_use]
 pub const fn state_name(state: State) -> &'static str {
     match state {
         State::Disarmed => "disarmed",
@@ -24,7 +23,6 @@ pub const fn state_name(state: State) -> &'static str {
 }
 
 /// The device information of a handshake; `kind` says how the device is reached.
-#[must_use]
 pub fn device_info(kind: &str, hello: &DeviceHello) -> DeviceInfo {
     let [major, minor, patch] = hello.firmware;
     DeviceInfo {
@@ -39,7 +37,6 @@ pub fn device_info(kind: &str, hello: &DeviceHello) -> DeviceInfo {
 }
 
 /// The device's counters as the API shows them.
-#[must_use]
 pub fn board_status(board: &Board) -> BoardStatus {
     BoardStatus {
         reset: reset_name(board.reset).to_owned(),
@@ -51,7 +48,6 @@ pub fn board_status(board: &Board) -> BoardStatus {
 }
 
 /// The numbers of the outputs: those of motors, then the trigger and the driver enable.
-#[must_use]
 pub fn outputs(outputs: Outputs) -> Vec<u8> {
     let number = |output| match output {
         Output::Line(motor) => motor,
@@ -62,7 +58,6 @@ pub fn outputs(outputs: Outputs) -> Vec<u8> {
 }
 
 /// The API's name of the cause of a device's start.
-#[must_use]
 pub const fn reset_name(reset: Reset) -> &'static str {
     match reset {
         Reset::Unknown => "unknown",
@@ -85,7 +80,6 @@ fn counters(counts: &Counts) -> BTreeMap<String, Option<u32>> {
 }
 
 /// The fit that a request asks for.
-#[must_use]
 pub const fn fit(asked: meissner_api::Fit) -> Fit {
     match asked {
         meissner_api::Fit::Whole => Fit::Whole,
@@ -94,7 +88,6 @@ pub const fn fit(asked: meissner_api::Fit) -> Fit {
 }
 
 /// How a play ended, in words: its state, its cause, and how long after the onset it was cut.
-#[must_use]
 pub fn end_text(state: &str, cause: Option<&EndCause>, cut_after_ms: Option<f64>) -> String {
     let cut = cut_after_ms.map_or_else(String::new, |ms| format!(", cut {ms:.1} ms after the onset"));
     match cause {
@@ -112,7 +105,6 @@ pub fn end_text(state: &str, cause: Option<&EndCause>, cut_after_ms: Option<f64>
 }
 
 /// Why the streamer refused a command, as an error of the API.
-#[must_use]
 pub fn refusal(refused: CommandError) -> Problem {
     let code = match refused {
         CommandError::DriftLimit { .. } => Code::DriftLimit,

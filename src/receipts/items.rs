@@ -28,7 +28,6 @@ pub struct PlannedItem {
 
 impl PlannedItem {
     /// An item in which nothing is played.
-    #[must_use]
     pub fn blank() -> Self {
         Self {
             pattern: BLANK.into(),

@@ -1,4 +1,4 @@
-//! Receipts: turns the streamer's events into receipts, totals, the device's state, and the API's events.
+//! Receipts: turns the streamer's events into receipts, the device's state, and the API's events.
 //!
 //! The daemon adds each play before it sends it ([`Receipts::add`]), applies each [`StreamEvent`] ([`Receipts::apply`]), and publishes
 //! the events that this returns. Nothing here reads a clock or sends anything.
@@ -24,9 +24,9 @@ use firmware_protocol::message::{DeviceHello, State};
 use firmware_protocol::tick::Tick;
 use live::LiveAccount;
 use meissner_api::{
-    BurstCounts, DeviceInfo, EdgeEffect, Event, LateCounts, LateStroke, LinkTraffic, LoweredPin,
-    LoweredReason, MAX_LISTED, MotorRestError, MovedPin, NO_DEVICE, OrderedCounts, PlayDevice, PlayEdges,
-    PlayPins, PlayState, PulseCounts, Receipt, RefusedStroke, RunningPlay,
+    DeviceInfo, EdgeEffect, Event, LateStroke, LinkTraffic, LoweredPin, LoweredReason, MAX_LISTED,
+    MotorRestError, MovedPin, NO_DEVICE, OrderedCounts, PlayDevice, PlayEdges, PlayPins, PlayState, Receipt,
+    RefusedStroke, RunningPlay,
 };
 use meissner_array::spec::Array;
 use meissner_array::units::TickRate;
@@ -42,25 +42,6 @@ pub const KEPT: usize = 1000;
 
 /// Items of sequences in these receipts, at most: older receipts give way. They take 8 MB.
 pub const KEPT_ITEMS: usize = 1 << 15;
-
-/// Sums since the daemon's start.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Totals {
-    /// Plays that ended: done, stopped, aborted.
-    pub plays: [u64; 3],
-    /// Bursts of ended plays.
-    pub bursts: BurstCounts,
-    /// Pulses of ended plays.
-    pub pulses: PulseCounts,
-    /// Late strokes of ended plays.
-    pub lateness: LateCounts,
-    /// Bytes sent while plays ran.
-    pub wire_bytes: u64,
-    /// Events lost because the daemon was too slow.
-    pub lost: u64,
-    /// Devices connected.
-    pub connects: u64,
-}
 
 /// The device's state as the API names it.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -89,12 +70,10 @@ pub struct Receipts {
     planned: HashMap<u64, Arc<[PlannedItem]>>,
     /// The updates of live plays that are not over.
     updates: HashMap<u64, LiveAccount>,
-    totals: Totals,
 }
 
 impl Receipts {
     /// No plays yet, on this array.
-    #[must_use]
     pub fn new(array: Array) -> Self {
         Self {
             array,
@@ -106,7 +85,6 @@ impl Receipts {
             finished: VecDeque::new(),
             planned: HashMap::new(),
             updates: HashMap::new(),
-            totals: Totals::default(),
         }
     }
 
@@ -141,7 +119,6 @@ impl Receipts {
     }
 
     /// How the last device was reached, as in [`DeviceInfo::kind`].
-    #[must_use]
     pub fn kind(&self) -> &str {
         &self.kind
     }
@@ -159,7 +136,6 @@ impl Receipts {
             StreamEvent::Contradiction(how) => Some(Event::Contradiction { kind: how.name().to_owned() }),
             StreamEvent::DriftWarning { um } => Some(Event::Drifted { um: *um }),
             StreamEvent::Connected(hello) => {
-                self.totals.connects += 1;
                 self.hello = Some(*hello);
                 Some(Event::Connected { device: device_info(&self.kind, hello) })
             }
@@ -216,10 +192,7 @@ impl Receipts {
                 None
             }
             StreamEvent::PlayEnded { id, outcome } => self.ended(*id, outcome),
-            StreamEvent::EventsLost(events) => {
-                self.totals.lost += events;
-                Some(Event::Lost { events: *events })
-            }
+            StreamEvent::EventsLost(events) => Some(Event::Lost { events: *events }),
         }
     }
 
@@ -235,7 +208,6 @@ impl Receipts {
         if let (Some(live), Some(account)) = (&mut receipt.live, self.updates.remove(&id)) {
             *live = account.record();
         }
-        self.totals.add(outcome);
         let planned = self.planned.remove(&id).unwrap_or_default();
         receipt.items = Some(items::records(&planned, &outcome.play.items, rate));
         // An event must be short.
@@ -259,13 +231,11 @@ impl Receipts {
     }
 
     /// The receipt of a play.
-    #[must_use]
     pub fn receipt(&self, id: u64) -> Option<&Receipt> {
         self.live.iter().chain(&self.finished).find(|receipt| receipt.id == id)
     }
 
     /// The receipt of the last play.
-    #[must_use]
     pub fn last(&self) -> Option<&Receipt> {
         self.live.iter().chain(&self.finished).max_by_key(|receipt| receipt.id)
     }
@@ -276,32 +246,22 @@ impl Receipts {
     }
 
     /// Whether no play was sent, waits or runs.
-    #[must_use]
     pub fn is_idle(&self) -> bool {
         self.sent.is_empty() && self.live.is_empty()
     }
 
     /// The connected device.
-    #[must_use]
     pub fn device(&self) -> Option<DeviceInfo> {
         self.hello.as_ref().map(|hello| device_info(&self.kind, hello))
     }
 
     /// The last snapshot.
-    #[must_use]
     pub const fn snapshot(&self) -> Option<&Snapshot> {
         self.snapshot.as_ref()
     }
 
-    /// Sums since the start.
-    #[must_use]
-    pub const fn totals(&self) -> &Totals {
-        &self.totals
-    }
-
     /// The device's clock at `now` and its uncertainty, µs: from the last snapshot's estimate, because an idle streamer publishes
     /// one a second.
-    #[must_use]
     pub fn clock(&self, now: HostInstant) -> Option<(Tick, f64)> {
         let snapshot = self.snapshot.as_ref().filter(|snapshot| snapshot.connected)?;
         let clock = snapshot.clock?;
@@ -309,7 +269,6 @@ impl Receipts {
     }
 
     /// The device's state as the API names it.
-    #[must_use]
     pub fn device_state(&self) -> DeviceState {
         match &self.snapshot {
             Some(at) if at.connected || at.state == State::Faulted => {
@@ -321,7 +280,6 @@ impl Receipts {
     }
 
     /// The running play.
-    #[must_use]
     pub fn running(&self) -> Option<RunningPlay> {
         let receipt = self.live.iter().find(|receipt| receipt.state == PlayState::Running)?;
         let played = self.snapshot.as_ref().and_then(|snapshot| snapshot.play);
@@ -330,7 +288,6 @@ impl Receipts {
     }
 
     /// The state as an event.
-    #[must_use]
     pub fn state_event(&self, now: HostInstant) -> Event {
         let DeviceState { state, cause, position } = self.device_state();
         Event::State {
@@ -394,29 +351,6 @@ fn complete(receipt: &mut Receipt, outcome: &Outcome, rate: TickRate) {
         rest_errors: rest_errors.collect(),
         moved: pins.collect(),
     });
-}
-
-impl Totals {
-    fn add(&mut self, outcome: &Outcome) {
-        self.plays[outcome.end as usize] += 1;
-        let (sum, bursts) = (&mut self.bursts, &outcome.bursts);
-        sum.planned += bursts.planned;
-        sum.played += bursts.played;
-        sum.late += bursts.late;
-        sum.dropped += bursts.dropped;
-        sum.refused += bursts.refused;
-        sum.replaced += bursts.replaced;
-        sum.amended += bursts.amended;
-        sum.shortened += bursts.shortened;
-        self.pulses.planned += outcome.pulses.planned;
-        self.pulses.played += outcome.pulses.played;
-        let (sum, lateness) = (&mut self.lateness, &outcome.lateness);
-        sum.host += lateness.host;
-        sum.link += lateness.link;
-        sum.device += lateness.device;
-        sum.worst_ms = sum.worst_ms.max(lateness.worst_ms);
-        self.wire_bytes += outcome.wire_bytes;
-    }
 }
 
 #[cfg(test)]

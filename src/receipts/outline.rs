@@ -48,7 +48,6 @@ impl Outline {
     }
 
     /// Why nothing would be played; `None` if there is a stroke or a motion.
-    #[must_use]
     pub fn empty(&self) -> Option<&str> {
         let moves = self.motions_um > 0.0 || self.drives.iter().any(|drive| drive.strokes != Some(0));
         let why = self
@@ -59,14 +58,12 @@ impl Outline {
     }
 
     /// The largest amplitude of the drives or level of the motions as ordered, and the largest amplitude that drives reach, µm.
-    #[must_use]
     pub fn largest_um(&self) -> [f64; 2] {
         let [ordered_um, reached_um] = largest_um(&self.drives);
         [ordered_um.max(self.motions_um), reached_um]
     }
 
     /// The first [`MAX_LISTED`] warnings, and how many more there are.
-    #[must_use]
     pub fn listed_warnings(&self) -> Vec<String> {
         first(&self.warnings, MAX_LISTED)
     }
@@ -83,7 +80,6 @@ impl Outline {
 }
 
 /// The largest amplitude of drives, as ordered and as reached, µm.
-#[must_use]
 pub fn largest_um(drives: &[ReachedDrive]) -> [f64; 2] {
     let most = |of: fn(&ReachedDrive) -> f64| drives.iter().map(of).fold(0.0, f64::max);
     [most(|drive| drive.ordered_um), most(|drive| drive.reached_um)]
@@ -96,13 +92,11 @@ const WALKED: u64 = 1 << 20;
 const WALKED_AT_END: u64 = 1 << 14;
 
 /// The bursts and pulses of a play of a pattern without motions; `None` if it has no end. May take 30 ms.
-#[must_use]
 pub fn counts(pattern: &Pattern, options: &StrokeOptions) -> Option<OrderedCounts> {
     counted(pattern, options, WALKED)
 }
 
 /// The bursts and pulses of the strokes of an endless play that begin in its first `ticks`.
-#[must_use]
 pub fn counts_until(pattern: &Pattern, options: &StrokeOptions, ticks: u64) -> Option<OrderedCounts> {
     let seconds = Some(pattern.array().rate().ticks_to_seconds(ticks));
     let options = StrokeOptions { seconds, fit: strokes::Fit::Cover, ..options.clone() };
@@ -128,7 +122,6 @@ fn motions_um(pattern: &Pattern) -> f64 {
 }
 
 /// How the motors of a play follow their motions.
-#[must_use]
 pub fn motions(followed: &[Followed]) -> Vec<FollowedMotion> {
     let rounded = |number: f64| (number * 1000.0).round() / 1000.0;
     let motion = |found: &Followed| FollowedMotion {
@@ -146,7 +139,6 @@ pub fn motions(followed: &[Followed]) -> Vec<FollowedMotion> {
 
 /// How the motors of a sequence follow their motions: of each motor the figures of the item in which it is off the most, and the first
 /// instant at which it is too slow. The items come with their onsets, s.
-#[must_use]
 pub fn motions_of_items<'a>(items: impl Iterator<Item = (f64, &'a [FollowedMotion])>) -> Vec<FollowedMotion> {
     let mut of_motor: BTreeMap<u8, FollowedMotion> = BTreeMap::new();
     for (onset_s, motions) in items {
@@ -164,7 +156,6 @@ pub fn motions_of_items<'a>(items: impl Iterator<Item = (f64, &'a [FollowedMotio
 }
 
 /// The line for a motor that is too slow for its motions.
-#[must_use]
 pub fn too_slow(motion: &FollowedMotion, array: Array) -> Option<String> {
     let FollowedMotion { motor, error_um, error_share, .. } = motion;
     let (from_s, spec) = (motion.too_slow_from_s?, array.motor());

@@ -88,7 +88,6 @@ impl Record {
 
     /// As [`Self::add`]. Returns a receiver that gets its value when the entry has a line, and fails
     /// if it has none. If the receiver is dropped before, the entry has no line.
-    #[must_use]
     pub fn add_told(&self, entry: Entry) -> oneshot::Receiver<()> {
         let (told, answer) = oneshot::channel();
         self.0.add(entry, Some(told));
@@ -190,7 +189,6 @@ impl Record {
 
     /// Replaces the file of exposures in the record's directory. Returns the receiver of the answer
     /// whether it is on the disk; the receiver fails if too much waits. `None`: nothing is recorded.
-    #[must_use]
     pub fn save_exposure(&self, text: String) -> Option<oneshot::Receiver<bool>> {
         self.0.dir.as_ref()?;
         let (saved, answer) = oneshot::channel();

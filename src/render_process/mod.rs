@@ -67,13 +67,11 @@ pub enum Report {
 
 impl Job {
     /// The rendering of an object.
-    #[must_use]
     pub fn render(render: Render, array: Array) -> Self {
         Self::new(array, Task::Render(render))
     }
 
     /// The preview of a pattern for this array.
-    #[must_use]
     pub fn preview(preview: Preview, array: Array) -> Self {
         Self::new(array, Task::Preview(preview))
     }
@@ -89,7 +87,6 @@ pub fn is_program() {
 }
 
 /// Whether the program was started to be the process.
-#[must_use]
 pub fn is_asked(argv0: Option<&OsStr>) -> bool {
     argv0.is_some_and(|name| name == NAME)
 }
@@ -97,7 +94,6 @@ pub fn is_asked(argv0: Option<&OsStr>) -> bool {
 /// The command that starts the process. The program's file may have been replaced meanwhile; the link leads to the running one. The
 /// command does no work between fork and exec, so the standard library does not copy the daemon's page tables, which would cause
 /// page faults in its real-time thread.
-#[must_use]
 pub fn command() -> Option<Command> {
     let mut command = Command::new("/proc/self/exe");
     command.arg0(NAME).env_clear().stdin(Stdio::piped()).stdout(Stdio::piped());

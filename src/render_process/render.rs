@@ -163,7 +163,6 @@ impl Render {
 }
 
 /// The SHA-256 of each of an object's files, as far as they are base64: what the session record keeps of them.
-#[must_use]
 pub fn file_hashes(files: &BTreeMap<String, String>) -> Map<String, Value> {
     let of = |text: &String| STANDARD.decode(text).map_or(Value::Null, |bytes| hash(&bytes).into());
     files.iter().map(|(name, text)| (name.clone(), of(text))).collect()

@@ -9,7 +9,6 @@ use std::process::{self, ExitCode};
 use std::{fs, thread};
 
 /// Carries out the job on stdin.
-#[must_use]
 pub fn work() -> ExitCode {
     lower();
     let mut stdin = BufReader::new(io::stdin());

@@ -55,7 +55,6 @@ pub enum FileError {
 
 impl FileError {
     /// Whether the disk or the configuration is the reason, not the file's text or name.
-    #[must_use]
     pub const fn is_of_disk(&self) -> bool {
         matches!(self, Self::NoDirectory | Self::Io { .. })
     }

@@ -224,7 +224,7 @@ fn every_shipped_target_is_valid() {
     assert_eq!((meissner_paper::shipped("edge-46"), meissner_paper::shipped("../Cargo")), (None, None));
 }
 
-/// As the book and `tradeoff` describe it.
+/// As the book describes it.
 #[test]
 fn the_yardstick_is_an_edge_of_12_mm_at_45_degrees() {
     let target = meissner_paper::shipped(meissner_paper::YARDSTICK).unwrap();

@@ -142,7 +142,6 @@ fn cycles(array: Array, frequency_hz: f64, amplitudes_um: &[f64]) -> Result<Vec<
     };
     let mut motors = SimulatedMotors::new(array, config, Tick(0))?;
     let periods = window_s(array) * frequency_hz;
-    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a few")]
     let skipped = TRANSIENT + periods.ceil() as usize;
 
     let mut toggles: Vec<(Tick, u8, Direction)> = Vec::new();
@@ -206,7 +205,6 @@ fn cycles(array: Array, frequency_hz: f64, amplitudes_um: &[f64]) -> Result<Vec<
 
 /// The number of the sample nearest to the middle of a plateau, which the command reaches at half of `twice` ticks. The
 /// shaft follows half a window later.
-#[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a time, rounded")]
 fn sample(array: Array, twice: u64) -> u64 {
     let ticks = (twice as f64 + array.motor().window_ticks()) / 2.0;
     (ticks * f64::from(SAMPLES_HZ) / f64::from(array.rate().hz())).round() as u64

@@ -8,13 +8,13 @@ use std::fmt;
 
 /// A method, as documents and texts name it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-pub(in crate::cli) struct MethodLabel {
+pub(super) struct MethodLabel {
     /// `exact` or `stepped`.
-    pub(in crate::cli) method: &'static str,
+    pub(super) method: &'static str,
     /// The step, µs; none if exact.
-    pub(in crate::cli) step_us: Option<u32>,
+    pub(super) step_us: Option<u32>,
     /// None if exact.
-    pub(in crate::cli) integrator: Option<Integrator>,
+    pub(super) integrator: Option<Integrator>,
 }
 
 impl From<Method> for MethodLabel {

@@ -101,7 +101,6 @@ impl Guard {
         Self(count << (PID_BITS + TERMINAL_BITS) | (pid as u64) << TERMINAL_BITS | terminal as u64)
     }
 
-    #[expect(clippy::cast_possible_truncation, reason = "masked")]
     const fn origin(self) -> Origin {
         let pid = (self.0 >> TERMINAL_BITS) as u32 & ((1 << PID_BITS) - 1);
         Origin { pid, terminal: self.0 as u32 & UNKNOWN }

@@ -32,7 +32,7 @@ pub(in crate::daemon) fn log(engine: &Engine, event: &Event) {
         Event::Contradiction { kind } => {
             warn!(
                 "the device contradicts itself ({kind}): the daemon ignores the message, and turns the device off if \
-                 it goes on; `meissner_contradictions_total` counts on"
+                 it goes on; the status counts on"
             );
         }
         Event::Drifted { um } => {
@@ -61,7 +61,7 @@ fn log_play(engine: &Engine, receipt: &Receipt) {
     let wall = clock::now().1.to_zoned(engine.names.zone.clone());
     let outcome = outcome(receipt, HostInstant::now(), &wall);
     // Plays take time on the device, which bounds the number of their lines.
-    info!(always = true, "play {id} {pattern} by {user}: {outcome}");
+    info!("play {id} {pattern} by {user}: {outcome}");
 }
 
 /// The outcome of a play that has just ended, in words.

@@ -12,8 +12,8 @@ use std::thread;
 use tokio::sync::Notify;
 
 /// The threads that the daemon needs.
-const NEEDED: [&str; 8] =
-    ["session record", "connector", "manager", "renderer", "usb-in", "usb-out", "usb-estop", "usb-watch"];
+const NEEDED: [&str; 7] =
+    ["session record", "connector", "renderer", "usb-in", "usb-out", "usb-estop", "usb-watch"];
 
 /// A needed thread panicked.
 static PANICKED: Notify = Notify::const_new();

@@ -1,78 +1,76 @@
 //! Notifications to the service manager (systemd's sd_notify), if one started the daemon: ready, status, watchdog, stopping.
 //!
 //! A watchdog notification means that the streamer's loop has run since the last one. The runtime's thread sends it, so the service
-//! manager also restarts a daemon whose runtime hangs; a slow client, disk or log delays neither. A separate thread sends all
-//! notifications, so that a hung service manager does not delay an emergency stop.
+//! manager also restarts a daemon whose runtime hangs; a slow client, disk or log delays neither. Nothing waits for the service
+//! manager: what it does not take at once is dropped, so that it never delays an emergency stop.
 //!
 //! Invariant: no watchdog notification without a new run of the streamer's loop.
 
 use crate::daemon::core::engine::Engine;
 use crate::daemon::status::report;
-use crossbeam_channel::{Receiver, Sender, bounded};
 use sd_notify::NotifyState;
 use std::ffi::OsStr;
-use std::io;
+use std::io::{self, ErrorKind};
 use std::os::linux::net::SocketAddrExt;
 use std::os::unix::ffi::OsStrExt;
 use std::os::unix::net::{SocketAddr, UnixDatagram};
-use std::sync::{Arc, Mutex, PoisonError};
-use std::thread;
+use std::sync::{Arc, Once};
 use std::time::Duration;
 use tracing::warn;
 
-/// The most waiting notifications; more are dropped. Watchdog notifications use at most half of the queue.
-const QUEUE: usize = 64;
-/// Checks per watchdog interval. More than one, because a run may be seen one check late, and a notification may be delayed.
+/// Checks per watchdog interval. More than one, because a run may be seen one check late, and a notification may be dropped.
 const CHECKS: u32 = 4;
+/// How long to wait before the service manager is told again that the daemon is ready.
+const AGAIN: Duration = Duration::from_millis(50);
 
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub(in crate::daemon) enum Notification {
-    Ready,
-    /// The status in [`Line::status`].
-    Status,
-    Alive,
-    Stopping,
-}
-
-/// The service manager, if there is one.
+/// The service manager, if there is one, and its address.
 #[derive(Clone, Debug)]
-pub(in crate::daemon) struct Manager(Option<Line>);
-
-#[derive(Clone, Debug)]
-struct Line {
-    queue: Sender<Notification>,
-    /// The newest status that is waiting; older ones are dropped.
-    status: Arc<Mutex<Option<String>>>,
-}
+pub(in crate::daemon) struct Manager(Option<(Arc<UnixDatagram>, SocketAddr)>);
 
 impl Manager {
     /// Finds the one that started this process.
-    pub(in crate::daemon) fn find() -> io::Result<Self> {
-        let Some(to) = std::env::var_os("NOTIFY_SOCKET") else { return Ok(Self(None)) };
-        let (sender, queue) = bounded(QUEUE);
-        let status = Arc::new(Mutex::new(None));
-        let line = Line { queue: sender, status: Arc::clone(&status) };
-        thread::Builder::new().name("manager".into()).spawn(move || send_all(&to, &queue, &status))?;
-        Ok(Self(Some(line)))
+    pub(in crate::daemon) fn find() -> Self {
+        Self(std::env::var_os("NOTIFY_SOCKET").and_then(|at| Self::at(&at).map_err(complain).ok()))
+    }
+
+    /// One at a path, or after `@` at a name in the abstract namespace.
+    fn at(at: &OsStr) -> io::Result<(Arc<UnixDatagram>, SocketAddr)> {
+        let address = match at.as_bytes().strip_prefix(b"@") {
+            Some(name) => SocketAddr::from_abstract_name(name)?,
+            None => SocketAddr::from_pathname(at)?,
+        };
+        let socket = UnixDatagram::unbound()?;
+        socket.set_nonblocking(true)?;
+        Ok((Arc::new(socket), address))
     }
 
     pub(in crate::daemon) const fn is_there(&self) -> bool {
         self.0.is_some()
     }
 
-    /// Queues a notification; returns whether there was room.
-    pub(in crate::daemon) fn notify(&self, notification: Notification) -> bool {
-        let Some(Line { queue, .. }) = &self.0 else { return false };
-        (notification != Notification::Alive || queue.len() < QUEUE / 2)
-            && queue.try_send(notification).is_ok()
+    /// Notifies it; returns false if it takes nothing at the moment.
+    pub(in crate::daemon) fn notify(&self, state: &NotifyState<'_>) -> bool {
+        let Some((socket, address)) = &self.0 else { return true };
+        match socket.send_to_addr(format!("{state}\n").as_bytes(), address) {
+            Err(error) if error.kind() == ErrorKind::WouldBlock => return false,
+            Err(error) => complain(error),
+            Ok(_) => {}
+        }
+        true
     }
+}
 
-    fn notify_status(&self, text: String) {
-        let Some(Line { status, .. }) = &self.0 else { return };
-        let mut status = status.lock().unwrap_or_else(PoisonError::into_inner);
-        let waits = status.is_some();
-        // If the queue is full, it waits for the next status.
-        *status = (waits || self.notify(Notification::Status)).then_some(text);
+fn complain(error: io::Error) {
+    static ONCE: Once = Once::new();
+    ONCE.call_once(|| {
+        warn!("the service manager cannot be notified: {error}; see NotifyAccess= in the unit")
+    });
+}
+
+/// Notifies the service manager that the daemon is ready, until it takes that.
+pub(in crate::daemon) async fn ready(manager: Manager) {
+    while !manager.notify(&NotifyState::Ready) {
+        tokio::time::sleep(AGAIN).await;
     }
 }
 
@@ -95,39 +93,8 @@ impl StatusReporter {
         }
         // A line break would end the value in this protocol.
         let line = report::status_line(engine).replace(char::is_control, " ");
-        if line != self.last {
-            self.last.clone_from(&line);
-            self.manager.notify_status(line);
-        }
-    }
-}
-
-/// Sends to the service manager's socket: a path, or after `@` a name in the abstract namespace.
-fn send(to: &OsStr, states: &[NotifyState<'_>]) -> io::Result<()> {
-    let address = match to.as_bytes().strip_prefix(b"@") {
-        Some(name) => SocketAddr::from_abstract_name(name)?,
-        None => SocketAddr::from_pathname(to)?,
-    };
-    let text: String = states.iter().map(|state| format!("{state}\n")).collect();
-    UnixDatagram::unbound()?.send_to_addr(text.as_bytes(), &address).map(drop)
-}
-
-fn send_all(to: &OsStr, queue: &Receiver<Notification>, status: &Mutex<Option<String>>) {
-    let mut failed = false;
-    for notification in queue {
-        let sent = match &notification {
-            Notification::Ready => send(to, &[NotifyState::Ready]),
-            Notification::Status => {
-                let text = status.lock().unwrap_or_else(PoisonError::into_inner).take().unwrap_or_default();
-                send(to, &[NotifyState::Status(&text)])
-            }
-            Notification::Alive => send(to, &[NotifyState::Watchdog]),
-            Notification::Stopping => send(to, &[NotifyState::Stopping]),
-        };
-        if let Err(error) = sent
-            && !std::mem::replace(&mut failed, true)
-        {
-            warn!("the service manager cannot be notified: {error}; see NotifyAccess= in the unit");
+        if line != self.last && self.manager.notify(&NotifyState::Status(&line)) {
+            self.last = line;
         }
     }
 }
@@ -148,7 +115,7 @@ async fn watch(manager: Manager, engine: Arc<Engine>, every: Duration) {
         tokio::time::sleep(every).await;
         let count = engine.lock().commands.loop_count();
         if std::mem::replace(&mut seen, count) != count {
-            manager.notify(Notification::Alive);
+            manager.notify(&NotifyState::Watchdog);
         }
     }
 }
@@ -170,9 +137,9 @@ mod tests {
             (UnixDatagram::bind_addr(&address), abstract_name),
         ] {
             let (socket, mut bytes) = (socket.unwrap(), [0; 100]);
-            send(&to, &[NotifyState::Ready, NotifyState::Status("armed")]).unwrap();
+            assert!(Manager(Manager::at(&to).ok()).notify(&NotifyState::Status("armed")));
             let length = socket.recv(&mut bytes).unwrap();
-            assert_eq!(&bytes[..length], b"READY=1\nSTATUS=armed\n");
+            assert_eq!(&bytes[..length], b"STATUS=armed\n");
         }
     }
 
@@ -180,21 +147,24 @@ mod tests {
     fn no_watchdog_notification_without_a_run_of_the_streamers_loop() {
         let (port, commands, _events) = queues().unwrap();
         let engine = Arc::new(Engine::of_paper(commands));
-        let (sender, queue) = bounded(QUEUE);
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("notify");
+        let socket = UnixDatagram::bind(&path).unwrap();
+        socket.set_nonblocking(true).unwrap();
+        let told = || socket.recv(&mut [0; 100]).is_ok();
+        let manager = Manager(Manager::at(path.as_os_str()).ok());
         let runtime = crate::daemon::core::runtime::runtime().unwrap();
         runtime.block_on(async {
             let every = Duration::from_millis(2);
-            let line = Line { queue: sender, status: Arc::default() };
-            let watching = tokio::spawn(watch(Manager(Some(line)), engine, every));
+            let watching = tokio::spawn(watch(manager, engine, every));
             tokio::time::sleep(every * 20).await;
-            assert!(queue.is_empty(), "the streamer stood still");
+            assert!(!told(), "the streamer stood still");
             port.count_loop();
-            while queue.is_empty() {
+            while !told() {
                 tokio::time::sleep(every).await;
             }
-            assert_eq!(queue.try_recv(), Ok(Notification::Alive));
             tokio::time::sleep(every * 20).await;
-            assert!(queue.is_empty(), "it stood still again");
+            assert!(!told(), "it stood still again");
             watching.abort();
         });
     }

@@ -4,9 +4,7 @@
 
 use crate::daemon::core::engine::Engine;
 use crate::daemon::net::bounds::Bounds;
-use crate::daemon::net::server::Counts;
 use crate::daemon::sessions::caller::Asker;
-use crate::daemon::status::doctor::Doctor;
 use crate::record::Peer;
 use crate::store::Store;
 use axum::extract::rejection::ExtensionRejection;
@@ -14,15 +12,15 @@ use axum::extract::{Extension, FromRequestParts};
 use axum::http::request::Parts;
 use meissner_api::{Code, Problem};
 use std::sync::Arc;
-use tokio::sync::{OwnedSemaphorePermit, Semaphore, TryAcquireError};
+use tokio::sync::{Mutex, OwnedSemaphorePermit, Semaphore, TryAcquireError};
 
 /// See the module.
 #[derive(Clone, Debug)]
 pub(in crate::daemon) struct App {
     pub(in crate::daemon) engine: Arc<Engine>,
     pub(in crate::daemon) store: Arc<Store>,
-    pub(in crate::daemon) doctor: Arc<Doctor>,
-    pub(in crate::daemon) counts: Arc<Counts>,
+    /// Held while the doctor checks.
+    pub(in crate::daemon) doctor: Arc<Mutex<()>>,
     /// A permit for each event stream, and for each request that waits for the end of a play.
     waiting: Arc<Semaphore>,
     /// A further permit that a network client needs, so that places stay free for clients of the Unix socket.
@@ -33,15 +31,10 @@ pub(in crate::daemon) struct App {
 type Waiting = (OwnedSemaphorePermit, Option<OwnedSemaphorePermit>);
 
 impl App {
-    pub(in crate::daemon) fn new(
-        engine: Arc<Engine>,
-        store: Arc<Store>,
-        bounds: &Bounds,
-        counts: Arc<Counts>,
-    ) -> Self {
+    pub(in crate::daemon) fn new(engine: Arc<Engine>, store: Arc<Store>, bounds: &Bounds) -> Self {
         let places = |most| Arc::new(Semaphore::new(most));
         let (waiting, waiting_network) = (places(bounds.waiting), places(bounds.waiting_network));
-        Self { engine, store, doctor: Arc::default(), counts, waiting, waiting_network }
+        Self { engine, store, doctor: Arc::default(), waiting, waiting_network }
     }
 
     /// Takes a place for a client that waits.

@@ -92,7 +92,6 @@ pub(in crate::daemon) fn ordered(strokes: impl Into<Source>, terms: &Terms) -> P
     Play { at, late, replace, open_loop, stop_on_edge, ..Play::new(0, strokes) }
 }
 
-#[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "checked: 0 to an hour")]
 pub(in crate::daemon) fn nanoseconds(ms: f64) -> u64 {
     (ms * 1e6).round() as u64
 }

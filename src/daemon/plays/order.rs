@@ -333,7 +333,6 @@ impl Preparing {
 }
 
 /// The trigger output's pulse for a request.
-#[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "checked: half a second at most")]
 pub(in crate::daemon) fn trigger(request: Option<TriggerRequest>, rate: TickRate) -> Option<Trigger> {
     let shape = match request {
         Some(TriggerRequest::Off) => return None,

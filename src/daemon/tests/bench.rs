@@ -17,7 +17,7 @@ use crate::daemon::net::app::App;
 use crate::daemon::net::bounds::Bounds;
 use crate::daemon::net::client;
 use crate::daemon::net::gate::Gate;
-use crate::daemon::net::server::{Counts, serve_client};
+use crate::daemon::net::server::serve_client;
 use crate::daemon::routes::router;
 use crate::daemon::sessions::caller::Caller;
 use crate::daemon::sessions::handlers::look_for_losses;
@@ -172,7 +172,7 @@ impl Bench {
             let engine = Arc::new(Engine::of(&config, commands, record, users).with_gate(gate));
             tokio::spawn(stream(Turns::new(config.settings, thread)));
             tokio::spawn(connect_again(Arc::clone(&engine)));
-            let reporter = StatusReporter::new(Manager::find().unwrap());
+            let reporter = StatusReporter::new(Manager::find());
             tokio::spawn(Arc::clone(&engine).event_loop(events, reporter));
             let (device, faults) = if faults {
                 let mock = WallMock::new(config.settings.array, &config.mock, HostInstant::now()).unwrap();
@@ -185,8 +185,7 @@ impl Bench {
             engine.first_device().await;
             let looking = Arc::clone(&engine);
             tokio::spawn(async move { look_for_losses(&looking, LONGEST).await });
-            let app =
-                App::new(Arc::clone(&engine), store, &Bounds::of_process(), Arc::new(Counts::default()));
+            let app = App::new(Arc::clone(&engine), store, &Bounds::of_process());
             (engine, router(app), faults)
         });
         let (clients, close) = (Cell::new(0), watch::Sender::new(false));

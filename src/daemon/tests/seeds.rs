@@ -129,7 +129,6 @@ struct World {
 ///
 /// # Panics
 /// If a rule is broken.
-#[must_use]
 pub fn run_days(seed: u64, days: u32, steps: u32) -> Report {
     let mut random = Random::new(seed);
     let mut machine = Machine::new(Arc::new(tempfile::tempdir().unwrap()));
