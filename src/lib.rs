@@ -26,7 +26,7 @@
 //!
 //! # The way back
 //!
-//! Streamer events enter the daemon in `daemon/core/event_loop.rs`. [`receipts`] turns them into receipts and the API's
+//! Streamer events enter the daemon in `daemon/core/event_loop.rs`. [`receipts`] turns them into receipts, totals and the API's
 //! events: at its end, each burst of a play was played, late, dropped or refused. There are two records: the [`log`](mod@log) for operators
 //! (its lines are in `daemon/core/log_lines.rs`), and the [`record`] for experiments, a file of JSON lines per session. Neither can
 //! delay an emergency stop. [`meissner_stream::calibrate`] fits each motor's gain from the bursts of a calibration pattern;
@@ -34,8 +34,8 @@
 //!
 //! # The skin model
 //!
-//! [`meissner_skin`] simulates the afferents' spikes for a scene, exactly or by steps: `cli/simulate` simulates scenes and patterns.
-//! The daemon runs it for renderings and previews in a process of their own ([`render_process`]).
+//! [`meissner_skin`] simulates the afferents' spikes for a scene, exactly or by steps: `cli/simulate` simulates scenes and patterns,
+//! `cli/tradeoff` compares methods. The daemon runs it for renderings and previews in a process of their own ([`render_process`]).
 //!
 //! # Modules
 //!

@@ -43,7 +43,7 @@ fn the_exact_method_is_the_default_and_its_document_complete() {
     let found = simulated(&[]);
     let mut keys: Vec<_> = found.as_object().unwrap().keys().collect();
     keys.sort_unstable();
-    let wanted = "integrator method model rates_hz spikes_s step_us wall_s";
+    let wanted = "integrator method model rates_hz skipped spikes_s step_us wall_s";
     assert_eq!(keys, wanted.split(' ').collect::<Vec<_>>());
     assert_eq!(found["method"], "exact");
     assert!(found["step_us"].is_null() && found["integrator"].is_null());
@@ -54,6 +54,12 @@ fn the_exact_method_is_the_default_and_its_document_complete() {
         simulate(&Scene::read(SMALL, "small.toml").unwrap(), &Options::spikes(Method::Exact), &|_| ());
     assert_eq!(spikes, answer.unwrap().spikes_s.unwrap());
     assert!(spikes[0].len() > 3 && spikes[2].is_empty());
+    let skipped = found["skipped"].as_array().unwrap();
+    let count = |what: &str| skipped.iter().find(|entry| entry["what"] == what).unwrap()["count"].clone();
+    assert_eq!((count("motors_at_rest"), count("receptors_out_of_reach")), (json!(22), json!(1)));
+    for entry in skipped {
+        assert!(entry["why"].as_str().unwrap().len() > 20 && entry["count"] != 0, "{entry}");
+    }
     assert!(found["wall_s"].as_f64().unwrap() > 0.0);
 }
 
@@ -138,7 +144,14 @@ fn rates_without_spikes_are_the_same_rates() {
 fn without_json_the_command_prints_a_summary() {
     let (_dir, file) = scene(SMALL);
     let text = printed(offline().arg("simulate").arg(&file));
-    for part in ["model      membrane", "afferents  3, for 0.1 s", "method     exact", "rate       mean"] {
+    for part in [
+        "model      membrane",
+        "afferents  3, for 0.1 s",
+        "method     exact",
+        "rate       mean",
+        "motors at rest",
+        "22",
+    ] {
         assert!(text.contains(part), "{part}: {text}");
     }
     let empty = "duration_s = 0\nafferents = []\n";
@@ -178,7 +191,102 @@ fn a_scene_that_cannot_be_simulated_is_refused_in_one_line() {
     fs::write(dir.path().join("latin"), b"\xe9").unwrap();
     assert!(complaint(offline().arg("simulate").arg(dir.path().join("latin"))).contains("not UTF-8 text"));
     File::create(dir.path().join("l.toml")).unwrap().set_len(MAX_TOML_BYTES as u64 + 1).unwrap();
-    assert!(complaint(offline().arg("simulate").arg(dir.path().join("l.toml"))).contains("too many"));
+    assert!(complaint(offline().arg("tradeoff").arg(dir.path().join("l.toml"))).contains("too many"));
+}
+
+/// Euler is beyond tau from 2000 us on.
+fn fast_membrane() -> String {
+    SMALL.replace("noise_sd = 0.05", "tau_s = 0.0015, alpha_per_um = 0.1")
+}
+
+#[test]
+fn the_tradeoff_has_a_row_for_every_method_and_step() {
+    const STEPS_US: [u32; 12] = [1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000];
+    let (_dir, file) = scene(&fast_membrane());
+    let found = document(offline().arg("tradeoff").arg(&file).arg("--json"));
+    let rows = found["rows"].as_array().unwrap();
+    assert_eq!(rows.len(), 1 + 2 * STEPS_US.len());
+    assert!(found["left_out"].is_null());
+    let exact = &rows[0];
+    assert_eq!((&exact["method"], &exact["spikes_matched_share"]), (&json!("exact"), &json!(1.0)));
+    for key in ["mean_error_us", "rate_rms_hz", "rate_bias"] {
+        assert_eq!(exact[key], 0.0, "{key}");
+    }
+    assert!(
+        exact["us_per_receptor_s"].as_f64().unwrap() > 0.0 && found["exact_wall_s"].as_f64().unwrap() > 0.0
+    );
+    for integrator in ["euler", "propagator"] {
+        let of_step = |step_us: u32| {
+            let of = |row: &&Value| row["integrator"] == integrator && row["step_us"] == step_us;
+            rows.iter().find(of).unwrap()
+        };
+        for step_us in STEPS_US {
+            let row = of_step(step_us);
+            let unstable = integrator == "euler" && step_us > 1500;
+            assert_eq!(row["unstable"], unstable, "{row}");
+            assert_eq!(row["rate_rms_hz"].is_number(), !unstable, "{row}");
+            assert_eq!(row["us_per_receptor_s"].is_number(), !unstable, "{row}");
+            assert_eq!(row["reason"].is_string(), unstable, "{row}");
+        }
+        let [fine_us, coarse_us] =
+            [1, 1000].map(|step_us| of_step(step_us)["mean_error_us"].as_f64().unwrap());
+        assert!(fine_us < 1.0 && fine_us < coarse_us, "{integrator}: {fine_us} {coarse_us}");
+    }
+    assert!((found["euler_unstable_above_us"].as_f64().unwrap() - 3000.0).abs() < 1e-6);
+    let text = printed(offline().arg("tradeoff").arg(&file));
+    for part in ["propagator at 5000 us", "no: refused", "between tau (0.0015 s) and 2 tau"] {
+        assert!(text.contains(part), "{part}: {text}");
+    }
+    assert_eq!(
+        text.matches("Refused: forward Euler is unstable with a step of 2000 us").count(),
+        1,
+        "{text}"
+    );
+}
+
+#[test]
+fn steps_that_take_too_long_are_left_out_and_named() {
+    let (_dir, file) =
+        scene(&SMALL.replace("0.1\nseed", "250\nseed").replace("amplitude_um = 80", "amplitude_um = 0"));
+    let found = document(offline().arg("tradeoff").arg(&file).arg("--json"));
+    assert_eq!(found["left_out"]["steps_us"], json!([1]));
+    let rows = found["rows"].as_array().unwrap();
+    assert_eq!(rows.len(), 1 + 2 * 11);
+    // Nothing fires, so no share of spikes has a meaning.
+    assert!(rows.iter().all(|row| row["spikes_matched_share"].is_null() && row["rate_bias"].is_null()));
+}
+
+#[test]
+fn the_second_model_is_measured_as_asked_and_at_its_extremes() {
+    let found = document(offline().args(["tradeoff", "--model", "afferents", "--json"]));
+    let rows = found["rows"].as_array().unwrap();
+    let of = |scene: &str| rows.iter().find(|row| row["scene"].as_str().unwrap().starts_with(scene)).unwrap();
+    for row in rows {
+        assert_eq!(row["nudged"], 0, "rounding moves spikes: {row}");
+        assert!(row["us_per_afferent_s"].as_f64().unwrap() > 0.0, "{row}");
+    }
+    let shipped = Path::new(env!("CARGO_MANIFEST_DIR")).join("library/scenes/sixty-hertz.toml");
+    let simulated = document(offline().arg("simulate").arg(shipped).args(["--json", "--model", "afferents"]));
+    let trains = simulated["spikes_s"].as_array().unwrap();
+    let spikes = trains.iter().map(|train| train.as_array().unwrap().len()).sum::<usize>();
+    assert_eq!((&of("as asked")["afferents"], &of("as asked")["spikes"]), (&json!(566), &json!(spikes)));
+    let [sa1, ra, pc] = [0, 1, 2].map(|class| of("400 um")["mean_hz"][class].as_f64().unwrap());
+    assert!(sa1 > 5.0 && ra > 20.0 && pc > 80.0, "{sa1} {ra} {pc}");
+    assert_eq!(of("80 um, all pins 1 mm below")["lost_contact"], 1.0);
+    assert_eq!(
+        (&of("80 um, all pins 1 mm below")["spikes"], &of("80 um")["lost_contact"]),
+        (&json!(0), &json!(0.0))
+    );
+    assert!(of("400 um, pins just touch")["lost_contact"].as_f64().unwrap() > 0.4);
+    // Such a weak vibration makes no RA afferent fire.
+    assert_eq!(of("0.01 um")["mean_hz"][1], 0.0);
+    assert_eq!(of("80 um, one afferent")["afferents"], 3);
+    assert_eq!(of("80 um, 100 000")["afferents"], 100_000);
+
+    let text = printed(offline().args(["tradeoff", "--model", "afferents"]));
+    for part in ["as asked", "no contact %", "The step of 200 us is part of the model"] {
+        assert!(text.contains(part), "{part}: {text}");
+    }
 }
 
 #[test]

@@ -61,7 +61,7 @@ mod sequences;
 mod service;
 /// Sessions of the command line.
 mod sessions;
-/// `simulate`: documents, mistakes, and the shipped scenes.
+/// `simulate` and `tradeoff`: documents, mistakes, the comparison of methods; the shipped scenes.
 mod simulate;
 /// `validate`: a verdict for every case, and the book's table.
 mod validate;

@@ -134,7 +134,7 @@ impl Count for Option<u32> {
 /// A counter of a device, as [`Counts`] declares it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Counter {
-    /// Its key in the host's status and receipts.
+    /// Its key in the host's status, receipts and metrics.
     pub name: &'static str,
     /// What was counted, for people.
     pub label: &'static str,

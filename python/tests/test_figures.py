@@ -18,6 +18,7 @@ np = pytest.importorskip("numpy", reason="NumPy is not installed")
 from meissner import figures  # noqa: E402
 
 CALIBRATION = Path(__file__).parent / "data" / "laser" / "plain.json"
+SCENE = Path(__file__).parents[2] / "library" / "scenes" / "one-pin.toml"
 
 
 def lines(axes: Any) -> dict[str, Any]:
@@ -91,13 +92,21 @@ def test_felt_shows_each_spike_under_the_object_and_under_the_display() -> None:
     assert all_axes[5].get_title().startswith("RA, display, r = 0.")
 
 
+def test_tradeoff_has_a_series_for_each_method() -> None:
+    drawn = lines(figures.tradeoff(str(SCENE)).axes[0])
+    assert drawn["exact"][0][1] == 0
+    euler = next(points for name, points in drawn.items() if name.startswith("stepped, euler"))
+    assert len(euler) > 5
+    assert euler[:, 1].max() > 10 * euler[:, 1].min()
+
+
 @pytest.mark.parametrize(
     ("end", "begins", "arguments"),
     [
         ("svg", b"<?xml", ["amplitude"]),
         ("svg", b"<?xml", ["felt", "edge-45-rendered", "edge-45"]),
         ("pdf", b"%PDF-", ["pulses"]),
-        ("png", b"\x89PNG\r", ["pulses"]),
+        ("png", b"\x89PNG\r", ["tradeoff", str(SCENE)]),
     ],
 )
 def test_a_figure_is_written_by_the_end_of_its_name(

@@ -59,7 +59,7 @@ impl Kind {
         let advice = match found {
             Self::Pattern => "`meissner play`, `simulate` and `judge` take patterns",
             Self::Object => "make a pattern of it with `meissner render` or `meissner optimise`",
-            Self::Scene => "`meissner simulate` takes scenes",
+            Self::Scene => "`meissner simulate` and `meissner tradeoff` take scenes",
         };
         bail!("{at}: this is {}, not {}: {advice}", name(found), name(self))
     }

@@ -36,6 +36,7 @@ mod session_token;
 mod simulate;
 mod text;
 mod token;
+mod tradeoff;
 mod validate;
 mod watch;
 
@@ -238,6 +239,8 @@ enum Command {
     Render(render::Render),
     /// Compare what fingers feel of a pattern with what they feel of the real object
     Judge(judge::Judge),
+    /// Compare simulation methods on this machine: time against error
+    Tradeoff(tradeoff::Tradeoff),
     /// Compare both models of skin and afferents with published figures
     Validate,
     /// Write the man pages, the completions of three shells and the OpenAPI document to a folder
@@ -371,6 +374,7 @@ fn run(command: Command) -> Result<ExitCode> {
         Command::Optimise(asked) => optimise::run(&asked),
         Command::Render(asked) => render::run(&asked),
         Command::Judge(asked) => judge::run(&asked),
+        Command::Tradeoff(asked) => tradeoff::run(&asked),
         Command::Validate => validate::run(),
         Command::Manual { folder } => manual::manual(&Cli::command(), &folder).map(|()| ExitCode::SUCCESS),
         Command::Doctor { device, array, board, seconds, options } => {

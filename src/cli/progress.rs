@@ -89,6 +89,7 @@ impl Meter {
     }
 
     /// Shows that `part` of the work is done, 0 to 1.
+    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "clamped")]
     fn at(&self, part: f64) {
         if let Some(bar) = &self.0 {
             bar.set_position((part.clamp(0.0, 1.0) * PARTS) as u64);
@@ -152,6 +153,7 @@ impl Progress {
         }
     }
 
+    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "seconds that have passed")]
     fn at(&mut self, played_s: f64) -> Result<()> {
         if let Some(bar) = &self.bar {
             bar.set_position((played_s * 1000.0) as u64);
@@ -183,6 +185,11 @@ impl Progress {
     }
 }
 
+#[expect(
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    reason = "a length, checked by the daemon"
+)]
 fn bar(seconds: Option<f64>) -> ProgressBar {
     let (bar, template) = match seconds {
         Some(seconds) => (ProgressBar::new((seconds * 1000.0) as u64), "{wide_bar} {pos:>6}/{len} ms {msg}"),

@@ -32,7 +32,7 @@ impl Fuzzed {
     /// As [`Daemon::host`].
     pub fn new(daemon: Daemon) -> Result<Self, DaemonError> {
         let (engine, store) = (Arc::clone(&daemon.engine), daemon.store.clone());
-        let router = router(App::new(engine, store, &Bounds::of_process()));
+        let router = router(App::new(engine, store, &Bounds::of_process(), Arc::default()));
         Ok(Self { router, daemon: daemon.host()? })
     }
 

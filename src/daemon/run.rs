@@ -23,7 +23,7 @@ use crate::daemon::net::bounds::Bounds;
 use crate::daemon::net::estop::EStopThread;
 use crate::daemon::net::gate::Gate;
 use crate::daemon::net::listen;
-use crate::daemon::net::server::Server;
+use crate::daemon::net::server::{Counts, Server};
 use crate::daemon::net::socket::Bound;
 use crate::daemon::routes;
 use crate::daemon::sessions::handlers::look_for_losses;
@@ -134,7 +134,7 @@ impl Daemon {
             .map_err(system("socket"))?;
         let (tcp, tcp_estop) = tcp.map_or((None, None), |[api, estop]| (Some(api), Some(estop)));
         let tcp = tcp.map(TcpListener::from_std).transpose().map_err(system("socket"))?;
-        let bounds = Bounds::of_process();
+        let (bounds, counts) = (Bounds::of_process(), Arc::new(Counts::default()));
         let (estops, gate) = (Arc::clone(&engine.estops), Arc::clone(&engine.gate));
         let (estop_thread, asked, mut estops_ended) =
             EStopThread::spawn(estop, tcp_estop, estops, gate, bounds.estops)
@@ -147,10 +147,10 @@ impl Daemon {
         let mut streamer = ended(streamer).map_err(system("thread"))?;
         // A client's first command may have started the daemon: give the device time to connect.
         engine.first_device().await;
-        let router = routes::router(App::new(Arc::clone(&engine), store, &bounds));
+        let router = routes::router(App::new(Arc::clone(&engine), store, &bounds, Arc::clone(&counts)));
         let looking = Arc::clone(&engine);
         tokio::spawn(async move { look_for_losses(&looking, RECORD_TIMEOUT).await });
-        let server = Server::new(Arc::clone(&engine), router, bounds);
+        let server = Server::new(Arc::clone(&engine), router, bounds, counts);
         let server = tokio::spawn(server.serve(unix, tcp, asked, closing));
         tokio::spawn(service::ready(manager.clone()));
         let result = tokio::select! {

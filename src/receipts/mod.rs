@@ -1,4 +1,4 @@
-//! Receipts: turns the streamer's events into receipts, the device's state, and the API's events.
+//! Receipts: turns the streamer's events into receipts, totals, the device's state, and the API's events.
 //!
 //! The daemon adds each play before it sends it ([`Receipts::add`]), applies each [`StreamEvent`] ([`Receipts::apply`]), and publishes
 //! the events that this returns. Nothing here reads a clock or sends anything.
@@ -24,9 +24,9 @@ use firmware_protocol::message::{DeviceHello, State};
 use firmware_protocol::tick::Tick;
 use live::LiveAccount;
 use meissner_api::{
-    DeviceInfo, EdgeEffect, Event, LateStroke, LinkTraffic, LoweredPin, LoweredReason, MAX_LISTED,
-    MotorRestError, MovedPin, NO_DEVICE, OrderedCounts, PlayDevice, PlayEdges, PlayPins, PlayState, Receipt,
-    RefusedStroke, RunningPlay,
+    BurstCounts, DeviceInfo, EdgeEffect, Event, LateCounts, LateStroke, LinkTraffic, LoweredPin,
+    LoweredReason, MAX_LISTED, MotorRestError, MovedPin, NO_DEVICE, OrderedCounts, PlayDevice, PlayEdges,
+    PlayPins, PlayState, PulseCounts, Receipt, RefusedStroke, RunningPlay,
 };
 use meissner_array::spec::Array;
 use meissner_array::units::TickRate;
@@ -42,6 +42,25 @@ pub const KEPT: usize = 1000;
 
 /// Items of sequences in these receipts, at most: older receipts give way. They take 8 MB.
 pub const KEPT_ITEMS: usize = 1 << 15;
+
+/// Sums since the daemon's start.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Totals {
+    /// Plays that ended: done, stopped, aborted.
+    pub plays: [u64; 3],
+    /// Bursts of ended plays.
+    pub bursts: BurstCounts,
+    /// Pulses of ended plays.
+    pub pulses: PulseCounts,
+    /// Late strokes of ended plays.
+    pub lateness: LateCounts,
+    /// Bytes sent while plays ran.
+    pub wire_bytes: u64,
+    /// Events lost because the daemon was too slow.
+    pub lost: u64,
+    /// Devices connected.
+    pub connects: u64,
+}
 
 /// The device's state as the API names it.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -70,6 +89,7 @@ pub struct Receipts {
     planned: HashMap<u64, Arc<[PlannedItem]>>,
     /// The updates of live plays that are not over.
     updates: HashMap<u64, LiveAccount>,
+    totals: Totals,
 }
 
 impl Receipts {
@@ -85,6 +105,7 @@ impl Receipts {
             finished: VecDeque::new(),
             planned: HashMap::new(),
             updates: HashMap::new(),
+            totals: Totals::default(),
         }
     }
 
@@ -136,6 +157,7 @@ impl Receipts {
             StreamEvent::Contradiction(how) => Some(Event::Contradiction { kind: how.name().to_owned() }),
             StreamEvent::DriftWarning { um } => Some(Event::Drifted { um: *um }),
             StreamEvent::Connected(hello) => {
+                self.totals.connects += 1;
                 self.hello = Some(*hello);
                 Some(Event::Connected { device: device_info(&self.kind, hello) })
             }
@@ -192,7 +214,10 @@ impl Receipts {
                 None
             }
             StreamEvent::PlayEnded { id, outcome } => self.ended(*id, outcome),
-            StreamEvent::EventsLost(events) => Some(Event::Lost { events: *events }),
+            StreamEvent::EventsLost(events) => {
+                self.totals.lost += events;
+                Some(Event::Lost { events: *events })
+            }
         }
     }
 
@@ -208,6 +233,7 @@ impl Receipts {
         if let (Some(live), Some(account)) = (&mut receipt.live, self.updates.remove(&id)) {
             *live = account.record();
         }
+        self.totals.add(outcome);
         let planned = self.planned.remove(&id).unwrap_or_default();
         receipt.items = Some(items::records(&planned, &outcome.play.items, rate));
         // An event must be short.
@@ -258,6 +284,11 @@ impl Receipts {
     /// The last snapshot.
     pub const fn snapshot(&self) -> Option<&Snapshot> {
         self.snapshot.as_ref()
+    }
+
+    /// Sums since the start.
+    pub const fn totals(&self) -> &Totals {
+        &self.totals
     }
 
     /// The device's clock at `now` and its uncertainty, µs: from the last snapshot's estimate, because an idle streamer publishes
@@ -351,6 +382,29 @@ fn complete(receipt: &mut Receipt, outcome: &Outcome, rate: TickRate) {
         rest_errors: rest_errors.collect(),
         moved: pins.collect(),
     });
+}
+
+impl Totals {
+    fn add(&mut self, outcome: &Outcome) {
+        self.plays[outcome.end as usize] += 1;
+        let (sum, bursts) = (&mut self.bursts, &outcome.bursts);
+        sum.planned += bursts.planned;
+        sum.played += bursts.played;
+        sum.late += bursts.late;
+        sum.dropped += bursts.dropped;
+        sum.refused += bursts.refused;
+        sum.replaced += bursts.replaced;
+        sum.amended += bursts.amended;
+        sum.shortened += bursts.shortened;
+        self.pulses.planned += outcome.pulses.planned;
+        self.pulses.played += outcome.pulses.played;
+        let (sum, lateness) = (&mut self.lateness, &outcome.lateness);
+        sum.host += lateness.host;
+        sum.link += lateness.link;
+        sum.device += lateness.device;
+        sum.worst_ms = sum.worst_ms.max(lateness.worst_ms);
+        self.wire_bytes += outcome.wire_bytes;
+    }
 }
 
 #[cfg(test)]

@@ -6,10 +6,9 @@ use firmware_protocol::board::Counts;
 use firmware_protocol::limits::Refusal;
 use firmware_protocol::message::Cause;
 use meissner_api::{
-    BurstCounts, DurationRecord, EdgeRecord, EndCause, ErrorSource, FollowedMotion, InstantRecord,
-    ItemRecord, ItemState, LateCause, LateCounts, LatenessRecord, LiveRecord, LoweredReason, LoweredRecord,
-    MAX_DRIVES_LISTED, MAX_WARNINGS_LISTED, OnsetRecord, PlayCounts, PlayReach, PulseCounts, ReachedDrive,
-    Terms, TriggerRecord, UpdateTimes,
+    DurationRecord, EdgeRecord, EndCause, ErrorSource, FollowedMotion, InstantRecord, ItemRecord, ItemState,
+    LateCause, LatenessRecord, LiveRecord, LoweredReason, LoweredRecord, MAX_DRIVES_LISTED,
+    MAX_WARNINGS_LISTED, OnsetRecord, PlayCounts, PlayReach, ReachedDrive, Terms, TriggerRecord, UpdateTimes,
 };
 use meissner_array::pattern::Pattern;
 use meissner_array::per_motor::PerMotor;
@@ -164,6 +163,7 @@ fn a_play_goes_from_queued_to_its_receipt() {
     assert_eq!(receipt.onset.map(|onset| onset.latency_ms), Some(4.0));
     assert_eq!(receipts.last().unwrap().id, 2);
     assert!(receipts.running().is_none());
+    assert_eq!(receipts.totals().plays, [0, 1, 0]);
     let json = serde_json::to_value(&receipt).unwrap();
     assert_eq!(
         (&json["counts"]["lateness"]["host"], &json["onset"]["actual_tick"]),

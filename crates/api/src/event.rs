@@ -161,10 +161,10 @@ pub enum Event {
         fault: SensorFault,
     },
     /// The device contradicted itself, in this way for the first time since it was connected. The daemon ignored the message; it
-    /// counts all of them in the status, and disconnects a device that goes on.
+    /// counts all of them in the metrics, and disconnects a device that goes on.
     #[schema(examples(json!({"event": "contradiction", "kind": "clock"})))]
     Contradiction {
-        /// The kind of contradiction.
+        /// The kind of contradiction, as in the metric `meissner_contradictions_total`.
         kind: String,
     },
     /// Without telemetry, pins may have drifted beyond the configured `drift_warning_um`: home them.

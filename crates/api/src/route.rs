@@ -585,6 +585,15 @@ routes! {
         answer: Answer::Json("TokenInfo"),
         ..Operation::delete("/v1/tokens/{id}")
     };
+    Metrics => status::metrics::metrics, Operation {
+        summary: "Show counters and gauges for Prometheus",
+        description: "In the text format 0.0.4 of Prometheus.",
+        answer: Answer::Text(
+            "text/plain; version=0.0.4",
+            "meissner_plays_total{end=\"done\"} 1\nmeissner_state{state=\"armed\"} 1\n",
+        ),
+        ..Operation::get("/v1/metrics")
+    };
     OpenApi => status::handlers::openapi, Operation {
         summary: "Show this document",
         description: "OpenAPI 3.1, made from the types that the daemon uses.",

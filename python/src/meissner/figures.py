@@ -4,6 +4,7 @@
     edge PATTERN                afferents, motors and rates of a pattern that `meissner optimise` wrote (Fig. 4)
     felt PATTERN OBJECT         what a finger feels of an object, and of the pattern on the display
     pulses [CALIBRATION]        travel of bursts against their pulses (Fig. 2), of a simulated motor, or as `meissner calibrate --json` said
+    tradeoff [SCENE]            time against error of the methods of simulation
 
 The program on this machine computes the numbers. Each function returns a matplotlib figure, to change and to save.
 """
@@ -140,6 +141,28 @@ def felt(pattern: str, object: str) -> Figure:
     return figure
 
 
+def tradeoff(scene: str | None = None) -> Figure:
+    """Time against error of the methods of simulation, on this machine."""
+    answer = program._run(["tradeoff", *([scene] if scene else [])])
+    figure, axes = _axes(
+        xlabel="time per afferent and second of the scene, µs",
+        ylabel="error of rates, impulses/s RMS",
+        xscale="log",
+    )
+    # An error of 0 has a place, too.
+    axes.set_yscale("symlog", linthresh=0.01)
+    series: dict[str, list[tuple[float, float]]] = {}
+    for row in answer["rows"]:
+        name = ", ".join(str(row[key]) for key in ("method", "integrator") if row.get(key))
+        # A method that was left out has no time.
+        if row["us_per_receptor_s"] is not None and row["rate_rms_hz"] is not None:
+            series.setdefault(name, []).append((row["us_per_receptor_s"], row["rate_rms_hz"]))
+    for (name, points), marker in zip(series.items(), "*os", strict=False):
+        axes.plot(*np.array(points).T, marker=marker, label=name)
+    axes.legend()
+    return figure
+
+
 def _axes(**keys: Any) -> tuple[Figure, Any]:
     figure = Figure(figsize=(6, 4.5), layout="constrained")
     axes = figure.add_subplot()
@@ -165,6 +188,7 @@ def main() -> None:
         ("edge", ["pattern"], "Draw the motors and rates of a pattern that `meissner optimise` wrote to a file"),
         ("felt", ["pattern", "object"], "Draw what a finger feels of an object and of a pattern"),
         ("pulses", [], "Draw travel of bursts against their pulses"),
+        ("tradeoff", [], "Draw time against error of the methods of simulation"),
     ):
         command = commands.add_parser(name, help=help, description=help)
         for argument in needed:
@@ -175,6 +199,9 @@ def main() -> None:
         "calibration", nargs="?", help="what `meissner calibrate --json` printed [default: a simulated motor]"
     )
     commands.choices["pulses"].add_argument("--motor", type=int, help="draw this motor [default: the first]")
+    commands.choices["tradeoff"].add_argument(
+        "scene", nargs="?", help="compare on this scene [default: all motors at 60 Hz]"
+    )
     asked = vars(parser.parse_args())
     draw, output = asked.pop("figure"), asked.pop("output")
     if draw == "edge":

@@ -7,7 +7,7 @@ use meissner_skin::{Integrator, ModelName};
 use std::path::PathBuf;
 
 /// The models of skin and afferents.
-const MODELS: &[(&str, &str)] = &[
+pub(in crate::cli) const MODELS: &[(&str, &str)] = &[
     ("membrane", "RA afferents with a leaky membrane, Gaussian receptive fields"),
     ("afferents", "Skin under flat pins, and SA1, RA and PC afferents fitted to recordings; steps of 200 us"),
 ];

@@ -8,13 +8,13 @@ use std::fmt;
 
 /// A method, as documents and texts name it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-pub(super) struct MethodLabel {
+pub(in crate::cli) struct MethodLabel {
     /// `exact` or `stepped`.
-    pub(super) method: &'static str,
+    pub(in crate::cli) method: &'static str,
     /// The step, µs; none if exact.
-    pub(super) step_us: Option<u32>,
+    pub(in crate::cli) step_us: Option<u32>,
     /// None if exact.
-    pub(super) integrator: Option<Integrator>,
+    pub(in crate::cli) integrator: Option<Integrator>,
 }
 
 impl From<Method> for MethodLabel {

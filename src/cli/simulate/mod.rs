@@ -1,6 +1,7 @@
 //! `simulate`: simulates the afferents of a scene, by the model it names, or those of a fingertip on a pattern. It needs no daemon.
 //!
-//! Scenes of the first model are here, of the second in `afferents`; `pattern` has patterns. `label` names a method.
+//! Scenes of the first model are here, of the second in `afferents`; `pattern` has patterns. `label` names a method, `skipped` the work
+//! that was not needed.
 //!
 //! Invariant: a scene that is too large is not read into memory.
 
@@ -8,10 +9,12 @@ mod afferents;
 mod arguments;
 mod label;
 mod pattern;
+mod skipped;
 mod table;
 
 pub(super) use afferents::Placed;
-pub(super) use arguments::Simulate;
+pub(super) use arguments::{MODELS, Simulate};
+pub(super) use label::MethodLabel;
 
 use crate::cli::files::{self, Kind};
 use crate::cli::output::give;
@@ -19,9 +22,9 @@ use crate::cli::{progress, text};
 use anyhow::Result;
 use arguments::{Name, STEP_US};
 use clap::error::ErrorKind;
-use label::MethodLabel;
 use meissner_skin::{Answer, AnyScene, Keep, MAX_JSON_BYTES, Method, ModelName, Options, Scene, simulate};
 use serde::Serialize;
+use skipped::{Reason, reasons};
 use std::path::Path;
 use std::process::ExitCode;
 use std::time::Instant;
@@ -36,6 +39,7 @@ struct Document<'a> {
     #[serde(skip_serializing_if = "Option::is_none")]
     spikes_s: Option<&'a [Vec<f64>]>,
     rates_hz: Vec<f64>,
+    skipped: Vec<Reason>,
     wall_s: f64,
 }
 
@@ -71,6 +75,7 @@ pub(super) fn run(asked: &Simulate) -> Result<ExitCode> {
         how: method.into(),
         spikes_s: answer.spikes_s.as_deref(),
         rates_hz: answer.rates_hz(&scene),
+        skipped: reasons(&answer.skipped),
         wall_s: begun.elapsed().as_secs_f64(),
     };
     give(asked.output.json, &document, || summary(&scene, &answer, &document))
@@ -107,12 +112,21 @@ fn summary(scene: &Scene, answer: &Answer, document: &Document<'_>) -> String {
     } else {
         format!("mean {mean:.1} impulses/s, {least:.1} to {most:.1}")
     };
-    text::pairs(&[
+    let mut lines = vec![
         ("model", document.model.name().to_owned()),
         ("afferents", format!("{}, for {} s", rates.len(), scene.duration_s())),
         ("method", document.how.to_string()),
         ("spikes", answer.counts.iter().sum::<u64>().to_string()),
         ("rate", rate),
         ("wall time", format!("{:.3} s", document.wall_s)),
-    ])
+    ];
+    if document.skipped.is_empty() {
+        lines.push(("skipped", "nothing".to_owned()));
+        return text::pairs(&lines);
+    }
+    let row = |reason: &Reason| {
+        vec![reason.what.replace('_', " "), reason.count.to_string(), reason.why.to_string()]
+    };
+    let skipped = text::columns(&["skipped", "count", "why"], document.skipped.iter().map(row));
+    format!("{}\n\n{skipped}", text::pairs(&lines))
 }

@@ -32,7 +32,7 @@ pub(in crate::daemon) fn log(engine: &Engine, event: &Event) {
         Event::Contradiction { kind } => {
             warn!(
                 "the device contradicts itself ({kind}): the daemon ignores the message, and turns the device off if \
-                 it goes on; the status counts on"
+                 it goes on; `meissner_contradictions_total` counts on"
             );
         }
         Event::Drifted { um } => {

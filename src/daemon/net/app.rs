@@ -4,6 +4,7 @@
 
 use crate::daemon::core::engine::Engine;
 use crate::daemon::net::bounds::Bounds;
+use crate::daemon::net::server::Counts;
 use crate::daemon::sessions::caller::Asker;
 use crate::record::Peer;
 use crate::store::Store;
@@ -21,6 +22,7 @@ pub(in crate::daemon) struct App {
     pub(in crate::daemon) store: Arc<Store>,
     /// Held while the doctor checks.
     pub(in crate::daemon) doctor: Arc<Mutex<()>>,
+    pub(in crate::daemon) counts: Arc<Counts>,
     /// A permit for each event stream, and for each request that waits for the end of a play.
     waiting: Arc<Semaphore>,
     /// A further permit that a network client needs, so that places stay free for clients of the Unix socket.
@@ -31,10 +33,15 @@ pub(in crate::daemon) struct App {
 type Waiting = (OwnedSemaphorePermit, Option<OwnedSemaphorePermit>);
 
 impl App {
-    pub(in crate::daemon) fn new(engine: Arc<Engine>, store: Arc<Store>, bounds: &Bounds) -> Self {
+    pub(in crate::daemon) fn new(
+        engine: Arc<Engine>,
+        store: Arc<Store>,
+        bounds: &Bounds,
+        counts: Arc<Counts>,
+    ) -> Self {
         let places = |most| Arc::new(Semaphore::new(most));
         let (waiting, waiting_network) = (places(bounds.waiting), places(bounds.waiting_network));
-        Self { engine, store, doctor: Arc::default(), waiting, waiting_network }
+        Self { engine, store, doctor: Arc::default(), counts, waiting, waiting_network }
     }
 
     /// Takes a place for a client that waits.

@@ -29,6 +29,7 @@ use rustix::net::sockopt;
 use std::collections::HashMap;
 use std::pin::pin;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite};
 use tokio::net::{TcpListener, TcpStream, UnixListener};
@@ -54,26 +55,38 @@ const REFUSED: Duration = Duration::from_millis(100);
 /// How long to wait for another descriptor.
 const NO_DESCRIPTOR: Duration = Duration::from_millis(10);
 
+/// Clients that were refused, and disconnected because others needed their places.
+#[derive(Debug, Default)]
+pub(in crate::daemon) struct Counts {
+    pub(in crate::daemon) refused: AtomicU64,
+    pub(in crate::daemon) evicted: AtomicU64,
+}
+
 /// See the module.
 #[derive(Debug)]
 pub(in crate::daemon) struct Server {
     engine: Arc<Engine>,
     router: Router,
     bounds: Bounds,
+    counts: Arc<Counts>,
     tasks: JoinSet<()>,
     clients: HashMap<Id, (AbortHandle, Arc<Client>)>,
     /// Emergency stops and refused clients that wait for their answers.
     others: JoinSet<()>,
-    /// Refusals, evictions and denials, and how many of them the log has reported.
-    counted: [u64; 3],
+    /// The numbers of refusals, evictions and denials that the log has reported.
     reported: [u64; 3],
     reported_at: Option<Instant>,
 }
 
 impl Server {
-    pub(in crate::daemon) fn new(engine: Arc<Engine>, router: Router, bounds: Bounds) -> Self {
-        let (tasks, clients, others, counted, reported, reported_at) = Default::default();
-        Self { engine, router, bounds, tasks, clients, others, counted, reported, reported_at }
+    pub(in crate::daemon) fn new(
+        engine: Arc<Engine>,
+        router: Router,
+        bounds: Bounds,
+        counts: Arc<Counts>,
+    ) -> Self {
+        let (tasks, clients, others, reported, reported_at) = Default::default();
+        Self { engine, router, bounds, counts, tasks, clients, others, reported, reported_at }
     }
 
     /// Serves until `closing` turns true, then finishes the running requests, for [`DRAIN`] at most.
@@ -135,7 +148,7 @@ impl Server {
     {
         let is_network = peer.network.is_some();
         if self.is_full(is_network) && !self.evict(is_network) {
-            self.counted[0] += 1;
+            self.counts.refused.fetch_add(1, Ordering::Relaxed);
             if self.others.len() < 2 * self.bounds.estops {
                 self.others.spawn(refuse(stream, self.bounds.clients));
             }
@@ -186,7 +199,7 @@ impl Server {
         if let Some((handle, _)) = self.clients.remove(&id) {
             handle.abort();
         }
-        self.counted[1] += 1;
+        self.counts.evicted.fetch_add(1, Ordering::Relaxed);
         true
     }
 
@@ -206,12 +219,16 @@ impl Server {
     }
 
     fn report(&mut self) {
-        self.counted[2] = self.engine.gate.denied();
+        let now = [
+            self.counts.refused.load(Ordering::Relaxed),
+            self.counts.evicted.load(Ordering::Relaxed),
+            self.engine.gate.denied(),
+        ];
         let lately = self.reported_at.is_some_and(|at| at.elapsed() < REPORT_EVERY);
-        if self.counted == self.reported || lately {
+        if now == self.reported || lately {
             return;
         }
-        let [refused, evicted, denied] = std::array::from_fn(|i| self.counted[i] - self.reported[i]);
+        let [refused, evicted, denied] = std::array::from_fn(|i| now[i] - self.reported[i]);
         if refused + evicted > 0 {
             warn!(
                 refused,
@@ -221,7 +238,7 @@ impl Server {
         if denied > 0 {
             warn!(denied, "{denied} requests were refused: wrong token, role, host or origin");
         }
-        (self.reported, self.reported_at) = (self.counted, Some(Instant::now()));
+        (self.reported, self.reported_at) = (now, Some(Instant::now()));
     }
 }
 
@@ -308,7 +325,6 @@ mod tests {
     use axum::routing::{get, post};
     use meissner_stream::queues::queues;
     use std::future::pending;
-    use std::sync::atomic::{AtomicU64, Ordering};
     use tokio::io::AsyncWriteExt;
     use tokio::net::UnixStream;
 
@@ -338,7 +354,7 @@ mod tests {
                     }),
                 );
             let bounds = Bounds { clients: 4, network: 3, waiting: 3, waiting_network: 2, estops: 4 };
-            let server = Server::new(Arc::new(Engine::of_paper(commands)), router, bounds);
+            let server = Server::new(Arc::new(Engine::of_paper(commands)), router, bounds, Arc::default());
             let ((_asker, asked), (_close, closing)) = (mpsc::channel(1), watch::channel(false));
             tokio::spawn(server.serve(listener, None, asked, closing));
             let connect = || {

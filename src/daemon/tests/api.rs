@@ -48,6 +48,10 @@ fn a_play_has_events_and_a_receipt() {
     assert_eq!(receipt, client.get::<Value>("/v1/plays/last").unwrap());
     assert_accounts(&receipt);
     assert!(receipt["onset"]["actual_tick"].as_u64() >= receipt["onset"]["requested_tick"].as_u64());
+    let (_, text) = client.answer("GET", "/v1/metrics", Vec::new());
+    let text = String::from_utf8(text.to_vec()).unwrap();
+    assert!(text.contains("meissner_plays_total{end=\"done\"} 1\n"), "{text}");
+    assert!(text.contains("meissner_state{state=\"armed\"} 1\n"), "{text}");
 }
 
 #[test]

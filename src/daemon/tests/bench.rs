@@ -185,7 +185,7 @@ impl Bench {
             engine.first_device().await;
             let looking = Arc::clone(&engine);
             tokio::spawn(async move { look_for_losses(&looking, LONGEST).await });
-            let app = App::new(Arc::clone(&engine), store, &Bounds::of_process());
+            let app = App::new(Arc::clone(&engine), store, &Bounds::of_process(), Arc::default());
             (engine, router(app), faults)
         });
         let (clients, close) = (Cell::new(0), watch::Sender::new(false));

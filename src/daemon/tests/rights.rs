@@ -68,6 +68,7 @@ fn row(route: Route) -> Row {
         | Route::Sessions
         | Route::SessionShow
         | Route::SessionPlays
+        | Route::Metrics
         | Route::OpenApi
         // An observer may stop.
         | Route::EStop => READS,

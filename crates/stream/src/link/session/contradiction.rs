@@ -53,7 +53,7 @@ impl Contradiction {
         Self::Board,
     ];
 
-    /// Its name in events.
+    /// Its name in metrics.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
