@@ -38,7 +38,7 @@ pub(in crate::daemon) async fn doctor(Call { app, by }: Call) -> Answer<Json<Doc
     let engine = Arc::clone(&app.engine);
     look_for_losses(&engine, READ).await;
     let late =
-        |_| Problem::new(Code::Timeout, "the checks hang: run `meissner doctor` on the daemon's machine");
+        |_| Problem::new(Code::Timeout, "the checks take too long: run `meissner doctor` on the daemon's machine");
     let checked = async {
         // One check runs at a time, also if it hangs.
         let turn = app.doctor.lock_owned().await;
