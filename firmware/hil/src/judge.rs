@@ -108,6 +108,10 @@ impl Boot {
         judge.triggers(&plays);
         judge.drivers();
         judge.off();
+        let unreadable = Some(self.tap.unreadable).filter(|&frames| frames > 0);
+        judge.wrong.extend(
+            unreadable.map(|frames| format!("the device has sent {frames} frames that cannot be read")),
+        );
         judge.wrong.truncate(TOLD);
         judge.wrong
     }

@@ -49,7 +49,7 @@ const TRANSFERS: [(&str, [u8; 8], &[u8]); 9] = [
 ];
 
 /// A chip, after its first enumeration.
-fn start() -> ChipBench {
+pub(crate) fn start() -> ChipBench {
     let mut chip = ChipBench::start(&ChipOptions::new(1)).unwrap_or_else(|error| panic!("{error}"));
     assert!(comes(&mut chip, 500 * MS), "no device");
     chip
