@@ -6,7 +6,6 @@
 import { parseArgs } from 'node:util';
 import fs from 'node:fs';
 import { Board } from './board.mjs';
-import { Profile } from './profile.mjs';
 
 /** One run of a board: carries out requests, and collects what the board sends between two answers. */
 export class Bench {
@@ -49,7 +48,6 @@ export class Bench {
       transfers: this.transfers,
       configured: board.host.configured,
       resets: board.resets,
-      instructions: board.instructions,
       asleep: board.asleep,
       ...extra,
     };
@@ -127,10 +125,6 @@ export class Bench {
         return {};
       case 'read':
         return { hex: Buffer.from(board.memory(value, request.bytes)).toString('hex') };
-      case 'profile':
-        return this.profile(!!value);
-      case 'stats':
-        return { stats: this.stats() };
       default:
         throw new Error(`unknown request ${verb}`);
     }
@@ -144,30 +138,6 @@ export class Bench {
     if (!there) this.board.run(cycles);
     this.until = null;
     return {};
-  }
-  profile(on) {
-    const { core, symbols } = this.board;
-    const profile = core.profile?.result();
-    core.profile = on ? new Profile(symbols) : null;
-    return { profile };
-  }
-  stats() {
-    const { board } = this;
-    const { core, host } = board;
-    return {
-      hz: board.clock.hz,
-      micros: board.clock.micros,
-      pc: core.r[15] >>> 0,
-      exception: core.ipsr,
-      fault: core.fault,
-      dead: core.dead,
-      reason: board.kept.reason,
-      usb: host.state,
-      dtr: host.dtr,
-      serial: host.serial,
-      queued: { cdc: host.out.cdc.queued, bulk: host.out.bulk.queued },
-      toggleErrors: host.toggleErrors,
-    };
   }
 }
 

@@ -30,7 +30,6 @@ export class Core extends Interpreter {
     this.counts = new Float64Array(2); // instructions, cycles asleep
     this.carryOver = 0; // fractions of a cycle, with a fractional `slow`
     this.fault = null; // text of the last fault, for `stats`
-    this.profile = null; // a Profile (profile.mjs), while `bench.mjs` counts
     // rp2040js's own peripherals use these two of its core
     this.cycles = 0;
     this.interruptNMIMask = 0;
@@ -84,7 +83,7 @@ export class Core extends Interpreter {
     const { t } = this.clock;
     let executed = 0;
     try {
-      if (this.slow === 1 && !this.profile) {
+      if (this.slow === 1) {
         do {
           executed++;
           t[NOW] += this.step();
@@ -96,16 +95,13 @@ export class Core extends Interpreter {
   }
   slowBurst(limit) {
     const { t } = this.clock;
-    const { profile } = this;
     let executed = 0;
     do {
       executed++;
-      const pc = this.r[15];
       const cost = this.step() * this.slow + this.carryOver;
       const whole = Math.floor(cost);
       this.carryOver = cost - whole;
       t[NOW] += whole;
-      if (profile) profile.count(pc, whole, this.r, t[NOW]);
     } while (t[NOW] < limit && t[NOW] < t[NEXT] && !this.attention);
     return executed;
   }
@@ -155,7 +151,6 @@ export class Core extends Interpreter {
     r[14] = !thread ? 0xfffffff1 : this.onProcessStack ? 0xfffffffd : 0xfffffff9;
     this.useProcessStack(false);
     this.exceptions.enter(number);
-    this.profile?.enter(this.clock.t[NOW]);
     this.ipsr = number;
     this.event = true;
     r[15] = handler;
@@ -175,7 +170,6 @@ export class Core extends Interpreter {
     this.flags = psr;
     this.ipsr = psr & 0x3f;
     this.event = true;
-    this.profile?.leave(number, this.clock.t[NOW] + RETURN_CYCLES);
     this.exceptions.leave(number);
     if (this.sleepOnExit && this.ipsr === 0) this.asleep = WFI;
   }

@@ -7,7 +7,6 @@
 #[path = "../tests/estop.rs"]
 mod estop;
 #[path = "../tests/play.rs"]
-#[expect(dead_code, reason = "it is the tests', which use the rest of it")]
 mod play;
 #[path = "../tests/random.rs"]
 #[expect(dead_code, reason = "it is the tests', which use the rest of it")]

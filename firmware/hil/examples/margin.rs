@@ -1,12 +1,11 @@
 //! `margin [PATTERNS]`: the time that rendering has left over so many random patterns (200), in each condition; for starts of all motors after
-//! rests and holds; then while strokes are replaced at full load. `margin 0` does the latter alone.
+//! rests and holds; then while strokes are replaced at full load, and while all motors follow rows. `margin 0` does the last two alone.
 //!
 //! Exit 0 if at least half of the time is left in all of them, but for plays that a daemon refuses. Takes minutes.
 
 #![expect(clippy::unwrap_used, reason = "what cannot go on has failed")]
 
 #[path = "../tests/hand.rs"]
-#[expect(dead_code, reason = "it is the tests', which use the rest of it")]
 mod hand;
 #[path = "../tests/margin.rs"]
 mod margin;
@@ -19,7 +18,7 @@ mod random;
 mod replace_load;
 
 use margin::{Beside, after_rests, sweep};
-use replace_load::{CONDITIONS, load};
+use replace_load::{CONDITIONS, ROWS, load, rows};
 use std::process::ExitCode;
 use std::thread;
 
@@ -45,7 +44,8 @@ fn main() -> ExitCode {
     let starts = [(1.0, false), (1.0, true), (1.1, false), (1.1, true)].into_iter().filter(|_| patterns > 0);
     let starts = starts.map(|(slow, has_stop)| -> Run { Box::new(move || after_rests(slow, has_stop)) });
     let replaced = CONDITIONS.iter().map(|&condition| -> Run { Box::new(move || load(condition)) });
-    let mut runs: Vec<_> = plays.chain(starts).chain(replaced).collect();
+    let follow = ROWS.iter().map(|&(slow, most)| -> Run { Box::new(move || rows(slow, most)) });
+    let mut runs: Vec<_> = plays.chain(starts).chain(replaced).chain(follow).collect();
     // Two at a time.
     let mut whole = true;
     while !runs.is_empty() {

@@ -29,7 +29,7 @@ fn main() {
     let mut settings = RigOptions::default();
     settings.settings.limits.rail_at_once = 3;
     let mut rig = play::armed_with(options, settings);
-    rig.chip().unwrap().poke("_stack_end", &PATTERN.to_le_bytes().repeat(FILLED / 8)).unwrap();
+    rig.chip.poke("_stack_end", &PATTERN.to_le_bytes().repeat(FILLED / 8)).unwrap();
     for number in [1, 4, 5] {
         let played = if number == 4 { random::taking_turns(number) } else { random::pattern(number) };
         rig.order(play::job(&played, 0.3));
@@ -41,7 +41,7 @@ fn main() {
         rig.order(Command::Arm { assume_rest: false });
         rig.run_to(rig.now() + 100 * MS).unwrap();
     }
-    let left = rig.chip().unwrap().memory("_stack_end", FILLED).unwrap();
+    let left = rig.chip.memory("_stack_end", FILLED).unwrap();
     let left = left.chunks_exact(8).take_while(|word| **word == PATTERN.to_le_bytes()).count() * 8;
     println!("{} of {STACK} bytes of the stack used at most", STACK - left);
 }

@@ -1,230 +1,349 @@
-//! Judges one boot of a device: compares its lines with what they had to do, and on the chip checks every pin to the cycle.
+//! Judges one boot of a device by its pins, to the cycle.
 //!
-//! The chip's first pulse gives the grid of ticks; everything after it must fit that grid.
+//! The first trigger gives the grid of ticks, and everything must fit that grid. A play has the pulses of its compiled strokes, tick
+//! for tick, until it ends or is cut. A return moves pins down alone, and ends with each pin where it began. Nothing else moves a pin.
 
-mod drivers;
-mod pins;
-
-use crate::bench::Played;
 use crate::log::{Log, Train};
-use crate::oracle::{self, Expected};
+use crate::pins::{High, Pins};
 use crate::tap::{Event, Tap};
-use crate::time::Grid;
-use firmware_protocol::message::Op;
+use crate::time::{Grid, MS, TICK};
+use firmware_protocol::controller::{DRIVER_TAIL, HORIZON};
+use firmware_protocol::message::{Cut, Op, State, Trigger};
+use firmware_protocol::stroke::Direction;
 use firmware_protocol::tick::Tick;
-use std::fmt;
+use meissner_stream::Source;
+use meissner_stream::queues::{Outcome, StreamEvent};
+use meissner_test_support::paper::{DRIVER_LEAD, MOTORS};
 
-/// Most differences listed per boot.
+/// Most findings listed per boot.
 const TOLD: usize = 12;
-
-/// A time from which all lines must be low, until the next `arm` or onset.
-#[derive(Clone, Copy, Debug)]
-pub struct Quiet {
-    /// The time.
-    pub cycle: u64,
-}
+/// High for 20 % of a tick, and for 80 %.
+const UP: u64 = TICK / 5;
+const DOWN: u64 = TICK / 5 * 4;
+/// Cycles for which the drivers are on before a pulse, and after it.
+const LEAD: u64 = DRIVER_LEAD as u64 * TICK;
+const TAIL: u64 = DRIVER_TAIL as u64 * TICK;
+/// Most time from a status that says disarmed to the supply being off.
+const ENABLE_OFF: u64 = (64 + 16) * TICK;
+/// Most difference between the clock read from the link and that of the pins: transfer, processing and a step of the rig.
+const CLOCK: std::ops::RangeInclusive<i64> = -(2 * MS as i64)..=(TICK as i64);
 
 /// One boot of a device, from power-up or reset to the next or the end.
 #[derive(Debug)]
 pub struct Boot {
     /// What went over the link.
     pub tap: Tap,
-    /// The recording of the lines.
-    pub played: Played,
-    /// The grid of its ticks: exact on the mock, estimated from the link on the chip.
-    pub grid: Grid,
+    /// The recording of the pins.
+    pub pins: Pins,
+    /// The grid of its ticks, estimated from the link.
+    pub link_grid: Grid,
     /// Cycle at which its core failed.
     pub death: Option<u64>,
-    /// Times from which lines had to be low.
-    pub quiets: Vec<Quiet>,
     /// Its first cycle.
     pub from: u64,
     /// Its last cycle.
     pub to: u64,
 }
 
-/// A fault of a boot.
-#[expect(missing_docs, reason = "the fields are what the text says")]
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Finding {
-    /// A pulse of neither width.
-    Width { line: usize, cycle: u64, tick: Tick, width: u64 },
-    /// A pulse that does not rise where a tick begins.
-    OffGrid { line: usize, cycle: u64, tick: Tick, late: u64 },
-    /// A line's first difference from what it had to do.
-    Differs { line: usize, expected: Option<Train>, found: Option<Train> },
-    /// Pulses at the edge of a cut that were not planned.
-    NotPlanned { from: Tick, to: Tick },
-    /// A pulse while all lines had to be low.
-    NotLow { since: u64, pulse: u64 },
-    /// A line that stays high.
-    Static { line: usize, since: u64 },
-    /// The trigger did not rise at an onset, or in a cell of its code.
-    NoTrigger { onset: Tick },
-    /// The trigger rose where it should be low.
-    Trigger { tick: Tick, late: u64 },
-    /// A trigger, or a cell of its code, has the wrong length.
-    TriggerLength { tick: Tick, cycles: u64 },
-    /// The drivers or the LED were on while disarmed.
-    Enabled { from: u64, to: u64, quiet_from: u64, quiet_to: u64 },
-    /// A pulse while the drivers were off.
-    NotEnabled { line: usize, cycle: u64 },
-    /// The first pulse after the drivers' enable came too early.
-    Lead { enabled: u64, pulse: u64 },
-    /// The drivers were enabled for too long without a pulse on any line.
-    Idle { from: u64, to: u64 },
-    /// The drivers were enabled while the LED was off.
-    Led,
-    /// A pin rose that is not an output.
-    Stray { pin: usize, cycle: u64 },
-    /// The device's clock differs from that of its pins.
-    Clock { off: i64 },
-    /// The device contradicts itself.
-    Contradiction(String),
+/// A play that has begun.
+struct Play {
+    onset: Tick,
+    /// The first tick that it does not decide.
+    until: Tick,
+    wanted: Log,
+    trigger: Option<Trigger>,
 }
 
-impl fmt::Display for Finding {
-    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let at = |tick: &Tick| format!("tick BOOT+{}", tick.since(Tick::BOOT));
-        let train = |train: &Option<Train>| train.map_or("nothing".to_owned(), |train| train.to_string());
-        match self {
-            Self::Width { line, cycle, tick, width } => {
-                write!(out, "line {line}: a pulse of {width} cycles at cycle {cycle}, {}", at(tick))
-            }
-            Self::OffGrid { line, cycle, tick, late } => {
-                write!(out, "line {line}: a pulse {late} cycles into {} (cycle {cycle})", at(tick))
-            }
-            Self::Differs { line, expected, found } => {
-                write!(out, "line {line}: expected {}, found {}", train(expected), train(found))
-            }
-            Self::NotPlanned { from, to } => {
-                write!(out, "pulses that were not planned between {} and {}", at(from), at(to))
-            }
-            Self::NotLow { since, pulse } => {
-                write!(out, "lines had to be low from cycle {since} on, and one is high at cycle {pulse}")
-            }
-            Self::Static { line, since } => write!(out, "line {line}: high since cycle {since}"),
-            Self::NoTrigger { onset } => write!(out, "no trigger at the onset at {}", at(onset)),
-            Self::Trigger { tick, late } => {
-                write!(out, "a trigger {late} cycles into {}, where nothing begins", at(tick))
-            }
-            Self::TriggerLength { tick, cycles } => {
-                write!(out, "the trigger at {} lasts {cycles} cycles", at(tick))
-            }
-            Self::Enabled { from, to, quiet_from, quiet_to } => {
-                write!(out, "drivers on in cycles {from}..{to} and to be off in {quiet_from}..{quiet_to}")
-            }
-            Self::NotEnabled { line, cycle } => {
-                write!(out, "line {line}: a pulse at cycle {cycle} with the drivers off")
-            }
-            Self::Lead { enabled, pulse } => {
-                write!(out, "drivers enabled at cycle {enabled}, and a pulse at {pulse}: the lead is missing")
-            }
-            Self::Idle { from, to } => {
-                write!(out, "drivers enabled without a pulse on any line in cycles {from}..{to}")
-            }
-            Self::Led => out.write_str("the drivers are enabled while the LED is off"),
-            Self::Stray { pin, cycle } => write!(out, "GP{pin} rises at cycle {cycle}"),
-            Self::Clock { off } => {
-                write!(out, "the pins are {off} cycles behind the clock that the device tells")
-            }
-            Self::Contradiction(text) => out.write_str(text),
-        }
-    }
+/// The grid through the first trigger, which rises at the first onset; before that, the one of the link.
+#[must_use]
+pub fn grid(tap: &Tap, pins: &Pins, link: Grid) -> Grid {
+    let first = tap.onsets().first().copied().zip(pins.trigger.first());
+    first.map_or(link, |(onset, high)| Grid::through(onset, high.from))
 }
 
-/// A judged boot.
-#[derive(Debug)]
-pub struct Judged {
-    /// The faults found.
-    pub findings: Vec<Finding>,
-    /// The lines as recorded, in ticks.
-    pub log: Log,
-    /// The lines as expected.
-    pub expected: Expected,
-    /// The grid of ticks.
-    pub grid: Grid,
+/// The outcomes of the plays that have ended.
+pub fn outcomes(notices: &[StreamEvent]) -> impl Iterator<Item = &Outcome> {
+    notices.iter().filter_map(|notice| match notice {
+        StreamEvent::PlayEnded { outcome, .. } => Some(outcome),
+        _ => None,
+    })
+}
+
+/// What the lines have to do if all steps are played from `onset` on.
+#[must_use]
+pub fn compiled(strokes: &Source, onset: Tick) -> Log {
+    let mut strokes = strokes.clone();
+    strokes.begin(onset);
+    let trains = strokes.flatten().flat_map(|step| {
+        step.bursts().map(move |burst| {
+            let train = Train { start: burst.start, direction: burst.direction, pulses: burst.pulses.into() };
+            (usize::from(step.motor()), train)
+        })
+    });
+    Log::of(trains.collect())
 }
 
 impl Boot {
-    /// Judges the boot.
+    /// The grid of its ticks.
     #[must_use]
-    pub fn judge(&self) -> Judged {
-        let death = |grid: Grid| self.death.map(|cycle| grid.tick(cycle).0);
-        let mut findings = Vec::new();
-        let (log, expected, grid) = match &self.played {
-            Played::Ticks(log) => {
-                let expected = oracle::expect(&self.tap, death(self.grid));
-                ((**log).clone(), expected, self.grid)
-            }
-            Played::Pins(pins) => {
-                let first = oracle::expect(&self.tap, None).log.first();
-                let grid = match (first, pins.first()) {
-                    (Some(tick), Some(cycle)) => Grid::through(tick, cycle),
-                    _ => self.grid,
-                };
-                let expected = oracle::expect(&self.tap, death(grid));
-                let log = self.judge_pins(pins, &expected, grid, &mut findings);
-                (log, expected, grid)
-            }
+    pub fn grid(&self) -> Grid {
+        grid(&self.tap, &self.pins, self.link_grid)
+    }
+
+    /// Judges the boot, given what the host has said, and returns the faults found, in words.
+    #[must_use]
+    pub fn judge(&self, notices: &[StreamEvent]) -> Vec<String> {
+        let mut judge = Judge {
+            boot: self,
+            pins: &self.pins,
+            grid: self.grid(),
+            cuts: self.tap.cuts(),
+            death: None,
+            wrong: Vec::new(),
         };
-        self.judge_drivers(&log, &expected, grid, &mut findings);
-        compare(&log, &expected, &mut findings);
-        self.judge_quiet(&log, &expected.onsets, grid, &mut findings);
-        findings.extend(expected.contradictions.iter().cloned().map(Finding::Contradiction));
-        findings.truncate(TOLD);
-        Judged { findings, log, expected, grid }
+        judge.death = self.death.map(|cycle| judge.grid.tick(cycle).0);
+        let plays = judge.plays(notices);
+        let log = judge.pulses();
+        judge.lines(&plays, &log);
+        judge.triggers(&plays);
+        judge.drivers();
+        judge.off();
+        let unreadable = Some(self.tap.unreadable).filter(|&frames| frames > 0);
+        judge.wrong.extend(
+            unreadable.map(|frames| format!("the device has sent {frames} frames that cannot be read")),
+        );
+        judge.wrong.truncate(TOLD);
+        judge.wrong
+    }
+}
+
+/// A tick as it is told.
+fn told(tick: Tick) -> String {
+    format!("tick BOOT+{}", tick.since(Tick::BOOT))
+}
+
+struct Judge<'a> {
+    boot: &'a Boot,
+    pins: &'a Pins,
+    grid: Grid,
+    cuts: Vec<(Tick, Cut)>,
+    /// The tick in which the core failed.
+    death: Option<Tick>,
+    wrong: Vec<String>,
+}
+
+impl Judge<'_> {
+    /// When a pulse may be cut off or missing: in the ticks around an e-stop, and what was rendered when the core failed.
+    fn is_soft(&self, tick: Tick) -> bool {
+        let cut = |at: Tick| (at.0 - 1..=at.0 + 1).contains(&tick.0);
+        let died = |at: Tick| (at.0 - 1..at.0 + u64::from(HORIZON)).contains(&tick.0);
+        self.cuts.iter().any(|(at, by)| by.return_ticks.is_none() && cut(*at)) || self.death.is_some_and(died)
     }
 
-    /// The cycles of the commands to arm.
-    fn arms(&self) -> impl Iterator<Item = u64> {
-        self.tap
-            .events
-            .iter()
-            .filter_map(|(cycle, event)| matches!(event, Event::Control(_, Op::Arm { .. })).then_some(*cycle))
+    /// The first tick from `from` on in which something ended what was playing.
+    fn cut_after(&self, from: Tick) -> Option<Tick> {
+        let cuts = self.cuts.iter().map(|&(at, _)| at).chain(self.death);
+        cuts.filter(|&at| at >= from).min()
     }
 
-    fn judge_quiet(&self, log: &Log, onsets: &[Tick], grid: Grid, findings: &mut Vec<Finding>) {
-        for quiet in &self.quiets {
-            let onsets = onsets.iter().map(|&onset| grid.cycle(onset));
-            let ends = self.arms().chain(onsets).filter(|&end| end >= quiet.cycle);
-            let until = ends.min().unwrap_or(self.to);
-            let (from, to) = (grid.tick(quiet.cycle + crate::time::TICK - 1).0, grid.tick(until).0);
-            let pulse = match &self.played {
-                Played::Ticks(_) => log.within(from, to).first().map(|tick| grid.cycle(tick)),
-                Played::Pins(pins) => pins.low_since(until).filter(|&low| low > quiet.cycle),
+    fn plays(&self, notices: &[StreamEvent]) -> Vec<Play> {
+        let onsets = self.boot.tap.onsets();
+        let begun = outcomes(notices).filter_map(|outcome| {
+            let onset = outcome.onset?.actual;
+            let end = onset + outcome.play.strokes.end()?;
+            let cut = self.cut_after(onset).map_or(end, |at| Tick(at.0 - 1));
+            let (until, wanted) = (end.min(cut), compiled(&outcome.play.strokes, onset));
+            let trigger = outcome.play.items.first().and_then(|item| item.trigger);
+            onsets.contains(&onset).then_some(Play { onset, until, wanted, trigger })
+        });
+        begun.collect()
+    }
+
+    /// The pulses in ticks: each has one of two widths and rises as a tick begins, with the drivers on.
+    fn pulses(&mut self) -> Log {
+        let mut trains = Vec::new();
+        for (line, pulses) in self.pins.lines.iter().enumerate() {
+            for train in pulses {
+                let (tick, late) = self.grid.tick(train.cycle);
+                if late != 0 {
+                    self.wrong.push(format!("line {line}: a pulse {late} cycles into {}", told(tick)));
+                }
+                let is_soft = self.is_soft(tick + (train.pulses - 1));
+                // A pulse cut off has no known direction, even if it has the width of an up pulse.
+                if train.pulses == 1 && train.width < DOWN && is_soft {
+                    continue;
+                }
+                if train.width != UP && train.width != DOWN {
+                    self.wrong.push(format!(
+                        "line {line}: a pulse of {} cycles in {}",
+                        train.width,
+                        told(tick)
+                    ));
+                }
+                let is_on = |high: &High| high.from <= train.cycle && train.end() <= high.to;
+                if !is_soft && !self.pins.enable.iter().any(is_on) {
+                    self.wrong.push(format!("line {line}: a pulse in {} with the drivers off", told(tick)));
+                }
+                let direction = if train.width <= (UP + DOWN) / 2 { Direction::Up } else { Direction::Down };
+                trains.push((line, Train { start: tick, direction, pulses: train.pulses }));
+            }
+        }
+        let high = self.pins.still_high();
+        self.wrong.extend(high.map(|(line, since)| format!("line {line}: high since cycle {since}")));
+        let strays = self.pins.strays.iter();
+        self.wrong.extend(strays.map(|(pin, cycle)| format!("GP{pin} rises at cycle {cycle}")));
+        let off = self.grid.origin - self.boot.link_grid.origin;
+        if self.pins.first().is_some() && !CLOCK.contains(&off) {
+            self.wrong.push(format!("the pins are {off} cycles behind the clock that the device tells"));
+        }
+        Log::of(trains)
+    }
+
+    fn lines(&mut self, plays: &[Play], log: &Log) {
+        let mut rest = log.clone();
+        for play in plays {
+            let of = |log: &Log| log.within(play.onset, play.until);
+            for (line, (found, wanted)) in of(log).lines.iter().zip(&of(&play.wanted).lines).enumerate() {
+                let first = found.iter().zip(wanted).take_while(|(found, wanted)| found == wanted).count();
+                if found.len() != wanted.len() || first < found.len() {
+                    let [wanted, found] = [wanted.get(first), found.get(first)]
+                        .map(|train| train.map_or("nothing".to_owned(), ToString::to_string));
+                    self.wrong.push(format!("line {line}: expected {wanted}, found {found}"));
+                }
+            }
+            rest = rest.without(play.onset, play.until);
+        }
+        for (at, cut) in self.cuts.clone() {
+            let before = Tick(at.0 - 1);
+            let to = at + cut.return_ticks.map_or(1, u64::from);
+            // An e-stop may cut a pulse off that the plan had.
+            let planned = |log: &Log| plays.iter().any(|play| log.is_part_of(&play.wanted));
+            let around = rest.within(before, to);
+            if cut.return_ticks.is_none() && around.first().is_some() && !planned(&around) {
+                self.wrong.push(format!("pulses that were not planned around {}", told(at)));
+            }
+            if cut.return_ticks.is_some() {
+                let mut trains = rest.within(at, to).lines.into_iter().flatten();
+                if let Some(up) = trains.find(|train| train.direction == Direction::Up) {
+                    self.wrong.push(format!("a return moves a pin up: {up}"));
+                }
+                self.is_at_rest(log, to);
+            }
+            rest = rest.without(before, to);
+        }
+        if let Some(death) = self.death {
+            let (from, to) = (Tick(death.0 - 1), death + u64::from(HORIZON));
+            let rendered = rest.within(from, to);
+            if rendered.first().is_some() && !plays.iter().any(|play| rendered.is_part_of(&play.wanted)) {
+                self.wrong.push(format!("pulses that were not planned after {}", told(death)));
+            }
+            rest = rest.without(from, to);
+        }
+        if let Some(tick) = rest.first() {
+            self.wrong.push(format!("a pulse in {}, where nothing is played", told(tick)));
+        }
+    }
+
+    /// Each pin is where it was when it last counted as at rest, but for pulses that e-stops have cut off.
+    fn is_at_rest(&mut self, log: &Log, at: Tick) {
+        let arms = self.boot.tap.events.iter().filter_map(|(cycle, event)| match event {
+            Event::Control(_, Op::Arm { assume_rest: true, .. }) => Some(self.grid.tick(*cycle).0),
+            _ => None,
+        });
+        let from = arms.filter(|&armed| armed < at).max().unwrap_or(Tick(0));
+        let within = |cut: Tick| from < cut && cut < at;
+        let e_stops = self.cuts.iter().filter(|(cut, by)| by.return_ticks.is_none() && within(*cut)).count();
+        let mut net = [0_i64; MOTORS];
+        for (net, line) in net.iter_mut().zip(log.within(from, at).lines) {
+            *net = line.iter().map(Train::signed).sum();
+        }
+        if net.iter().any(|net| net.unsigned_abs() > e_stops as u64) {
+            self.wrong.push(format!("after the return at {} pins are off by pulses: {net:?}", told(at)));
+        }
+    }
+
+    fn triggers(&mut self, plays: &[Play]) {
+        let wanted = plays.iter().filter_map(|play| Some((play.onset, u64::from(play.trigger?.width))));
+        for (onset, width) in wanted.clone() {
+            let from = self.grid.cycle(onset);
+            let Some(high) = self.pins.trigger.iter().find(|high| high.from == from) else {
+                self.wrong.push(format!("no trigger at the onset in {}", told(onset)));
+                continue;
             };
-            if let Some(pulse) = pulse {
-                findings.push(Finding::NotLow { since: quiet.cycle, pulse });
+            let is_cut = self.cut_after(onset).is_some_and(|at| at <= onset + width);
+            if high.to != from + width * TICK && !is_cut {
+                self.wrong.push(format!("the trigger in {} lasts {} cycles", told(onset), high.to - from));
+            }
+        }
+        for high in &self.pins.trigger {
+            if wanted.clone().all(|(onset, _)| self.grid.cycle(onset) != high.from) {
+                self.wrong.push(format!("a trigger at cycle {}, where nothing begins", high.from));
             }
         }
     }
-}
 
-/// Compares the lines outside of soft intervals, and finds pulses inside them that were not planned.
-fn compare(found: &Log, expected: &Expected, findings: &mut Vec<Finding>) {
-    let (mut outside, mut wanted) = (found.clone(), expected.log.clone());
-    for soft in &expected.soft {
-        if !found.within(soft.from, soft.to).is_part_of(&soft.planned) {
-            findings.push(Finding::NotPlanned { from: soft.from, to: soft.to });
+    /// The drivers are on from the lead before a pulse to the tail after it: an enabled driver without pulses has DC on its piezo.
+    fn drivers(&mut self) {
+        let mut trains: Vec<_> = self.pins.lines.iter().flatten().collect();
+        trains.sort_unstable_by_key(|train| train.cycle);
+        let mut wanted: Vec<High> = Vec::new();
+        for train in trains {
+            let to = train.cycle + train.pulses * TICK + TAIL;
+            match wanted.last_mut() {
+                Some(last) if train.cycle - LEAD <= last.to => last.to = last.to.max(to),
+                _ => wanted.push(High { from: train.cycle - LEAD, to }),
+            }
         }
-        outside = outside.without(soft.from, soft.to);
-        wanted = wanted.without(soft.from, soft.to);
+        for high in self.pins.enable.iter().filter(|high| !wanted.contains(high)) {
+            let is_early = wanted.iter().any(|pulses| {
+                pulses.from < high.from && (high.from..high.to).contains(&(pulses.from + LEAD))
+            });
+            // What ends a play may find the drivers on for a pulse that then does not come.
+            let (from, to) = (self.grid.tick(high.from).0, self.grid.tick(high.to.min(self.boot.to)).0);
+            let is_cut = self.cut_after(from).is_some_and(|at| at <= to + u64::from(HORIZON));
+            if is_early {
+                self.wrong.push(format!("drivers enabled at cycle {}: the lead is missing", high.from));
+            } else if !is_cut {
+                self.wrong.push(format!("drivers enabled without a pulse within {}..{}", high.from, high.to));
+            }
+        }
     }
-    findings.extend(differences(&outside, &wanted));
-}
 
-/// The first difference of each line.
-#[must_use]
-pub fn differences(found: &Log, expected: &Log) -> Vec<Finding> {
-    let lines = found.lines.iter().zip(&expected.lines).enumerate();
-    let first = lines.filter_map(|(line, (found, expected))| {
-        let same = found.iter().zip(expected).take_while(|(found, expected)| found == expected).count();
-        let (found, expected) = (found.get(same).copied(), expected.get(same).copied());
-        (found != expected).then_some(Finding::Differs { line, expected, found })
-    });
-    first.collect()
+    /// Drivers and LED are off from the device's status to the next command to arm, and the LED is lit while the drivers are on.
+    fn off(&mut self) {
+        let (mut times, mut from, mut epoch) = (Vec::new(), Some(self.boot.from), None);
+        for (cycle, event) in &self.boot.tap.events {
+            match event {
+                Event::Opened(_) => epoch = None,
+                Event::Control(begun, op) => {
+                    epoch = Some(*begun);
+                    if matches!(op, Op::Arm { .. }) {
+                        times.extend(from.take().map(|from| (from, *cycle)));
+                    }
+                }
+                // Skip a status from before the last command.
+                Event::Status(status, tick) if epoch.is_none_or(|epoch| epoch == status.epoch) => {
+                    if matches!(status.state, State::Disarmed | State::Faulted) {
+                        from = from.or(Some(self.grid.cycle(*tick) + ENABLE_OFF));
+                    }
+                }
+                _ => {}
+            }
+        }
+        times.extend(from.map(|from| (from, self.boot.to)));
+        for (from, to) in times.into_iter().filter(|(from, to)| from < to) {
+            let mut highs = self.pins.enable.iter().chain(&self.pins.led);
+            let on = highs.find(|high| high.from < to && high.to > from);
+            self.wrong.extend(on.map(|on| {
+                format!("drivers on in cycles {}..{}, and to be off in {from}..{to}", on.from, on.to)
+            }));
+        }
+        let lit = |high: &High| {
+            let led = |led: &High| led.from <= high.from + TICK && high.to <= led.to.saturating_add(TICK);
+            self.pins.led.iter().any(led)
+        };
+        if !self.pins.enable.iter().all(lit) {
+            self.wrong.push("the drivers are enabled while the LED is off".to_owned());
+        }
+    }
 }
-
-#[cfg(test)]
-mod tests;

@@ -1,10 +1,9 @@
-//! The pulses of 24 lines in ticks, as trains: the form in which mock, chip and expectation are compared.
+//! The pulses of 24 lines in ticks, as trains: the form in which pins and compiled strokes are compared.
 //!
 //! Invariant: the trains of a line are in order of time and do not overlap, and two trains without a gap between them have
 //! different directions. So equal logs are equal in every tick.
 
-use firmware_protocol::controller::Run;
-use firmware_protocol::stroke::{Direction, Line};
+use firmware_protocol::stroke::Direction;
 use firmware_protocol::tick::Tick;
 use meissner_test_support::paper::MOTORS;
 use std::fmt;
@@ -25,6 +24,12 @@ impl Train {
     #[must_use]
     pub fn end(&self) -> Tick {
         self.start + self.pulses
+    }
+
+    /// The pulses that it moves a pin up.
+    #[must_use]
+    pub fn signed(&self) -> i64 {
+        if self.direction == Direction::Up { self.pulses as i64 } else { -(self.pulses as i64) }
     }
 
     /// The part in `from..to`.
@@ -49,13 +54,11 @@ impl fmt::Debug for Train {
     }
 }
 
-/// The trains of every line, and when the drivers were enabled.
+/// The trains of every line.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Log {
     /// Per motor.
     pub lines: [Vec<Train>; MOTORS],
-    /// First ticks with the drivers enabled, and the first ticks after them. Empty where only lines are kept.
-    pub drivers: Vec<(Tick, Tick)>,
 }
 
 impl Log {
@@ -70,26 +73,6 @@ impl Log {
                 last.pulses += train.pulses;
             }
             _ => self.lines[line].push(train),
-        }
-    }
-
-    /// Appends the recording of the mock's lines and drivers.
-    pub fn extend(&mut self, trace: &[(Tick, Run)]) {
-        for &(start, run) in trace {
-            let end = start + u64::from(run.ticks);
-            match self.drivers.last_mut() {
-                _ if !run.drivers => {}
-                Some(last) if last.1 == start => last.1 = end,
-                _ => self.drivers.push((start, end)),
-            }
-            if run.lines.pulsing().is_empty() {
-                continue;
-            }
-            for motor in 0..MOTORS {
-                if let Line::Pulse(direction) = run.lines.line(motor as u8) {
-                    self.push(motor, Train { start, direction, pulses: run.ticks.into() });
-                }
-            }
         }
     }
 
@@ -108,7 +91,7 @@ impl Log {
     #[must_use]
     pub fn within(&self, from: Tick, to: Tick) -> Self {
         let cut = |line: &Vec<Train>| line.iter().filter_map(|train| train.within(from, to)).collect();
-        Self { lines: self.lines.each_ref().map(cut), ..Self::default() }
+        Self { lines: self.lines.each_ref().map(cut) }
     }
 
     /// The lines without the part in `from..to`.
@@ -116,7 +99,7 @@ impl Log {
     pub fn without(&self, from: Tick, to: Tick) -> Self {
         let sides = |train: &Train| [train.within(Tick(0), from), train.within(to, Tick(u64::MAX))];
         let cut = |line: &Vec<Train>| line.iter().flat_map(sides).flatten().collect();
-        Self { lines: self.lines.each_ref().map(cut), ..Self::default() }
+        Self { lines: self.lines.each_ref().map(cut) }
     }
 
     /// Whether every pulse is also in `other`.
@@ -133,12 +116,6 @@ impl Log {
     #[must_use]
     pub fn first(&self) -> Option<Tick> {
         self.lines.iter().filter_map(|line| line.first()).map(|train| train.start).min()
-    }
-
-    /// The first tick after all pulses.
-    #[must_use]
-    pub fn end(&self) -> Option<Tick> {
-        self.lines.iter().filter_map(|line| line.last()).map(Train::end).max()
     }
 
     /// Pulses of all lines.
@@ -164,7 +141,7 @@ mod tests {
         assert_eq!(log.within(Tick(8), Tick(12)).lines[3], [train(8, Up, 2), train(10, Down, 2)]);
         let split = [train(5, Up, 3), train(12, Down, 5)];
         assert_eq!(log.without(Tick(8), Tick(12)).lines[3], split);
-        assert_eq!((log.first(), log.end(), log.pulses()), (Some(Tick(5)), Some(Tick(17)), 12));
+        assert_eq!((log.first(), log.pulses()), (Some(Tick(5)), 12));
     }
 
     #[test]

@@ -1,25 +1,21 @@
-//! Runs the host's streamer and a device on a bench in lock-step.
+//! Runs the host's streamer and the chip in lock-step.
 //!
 //! Unlike `meissner_stream::Simulation`, it has a cable, a tty and an operating system between them: a device is plugged in
-//! and out, a process is stalled or killed. It has no logic of streamer or controller. The device receives what the host
-//! sends at the beginning of the next step.
+//! and out, a process ends. It has no logic of streamer or controller. The device receives what the host sends at the beginning
+//! of the next step.
 
-mod cable;
-mod faults;
-
-use crate::bench::chip::ChipBench;
-use crate::bench::{Bench, BenchError, Function, Which};
-use crate::judge::{Boot, Quiet};
-use crate::oracle;
+use crate::bench::chip::{ChipBench, ChipOptions};
+use crate::bench::{BenchError, CpuEvent, Function};
+use crate::judge::{self, Boot};
 use crate::tap::{Event, Tap};
-use crate::time::{Grid, HostClock, MS, host};
-use cable::Cable;
-pub use cable::Faults;
+use crate::time::{Grid, MS, host};
 use firmware_protocol::frame::{MAX_FRAME, encode};
 use firmware_protocol::message::HostMessage;
 use firmware_protocol::tick::Tick;
+use firmware_protocol::urgent::e_stop_request;
 use meissner_api::EndCause;
 use meissner_array::spec::Array;
+use meissner_stream::faulty::{Direction, Line};
 use meissner_stream::link::LineRate;
 use meissner_stream::queues::{Command, Outcome, Request, StreamEvent};
 use meissner_stream::time::HostInstant;
@@ -27,9 +23,6 @@ use meissner_stream::{Settings, Streamer};
 
 /// Interval of the host's wake-ups.
 const STEP: u64 = MS / 2;
-/// The same while the host stands still for longer than [`LONG`]: nothing happens in between.
-const LONG_STEP: u64 = 10 * MS;
-const LONG: u64 = 1_000 * MS;
 /// The host's nominal line rate: USB at full speed, as for a real board.
 const RATE: LineRate = LineRate::USB_FULL_SPEED;
 
@@ -51,16 +44,12 @@ pub struct RigOptions {
     pub settings: Settings,
     /// The USB function the host uses.
     pub function: Function,
-    /// Faults of the line for the host's frames.
-    pub faults: Faults,
-    /// Seed of the line's faults and the session numbers.
-    pub seed: u64,
 }
 
 impl Default for RigOptions {
     fn default() -> Self {
         let settings = Settings { drift_limit_um: f32::INFINITY, ..Settings::of(Array::paper()) };
-        Self { settings, function: Function::default(), faults: Faults::default(), seed: 0 }
+        Self { settings, function: Function::default() }
     }
 }
 
@@ -68,14 +57,15 @@ impl Default for RigOptions {
 #[derive(Debug)]
 pub struct Rig {
     /// The device.
-    pub bench: Bench,
+    pub chip: ChipBench,
     /// The host.
     pub streamer: Streamer,
     function: Function,
     now: u64,
-    /// The host's clock, by the cycles.
-    clock: HostClock,
-    cable: Cable,
+    /// The line for the host's frames.
+    line: Direction,
+    /// What has reached the host, which has not read it.
+    heard: Vec<u8>,
     /// Whether the host asks for e-stops by control requests, too.
     pub requests_e_stops: bool,
     /// The epoch of an e-stop to ask for.
@@ -83,13 +73,10 @@ pub struct Rig {
     /// Whether the host opens a device that is plugged in.
     hot_plug: bool,
     connected: bool,
-    dead: bool,
-    held_until: u64,
     sessions: u32,
     resets: u64,
     tap: Tap,
     death: Option<u64>,
-    quiets: Vec<Quiet>,
     from: u64,
     boots: Vec<Boot>,
     /// The host's events, in order.
@@ -102,25 +89,22 @@ impl Rig {
     ///
     /// # Errors
     /// If there is no device.
-    pub fn new(which: &Which, options: RigOptions) -> Result<Self, RigError> {
+    pub fn new(chip: &ChipOptions, options: RigOptions) -> Result<Self, RigError> {
         Ok(Self {
-            bench: Bench::start(which)?,
+            chip: ChipBench::start(chip)?,
             streamer: Streamer::new(options.settings),
             function: options.function,
             now: 0,
-            clock: HostClock::default(),
-            cable: Cable::new(options.faults.line(), options.seed),
+            line: Direction::default(),
+            heard: Vec::new(),
             requests_e_stops: true,
             e_stop: None,
             hot_plug: true,
             connected: false,
-            dead: false,
-            held_until: 0,
-            sessions: options.seed as u32,
+            sessions: 0,
             resets: 0,
             tap: Tap::default(),
             death: None,
-            quiets: Vec::new(),
             from: 0,
             boots: Vec::new(),
             notices: Vec::new(),
@@ -137,7 +121,7 @@ impl Rig {
     /// The host's clock now.
     #[must_use]
     pub fn host_time(&self) -> HostInstant {
-        self.clock.at(self.now)
+        host(self.now)
     }
 
     /// The traffic of the link in this boot.
@@ -146,24 +130,10 @@ impl Rig {
         &self.tap
     }
 
-    /// The emulated chip, if the bench is one.
-    pub fn chip(&mut self) -> Option<&mut ChipBench> {
-        match &mut self.bench {
-            Bench::Mock(_) => None,
-            Bench::Chip(chip) => Some(chip),
-        }
-    }
-
-    /// The grid of the device's ticks: from its pins once they have pulsed, before that from the link.
+    /// The grid of the device's ticks.
     #[must_use]
     pub fn grid(&self) -> Grid {
-        match &self.bench {
-            Bench::Mock(mock) => mock.grid(),
-            Bench::Chip(chip) => {
-                let first = chip.pins.first().zip(oracle::expect(&self.tap, None).log.first());
-                first.map_or_else(|| self.link_grid(), |(cycle, tick)| Grid::through(tick, cycle))
-            }
-        }
+        judge::grid(&self.tap, &self.chip.pins, self.link_grid())
     }
 
     /// The grid by the link: a message with a tick was sent after that tick began, at least by the time of its transfer.
@@ -176,7 +146,7 @@ impl Rig {
         told.min_by_key(|grid| grid.origin).unwrap_or(Grid { origin: self.now.cast_signed() })
     }
 
-    /// Gives the host's process a command and returns its ticket. A killed process takes none.
+    /// Gives the host's process a command and returns its ticket.
     pub fn order(&mut self, job: Command) -> u64 {
         self.tickets += 1;
         let now = self.host_time();
@@ -193,9 +163,7 @@ impl Rig {
     /// If the device is gone; also for the methods below.
     pub fn run_to(&mut self, cycle: u64) -> Result<(), RigError> {
         while self.now < cycle {
-            let is_idle = self.held_until > self.now + LONG;
-            let step = if is_idle { LONG_STEP } else { STEP };
-            self.step((self.now + step).min(cycle))?;
+            self.step((self.now + STEP).min(cycle))?;
         }
         Ok(())
     }
@@ -221,45 +189,40 @@ impl Rig {
     /// If that takes longer than `at_most` ms.
     pub fn run_to_end(&mut self, id: u64, at_most: u64) -> Result<&Outcome, RigError> {
         let end = self.now + at_most * MS;
-        while !self
-            .notices
-            .iter()
-            .any(|notice| matches!(notice, StreamEvent::PlayEnded { id: ended, .. } if *ended == id))
-        {
-            if self.now >= end {
-                return Err(RigError::Timeout("the end of a play", at_most));
-            }
+        let ended = |rig: &Self| {
+            rig.notices
+                .iter()
+                .position(|notice| matches!(notice, StreamEvent::PlayEnded { id: ended, .. } if *ended == id))
+        };
+        while ended(self).is_none() && self.now < end {
             self.step(self.now + STEP)?;
         }
-        let outcome = self.notices.iter().find_map(|notice| match notice {
-            StreamEvent::PlayEnded { id: ended, outcome } if *ended == id => Some(outcome),
-            _ => None,
-        });
-        outcome.ok_or(RigError::Timeout("the end of a play", at_most))
+        match ended(self).map(|at| &self.notices[at]) {
+            Some(StreamEvent::PlayEnded { outcome, .. }) => Ok(outcome),
+            _ => Err(RigError::Timeout("the end of a play", at_most)),
+        }
     }
 
     fn step(&mut self, to: u64) -> Result<(), RigError> {
         if let Some(epoch) = self.e_stop.take() {
-            self.bench.e_stop(epoch)?;
+            self.chip.control(e_stop_request(epoch))?;
         }
         self.deliver()?;
-        let heard = self.bench.run(to)?;
-        self.now = self.bench.cycle().max(to);
+        self.chip.run(to)?;
+        self.now = self.chip.cycle().max(to);
+        let heard = self.chip.take_heard();
         let bytes = if self.function == Function::Cdc { heard.cdc } else { heard.bulk };
         self.tap.from_device(self.now, &bytes);
-        self.cable.hear(host(self.now), &bytes);
-        if self.bench.resets() != self.resets {
-            self.resets = self.bench.resets();
+        self.heard.extend(bytes);
+        if self.chip.resets() != self.resets {
+            self.resets = self.chip.resets();
             self.end_boot();
         }
-        if self.connected && !self.bench.configured() {
+        if self.connected && !self.chip.configured() {
             self.disconnect("unplugged");
         }
-        if self.hot_plug && !self.connected && self.bench.configured() && !self.dead {
-            if self.function == Function::Cdc {
-                self.bench.dtr(true)?;
-            }
-            self.connect();
+        if self.hot_plug && !self.connected && self.chip.configured() {
+            self.connect()?;
         }
         self.host();
         Ok(())
@@ -267,19 +230,16 @@ impl Rig {
 
     /// Hands what has reached the device over to it.
     fn deliver(&mut self) -> Result<(), RigError> {
-        let bytes = self.cable.for_device(host(self.now));
+        let bytes = self.line.arrived(host(self.now));
         self.tap.from_host(self.now, &bytes);
-        Ok(self.bench.write(self.function, &bytes)?)
+        Ok(self.chip.write(self.function, &bytes)?)
     }
 
     /// One wake-up of the host's process.
     fn host(&mut self) {
-        if self.dead || self.now < self.held_until {
-            return;
-        }
         let now = self.host_time();
         let emit = &mut self.notices;
-        for chunk in self.cable.for_host(host(self.now)).chunks(1024) {
+        for chunk in std::mem::take(&mut self.heard).chunks(1024) {
             self.streamer.receive(now, chunk, emit);
         }
         self.streamer.step(now, emit);
@@ -291,23 +251,33 @@ impl Rig {
             if len == 0 {
                 break;
             }
-            self.cable.send(host(self.now), &frame[..len]);
+            self.line.send(now, &frame[..len]);
         }
     }
 
     /// The host opens a session.
-    pub fn connect(&mut self) {
+    fn connect(&mut self) -> Result<(), RigError> {
+        if self.function == Function::Cdc {
+            self.chip.dtr(true)?;
+        }
         self.sessions = self.sessions.wrapping_add(1);
         self.connected = true;
         self.streamer.connect(self.host_time(), self.sessions, RATE, &mut self.notices);
+        Ok(())
     }
 
     /// The host's operating system says that the device is gone.
     pub fn disconnect(&mut self, why: &'static str) {
         self.connected = false;
-        self.cable.clear();
+        self.line.clear();
+        self.heard.clear();
         self.tap.broken();
         self.streamer.disconnect(self.host_time(), EndCause::Other(why.into()), &mut self.notices);
+    }
+
+    /// Changes the line for the host's frames.
+    pub fn set_line(&mut self, line: Line) {
+        self.line.line = line;
     }
 
     /// Plugs the cable in, or out with all bytes that are under way.
@@ -319,7 +289,7 @@ impl Rig {
             // Bytes handed over before are on the wire; the rest is lost.
             self.deliver()?;
         }
-        self.bench.usb(plugged)?;
+        self.chip.usb(plugged)?;
         if !plugged {
             self.disconnect("unplugged");
         }
@@ -332,20 +302,11 @@ impl Rig {
     /// As for [`Self::run_to`].
     pub fn close(&mut self, closed: bool) -> Result<(), RigError> {
         self.hot_plug = !closed;
-        self.bench.dtr(!closed)?;
+        self.chip.dtr(!closed)?;
         if closed {
             self.disconnect("closed");
         }
         Ok(())
-    }
-
-    /// Stops the host's process for ever, with its tty open; with `false`, another process takes its place.
-    pub fn kill(&mut self, dead: bool) {
-        self.dead = dead;
-        if dead {
-            self.connected = false;
-            self.streamer.disconnect(self.host_time(), EndCause::Other("killed".into()), &mut self.notices);
-        }
     }
 
     /// Has another host process take over, through this function.
@@ -355,24 +316,32 @@ impl Rig {
     pub fn take_over(&mut self, function: Function) -> Result<(), RigError> {
         self.disconnect("another host");
         self.function = function;
-        if function == Function::Cdc {
-            self.bench.dtr(true)?;
-        }
-        self.connect();
+        self.connect()?;
         self.host();
         Ok(())
     }
 
-    /// Sends bytes between the host's frames.
+    /// Makes the core fail.
+    ///
+    /// # Errors
+    /// As for [`Self::run_to`].
+    pub fn fail(&mut self, event: CpuEvent) -> Result<(), RigError> {
+        self.death = Some(self.now);
+        Ok(self.chip.cpu(event)?)
+    }
+
+    /// Sends bytes between the host's frames, which the line does not harm.
     pub fn raw(&mut self, bytes: &[u8]) {
-        self.cable.push(host(self.now), bytes);
+        let line = std::mem::take(&mut self.line.line);
+        self.line.send(host(self.now), bytes);
+        self.line.line = line;
     }
 
     /// Sends a message as if the streamer had sent it.
     pub fn message(&mut self, message: &HostMessage<'_>) {
         let mut frame = [0; MAX_FRAME];
         let len = encode(message, &mut frame).unwrap_or(0);
-        self.cable.push(host(self.now), &frame[..len]);
+        self.raw(&frame[..len]);
     }
 
     /// Sends bytes to the USB function that the host does not use.
@@ -380,17 +349,16 @@ impl Rig {
     /// # Errors
     /// As for [`Self::run_to`].
     pub fn stray(&mut self, bytes: &[u8]) -> Result<(), RigError> {
-        Ok(self.bench.write(self.function.other(), bytes)?)
+        Ok(self.chip.write(self.function.other(), bytes)?)
     }
 
     fn end_boot(&mut self) {
-        let grid = if let Bench::Mock(_) = self.bench { self.grid() } else { self.link_grid() };
+        let link_grid = self.link_grid();
         let boot = Boot {
             tap: std::mem::take(&mut self.tap),
-            played: self.bench.take_lines(),
-            grid,
+            pins: std::mem::take(&mut self.chip.pins),
+            link_grid,
             death: self.death.take(),
-            quiets: std::mem::take(&mut self.quiets),
             from: self.from,
             to: self.now,
         };
@@ -406,5 +374,15 @@ impl Rig {
     pub fn finish(mut self) -> (Vec<Boot>, Vec<StreamEvent>) {
         self.end_boot();
         (self.boots, self.notices)
+    }
+
+    /// Ends the run, and returns what the judge finds on the pins of all boots.
+    #[must_use]
+    pub fn judged(self) -> Vec<String> {
+        let (boots, notices) = self.finish();
+        let findings = boots.iter().enumerate().flat_map(|(number, boot)| {
+            boot.judge(&notices).into_iter().map(move |finding| format!("boot {number}: {finding}"))
+        });
+        findings.collect()
     }
 }

@@ -3,42 +3,18 @@
 //! It shares only the frames with host and device. It counts repetitions once and widens ticks. It reads at the device's end of the
 //! line: what the line loses is not in it until the host has repeated it.
 
-use firmware_protocol::batch::{self, Amendment, Amendments, Unpacked};
 use firmware_protocol::board::{Board, SelfTestState};
 use firmware_protocol::frame::{self, Decoder};
-use firmware_protocol::message::{
-    DeviceHello, DeviceMessage, HostMessage, Mark, Op, Report, Status, Trigger, Withdraw,
-};
+use firmware_protocol::message::{Cut, DeviceHello, DeviceMessage, HostMessage, Op, Report, Status};
 use firmware_protocol::tick::{Tick, WireTick};
 
-/// A frame of the ordered stream.
-#[derive(Clone, Debug)]
-pub struct Batch {
-    /// The epoch it belongs to.
-    pub epoch: u16,
-    /// Its number within the epoch.
-    pub seq: u16,
-    /// Whether it begins a play at `base`.
-    pub mark: Option<Mark>,
-    /// Whose queued moves it replaces, from `base` on.
-    pub withdraw: Option<Withdraw>,
-    /// The tick from which its moves count.
-    pub base: Tick,
-    /// Its moves; none if the list cannot be read.
-    pub moves: Vec<Unpacked>,
-}
-
-/// What went over the link.
+/// What went over the link. Moves are not in it.
 #[derive(Clone, Debug)]
 pub enum Event {
     /// The host opened a session.
     Opened(u32),
     /// The host gave a command, which begins this epoch.
     Control(u16, Op),
-    /// The host sent moves.
-    Batch(Batch),
-    /// The host sent amendments.
-    Amend(Vec<Amendment>),
     /// The device answered the handshake.
     Greeted(DeviceHello),
     /// The device sent its status, at this tick.
@@ -49,31 +25,22 @@ pub enum Event {
     Board(Board),
     /// The device said how far a self-test is.
     SelfTest(u16, SelfTestState),
-    /// The device has no session.
-    NoSession,
 }
 
 /// Everything that went over the link in one boot of the device.
 #[derive(Debug, Default)]
 pub struct Tap {
-    /// Events, with the cycle at which they came to the device or from it. Moves are in the order of their frames' numbers, which is
-    /// that in which the device takes them.
+    /// Events, with the cycle at which they came to the device or from it.
     pub events: Vec<(u64, Event)>,
     host: Decoder,
     device: Decoder,
     session: Option<u32>,
     /// The newest epoch that the host has begun.
     epoch: Option<u16>,
-    seen: Vec<(u16, u16)>,
     reported: Vec<u16>,
     last: Tick,
     /// Frames of the device that could not be read.
     pub unreadable: u64,
-}
-
-/// Whether a number that repeats after 65 536 comes after another.
-fn is_after(number: u16, other: u16) -> bool {
-    number.wrapping_sub(other).cast_signed() > 0
 }
 
 impl Tap {
@@ -82,7 +49,7 @@ impl Tap {
         let mut decoder = std::mem::take(&mut self.host);
         while let Some(body) = decoder.next(&mut bytes) {
             if let Ok(message) = frame::read(body) {
-                self.sent(cycle, message);
+                self.sent(cycle, &message);
             }
         }
         self.host = decoder;
@@ -118,15 +85,6 @@ impl Tap {
         self.reported.last().copied().or_else(|| self.hello().map(|hello| hello.reports)).unwrap_or(0)
     }
 
-    /// What the host wanted of the trigger output at this onset.
-    #[must_use]
-    pub fn trigger_at(&self, onset: Tick) -> Option<Trigger> {
-        self.events.iter().rev().find_map(|(_, event)| match event {
-            Event::Batch(batch) if batch.base == onset => batch.mark?.trigger,
-            _ => None,
-        })
-    }
-
     /// The device's last status.
     #[must_use]
     pub fn status(&self) -> Option<Status> {
@@ -145,74 +103,55 @@ impl Tap {
         })
     }
 
-    fn near(&self, tick: WireTick) -> Tick {
+    /// The onsets of the plays that have begun, in order.
+    #[must_use]
+    pub fn onsets(&self) -> Vec<Tick> {
+        let onsets = self.events.iter().filter_map(|(_, event)| match event {
+            Event::Report(Report::Onset { tick, .. }) => Some(self.near(*tick)),
+            _ => None,
+        });
+        onsets.collect()
+    }
+
+    /// The cuts, in order: a handshake repeats the last one.
+    #[must_use]
+    pub fn cuts(&self) -> Vec<(Tick, Cut)> {
+        let mut cuts: Vec<(Tick, Cut)> = Vec::new();
+        for (_, event) in &self.events {
+            let cut = match event {
+                Event::Report(Report::Cut(cut)) => Some(*cut),
+                Event::Greeted(hello) => hello.last_cut,
+                _ => None,
+            };
+            let cut = cut.map(|cut| (self.near(cut.at), cut));
+            cuts.extend(cut.filter(|(at, _)| cuts.iter().all(|(known, _)| known != at)));
+        }
+        cuts
+    }
+
+    /// A tick that the device has sent.
+    #[must_use]
+    pub fn near(&self, tick: WireTick) -> Tick {
         tick.near(self.last.max(Tick::BOOT))
     }
 
-    fn sent(&mut self, cycle: u64, message: HostMessage<'_>) {
-        let event = match message {
-            HostMessage::Hello { session } if self.session == Some(session) => return,
-            HostMessage::Hello { session } => {
+    fn sent(&mut self, cycle: u64, message: &HostMessage<'_>) {
+        let event = match *message {
+            HostMessage::Hello { session } if self.session != Some(session) => {
                 (self.session, self.epoch) = (Some(session), None);
-                self.seen.clear();
                 self.reported.clear();
                 Event::Opened(session)
             }
-            HostMessage::Ping { .. } | HostMessage::Board { .. } | HostMessage::SelfTest { .. } => return,
-            // Repeated, or overtaken by a newer one.
-            HostMessage::Control { epoch, .. }
-                if self.epoch.is_some_and(|present| !is_after(epoch, present)) =>
+            // Not repeated, nor overtaken by a newer one.
+            HostMessage::Control { epoch, op, .. }
+                if self.epoch.is_none_or(|present| epoch.wrapping_sub(present).cast_signed() > 0) =>
             {
-                return;
-            }
-            HostMessage::Control { epoch, op, .. } => {
                 self.epoch = Some(epoch);
                 Event::Control(epoch, op)
             }
-            HostMessage::Moves { epoch, seq, .. } if self.seen.contains(&(epoch, seq)) => return,
-            // Frames of another epoch, which a session sends to measure the line, are ignored.
-            HostMessage::Moves { epoch, .. } if self.epoch.is_some_and(|present| present != epoch) => {
-                return;
-            }
-            HostMessage::Moves { epoch, seq, mark, withdraw, base, batch, .. } => {
-                // Numbers repeat after 65 536 frames.
-                if self.seen.len() > 64 {
-                    self.seen.remove(0);
-                }
-                self.seen.push((epoch, seq));
-                self.epoch.get_or_insert(epoch);
-                let base = self.near(base);
-                Event::Batch(Batch {
-                    epoch,
-                    seq,
-                    mark,
-                    withdraw,
-                    base,
-                    moves: batch::moves(base, batch).map(|moves| moves.to_vec()).unwrap_or_default(),
-                })
-            }
-            HostMessage::Amend { base, items, .. } => {
-                Event::Amend(Amendments::new(self.near(base), items).flatten().collect())
-            }
+            _ => return,
         };
-        let at = self.place_of(&event);
-        self.events.insert(at, (cycle, event));
-    }
-
-    /// Where an event from the host belongs: moves belong before those of later frames that have overtaken theirs.
-    fn place_of(&self, event: &Event) -> usize {
-        let mut at = self.events.len();
-        let Event::Batch(batch) = event else { return at };
-        for (place, (_, event)) in self.events.iter().enumerate().rev() {
-            match event {
-                Event::Batch(other) if other.epoch == batch.epoch && is_after(other.seq, batch.seq) => {
-                    at = place;
-                }
-                Event::Batch(_) | Event::Control(..) | Event::Opened(_) => break,
-                _ => {}
-            }
-        }
-        at
+        self.events.push((cycle, event));
     }
 
     fn said(&mut self, cycle: u64, message: DeviceMessage) {
@@ -222,7 +161,6 @@ impl Tap {
                 self.epoch.get_or_insert(hello.epoch);
                 Event::Greeted(hello)
             }
-            DeviceMessage::NoSession => Event::NoSession,
             DeviceMessage::Status(status) => {
                 self.last = self.near(status.tick);
                 Event::Status(status, self.last)
@@ -234,52 +172,8 @@ impl Tap {
             }
             DeviceMessage::Board(board) => Event::Board(board),
             DeviceMessage::SelfTest { run, state } => Event::SelfTest(run, state),
-            DeviceMessage::Telemetry { .. } => return,
+            DeviceMessage::Telemetry { .. } | DeviceMessage::NoSession => return,
         };
         self.events.push((cycle, event));
-    }
-
-    /// Widens the tick of a report.
-    #[must_use]
-    pub fn tick(&self, tick: WireTick) -> Tick {
-        self.near(tick)
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use firmware_protocol::frame::{MAX_FRAME, encode};
-
-    #[test]
-    fn frames_that_overtake_each_other_are_in_the_order_of_their_numbers() {
-        let mut tap = Tap::default();
-        let mut send = |message: &HostMessage<'_>| {
-            let mut frame = [0; MAX_FRAME];
-            let len = encode(message, &mut frame).unwrap();
-            tap.from_host(0, &frame[..len]);
-        };
-        let moves = |seq| HostMessage::Moves {
-            epoch: 7,
-            seq,
-            seen: 0,
-            mark: None,
-            withdraw: None,
-            base: Tick::BOOT.wire(),
-            batch: &[],
-        };
-        send(&HostMessage::Control { epoch: 7, seen: 0, op: Op::Stop });
-        [1, 3, 4, 2, 3, 0].into_iter().for_each(|seq| send(&moves(seq)));
-        // Older than the newest command.
-        send(&HostMessage::Control { epoch: 6, seen: 0, op: Op::EStop });
-        let numbers: Vec<_> = tap
-            .events
-            .iter()
-            .map(|(_, event)| match event {
-                Event::Batch(batch) => Some(batch.seq),
-                _ => None,
-            })
-            .collect();
-        assert_eq!(numbers, [None, Some(0), Some(1), Some(2), Some(3), Some(4)]);
     }
 }

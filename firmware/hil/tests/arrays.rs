@@ -4,13 +4,12 @@ use crate::hand::Hand;
 use firmware_protocol::array::ArrayId;
 use firmware_protocol::batch::{BATCH_BYTES, Packer};
 use firmware_protocol::controller::DRIVER_TAIL;
-use firmware_protocol::message::{HostMessage, Mark, MarkKind, Trigger};
+use firmware_protocol::message::{Mark, MarkKind, Trigger};
 use firmware_protocol::stroke::Direction;
 use firmware_protocol::tick::Tick;
 use meissner_array::strokes::Stroke;
-use meissner_hil::bench::Which;
 use meissner_hil::bench::chip::ChipOptions;
-use meissner_hil::oracle;
+use meissner_hil::log::{Log, Train};
 use meissner_hil::time::MS;
 use std::path::Path;
 
@@ -23,7 +22,7 @@ const WIDTH: u16 = 70;
 
 fn plays(name: &str, motors: u8) {
     let elf = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("../target/arrays/{name}.elf"));
-    let mut hand = Hand::armed(&Which::Chip(ChipOptions { elf, ..ChipOptions::new(1) }), 700_000);
+    let mut hand = Hand::armed(&ChipOptions { elf, ..ChipOptions::new(1) }, 700_000);
     let hello = hand.tap.hello().unwrap();
     let ArrayId { name: named, motors: has, tick_hz, duty_up, duty_down, .. } = hello.array;
     assert_eq!((named.as_str(), has, tick_hz, duty_up, duty_down), (name, motors, 70_000, 250, 750));
@@ -31,7 +30,7 @@ fn plays(name: &str, motors: u8) {
     assert_eq!(hello.horizon, 64 + LEAD as u8);
 
     // Bursts of all lengths, of motors of one chip at once too, and lines that change direction without a pause.
-    let base = hand.tap.tick(hand.status().tick) + 5_000;
+    let base = hand.tap.near(hand.status().tick) + 5_000;
     let stroke = |motor: u8, round: u64| {
         let pulses = 7 + (u64::from(motor) * 13 + round * 29) % 120;
         let up = base + round * 700 + u64::from(motor) * 17 % 61;
@@ -43,15 +42,12 @@ fn plays(name: &str, motors: u8) {
         .map(|(motor, round)| stroke(motor, round))
         .collect();
     strokes.sort_by_key(|stroke| (stroke.up, stroke.motor));
-    let epoch = hand.tap.status().unwrap().epoch;
     for (seq, part) in strokes.chunks(16).enumerate() {
         let mut packer = Packer::<BATCH_BYTES>::new(if seq == 0 { base } else { part[0].up });
         part.iter().for_each(|stroke| stroke.pack(&mut packer).unwrap());
         let trigger = Some(Trigger { width: WIDTH, code: 0 });
         let mark = (seq == 0).then_some(Mark { kind: MarkKind::Play, trigger, hold: 0 });
-        let base = packer.base().wire();
-        let batch = packer.bytes();
-        hand.send(&HostMessage::Moves { epoch, seq: seq as u16, seen: 0, mark, withdraw: None, base, batch });
+        hand.moves(&packer, mark, 0);
         hand.run(MS);
     }
     // 8 000 ticks, and time for the answers.
@@ -60,15 +56,22 @@ fn plays(name: &str, motors: u8) {
     assert_eq!(status.counters.played, 2 * strokes.len() as u64, "{:?}", status.counters);
     assert_eq!(status.counters.pulses, strokes.iter().map(|stroke| u64::from(stroke.pulses())).sum::<u64>());
 
-    let expected = oracle::expect(&hand.tap, None);
-    assert_eq!(expected.contradictions, Vec::<String>::new());
-    let pins = hand.chip().pins.clone();
+    let trains = strokes.iter().flat_map(|stroke| {
+        let Stroke { motor, up, up_pulses, down, down_pulses } = *stroke;
+        [(up, Direction::Up, up_pulses), (down, Direction::Down, down_pulses)].map(
+            |(start, direction, pulses)| {
+                (usize::from(motor), Train { start, direction, pulses: pulses.into() })
+            },
+        )
+    });
+    let expected = Log::of(trains.collect());
+    let pins = &hand.chip.pins;
     assert_eq!(pins.strays, []);
     // The grid of ticks on cycles, through the first pulse.
-    let first = expected.log.first().unwrap();
+    let first = expected.first().unwrap();
     let begin = pins.first().unwrap();
     let cycle = |tick: Tick| begin + (tick - first) * TICK;
-    for (line, (trains, pulses)) in expected.log.lines.iter().zip(&pins.lines).enumerate() {
+    for (line, (trains, pulses)) in expected.lines.iter().zip(&pins.lines).enumerate() {
         let wanted = trains.iter().flat_map(|train| {
             let width = WIDTHS[usize::from(train.direction == Direction::Down)];
             (0..train.pulses).map(move |pulse| (cycle(train.start + pulse), width))
@@ -81,7 +84,7 @@ fn plays(name: &str, motors: u8) {
         assert_eq!(trains.is_empty(), line >= motors.into());
     }
     // The enable goes before the first pulse and ends after the last; the trigger begins at the onset.
-    let (enable, last) = (&pins.enable, expected.log.end().unwrap());
+    let (enable, last) = (&pins.enable, strokes.iter().map(Stroke::end).max().unwrap());
     let wanted = (cycle(first) - LEAD * TICK, cycle(last) + u64::from(DRIVER_TAIL) * TICK);
     assert_eq!((enable.first().unwrap().from, enable.last().unwrap().to), wanted);
     let trigger = cycle(first) - (first - base) * TICK;

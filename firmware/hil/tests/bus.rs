@@ -1,11 +1,10 @@
 //! Resets of the bus, unplugged cables and abandoned requests at each step of a control transfer: the next enumeration succeeds.
 
-use crate::play::{armed, job};
+use crate::play::{armed, job, pattern};
 use firmware_protocol::frame::{Decoder, MAX_FRAME, encode, read};
 use firmware_protocol::message::{DeviceMessage, HostMessage};
 use meissner_hil::bench::Function;
 use meissner_hil::bench::chip::{ChipBench, ChipOptions};
-use meissner_hil::scenario::pattern;
 use meissner_hil::time::MS;
 
 /// What ends a control transfer besides its end.
@@ -50,7 +49,7 @@ const TRANSFERS: [(&str, [u8; 8], &[u8]); 9] = [
 ];
 
 /// A chip, after its first enumeration.
-fn start() -> ChipBench {
+pub(crate) fn start() -> ChipBench {
     let mut chip = ChipBench::start(&ChipOptions::new(1)).unwrap_or_else(|error| panic!("{error}"));
     assert!(comes(&mut chip, 500 * MS), "no device");
     chip
@@ -228,17 +227,17 @@ fn a_device_of_full_speed_alone_refuses_the_descriptors_of_high_speed() {
 fn a_play_is_whole_after_cut_transfers() {
     let mut rig = armed(ChipOptions::new(1));
     for cut in [Cut::Reset, Cut::Unplugged(1), Cut::Unplugged(40)] {
-        let chip = rig.chip().unwrap();
+        let chip = &mut rig.chip;
         chip.transfer(TRANSFERS[1].1, &[]).unwrap();
         assert!(reach(chip, 3, 400));
         assert!(survives(chip, cut), "{cut:?}");
     }
-    let now = rig.chip().unwrap().cycle();
+    let now = rig.chip.cycle();
     rig.disconnect("cut");
     rig.run_to(now + 200 * MS).unwrap();
     rig.order(meissner_stream::queues::Command::Arm { assume_rest: true });
     rig.run_to(rig.now() + 50 * MS).unwrap();
-    rig.order(job(&pattern("full-load").unwrap(), 0.1));
+    rig.order(job(&pattern("full-load"), 0.1));
     let bursts = rig.run_to_end(1, 2_000).unwrap().bursts;
     assert!(bursts.planned > 0 && bursts.played == bursts.planned, "{bursts:?}");
 }

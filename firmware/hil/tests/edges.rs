@@ -4,16 +4,15 @@
 //! line is the input.
 
 use crate::hand::Hand;
-use crate::play::{armed, job};
+use crate::play::{armed, job, pattern};
 use firmware_protocol::message::{DeviceHello, Report};
 use firmware_protocol::tick::Tick;
 use meissner_array::strokes::{StrokeOptions, Strokes};
-use meissner_hil::bench::Which;
 use meissner_hil::bench::chip::ChipOptions;
+use meissner_hil::judge::{compiled, outcomes};
 use meissner_hil::rig::Rig;
-use meissner_hil::scenario::pattern;
 use meissner_hil::tap::{Event, Tap};
-use meissner_hil::time::{MS, TICK};
+use meissner_hil::time::{Grid, MS, TICK};
 use meissner_stream::queues::{At, Command, Play};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
@@ -41,7 +40,7 @@ fn edges(tap: &Tap) -> Vec<(u32, Tick)> {
         .events
         .iter()
         .filter_map(|(_, event)| match event {
-            Event::Report(Report::Edge { tick, number }) => Some((*number, tap.tick(*tick))),
+            Event::Report(Report::Edge { tick, number }) => Some((*number, tap.near(*tick))),
             _ => None,
         })
         .collect();
@@ -53,17 +52,24 @@ fn edges(tap: &Tap) -> Vec<(u32, Tick)> {
 /// A pulse at the input at this cycle.
 fn pulse(rig: &mut Rig, at: u64, width: u64) -> u64 {
     rig.run_to(at).unwrap();
-    let chip = rig.chip().unwrap();
+    let chip = &mut rig.chip;
     chip.wiring(GP27, 0, &[]).unwrap();
     let rose = chip.cycle();
     rig.run_to(at + width).unwrap();
-    rig.chip().unwrap().wiring(0, 0, &[]).unwrap();
+    rig.chip.wiring(0, 0, &[]).unwrap();
     rose
 }
 
+/// The grid of ticks through the first pulse of the play that has ended.
+fn grid(rig: &Rig) -> Grid {
+    let played = outcomes(&rig.notices).next().unwrap();
+    let first = compiled(&played.play.strokes, played.onset.unwrap().actual).first();
+    Grid::through(first.unwrap(), rig.chip.pins.first().unwrap())
+}
+
 /// By how many ticks each reported edge is late.
-fn lateness(rig: &Rig, rose: &[u64]) -> Vec<i64> {
-    let (grid, found) = (rig.grid(), edges(rig.tap()));
+fn lateness(rig: &Rig, grid: Grid, rose: &[u64]) -> Vec<i64> {
+    let found = edges(rig.tap());
     assert_eq!(
         found.iter().map(|(number, _)| *number).collect::<Vec<_>>(),
         (1..=rose.len() as u32).collect::<Vec<_>>()
@@ -89,7 +95,7 @@ fn edges_are_reported_to_the_tick_at_rest_and_at_full_load() {
             rose.push(pulse(&mut rig, at, MS / 8));
         }
         let at_rest = rose.len();
-        rig.order(job(&pattern("full-load").unwrap(), 0.6));
+        rig.order(job(&pattern("full-load"), 0.6));
         while rose.len() < at_rest + 300 {
             // Just behind the dead time, and the turn of the shell in which it notices that.
             let at = cycle(&rig) - MS + UNMASKED * TICK;
@@ -99,7 +105,7 @@ fn edges_are_reported_to_the_tick_at_rest_and_at_full_load() {
         assert!(played.bursts.planned > 1_000 && played.bursts.played == played.bursts.planned, "{played:?}");
         let board = played.board.unwrap();
         rig.run_to(rig.now() + 100 * MS).unwrap();
-        let late = lateness(&rig, &rose);
+        let late = lateness(&rig, grid(&rig), &rose);
         println!(
             "slow {slow}: edges by ticks late, from -1: at rest {:?}, at full load {:?}; least slack {:?} ticks",
             counts(&late[..at_rest]),
@@ -108,7 +114,7 @@ fn edges_are_reported_to_the_tick_at_rest_and_at_full_load() {
         );
         assert!(late.iter().all(|late| (-1..=MOST_LATE).contains(late)), "{late:?}");
         assert!(board.slack.is_some_and(|slack| slack > 0), "{board:?}");
-        let chip = rig.chip().unwrap();
+        let chip = &mut rig.chip;
         assert!(chip.pins.still_high().is_none());
     }
 }
@@ -117,7 +123,7 @@ fn edges_are_reported_to_the_tick_at_rest_and_at_full_load() {
 #[test]
 fn a_play_begins_the_delay_after_an_edge_at_the_pins() {
     let mut rig = paper(1.0);
-    let strokes = Strokes::new(&pattern("pin-60").unwrap(), &StrokeOptions::lasting(Some(0.2))).unwrap();
+    let strokes = Strokes::new(&pattern("pin-60"), &StrokeOptions::lasting(Some(0.2))).unwrap();
     let waits = strokes.clone().next().unwrap().unwrap().begin();
     let play = Play { open_loop: true, at: At::Edge(20_000_000), ..Play::new(1, strokes) };
     rig.order(Command::Play(Box::new(play)));
@@ -127,9 +133,7 @@ fn a_play_begins_the_delay_after_an_edge_at_the_pins() {
     let (edge, onset) = (played.started_by.unwrap(), played.onset.unwrap().actual);
     let whole = played.bursts.played == played.bursts.planned;
     assert!(whole && onset == edge.at.tick + 1_700, "{edge:?}, {onset:?}");
-    let first = rig.chip().unwrap().pins.first().unwrap();
-    let grid = rig.grid();
-    assert_eq!(grid.tick(first).0, onset + (waits - Tick(0)));
+    let first = rig.chip.pins.first().unwrap();
     // From the pulse at the input to the first one at the lines, by cycles.
     let ticks = (first - rose) as f64 / TICK as f64 - (1_700 + (waits - Tick(0))) as f64;
     println!("the first pulse comes {ticks:.2} ticks later than the delay after the pulse at the input");
@@ -160,12 +164,12 @@ fn a_noisy_wire_makes_an_edge_in_each_dead_time() {
 #[test]
 fn the_first_free_line_of_a_smaller_array_is_the_input() {
     let options = ChipOptions { elf: elf("test-3x3"), ..ChipOptions::new(1) };
-    let mut hand = Hand::armed(&Which::Chip(options), 700_000);
+    let mut hand = Hand::armed(&options, 700_000);
     assert_ne!(hand.tap.hello().unwrap().features & DeviceHello::TRIGGER_INPUT, 0);
     for pin in [8, 9, 10] {
-        hand.chip().wiring(1 << pin, 0, &[]).unwrap();
+        hand.chip.wiring(1 << pin, 0, &[]).unwrap();
         hand.run(3 * MS);
-        hand.chip().wiring(0, 0, &[]).unwrap();
+        hand.chip.wiring(0, 0, &[]).unwrap();
         hand.run(3 * MS);
     }
     hand.run(50 * MS);

@@ -2,14 +2,13 @@
 //!
 //! The example `estop` runs the same over more tries.
 
-use crate::play::{armed, job};
+use crate::play::{armed, job, pattern};
 use crate::random::uniform;
 use firmware_protocol::frame::{MAX_FRAME, encode};
 use firmware_protocol::message::{HostMessage, Op, State};
 use firmware_protocol::urgent::{Urgent, Watch};
 use meissner_hil::bench::chip::ChipOptions;
 use meissner_hil::rig::Rig;
-use meissner_hil::scenario::pattern;
 use meissner_hil::time::MS;
 use meissner_stream::queues::Command;
 use rand_chacha::ChaCha8Rng;
@@ -51,7 +50,7 @@ pub(crate) enum Channel {
 
 /// Cycles of one e-stop to all lines low: from the SETUP packet of the request or, for a frame, from the packet in which it ends.
 fn latency(rig: &mut Rig, name: &str, traffic: Traffic, channel: Channel, random: &mut ChaCha8Rng) -> u64 {
-    rig.order(job(&pattern(name).unwrap(), 5.0));
+    rig.order(job(&pattern(name), 5.0));
     let garbage = |rig: &mut Rig, random: &mut ChaCha8Rng| {
         if let Traffic::Flood(bytes_per_s) = traffic {
             let mut bytes: Vec<u8> = (0..bytes_per_s / 2_000).map(|_| random.next_u32() as u8).collect();
@@ -65,7 +64,7 @@ fn latency(rig: &mut Rig, name: &str, traffic: Traffic, channel: Channel, random
         garbage(rig, random);
         rig.run_to((rig.now() + MS / 2).min(at)).unwrap();
     }
-    let chip = rig.chip().unwrap();
+    let chip = &mut rig.chip;
     chip.e_stopped.clear();
     chip.requested.clear();
     if traffic == Traffic::Shared {
@@ -89,7 +88,7 @@ fn latency(rig: &mut Rig, name: &str, traffic: Traffic, channel: Channel, random
         garbage(rig, random);
         rig.run_to(rig.now() + MS / 2).unwrap();
     }
-    let chip = rig.chip().unwrap();
+    let chip = &mut rig.chip;
     let mut wait = 0;
     while chip.e_stopped.len() <= old {
         // Its frame is still behind the flood.
@@ -98,7 +97,7 @@ fn latency(rig: &mut Rig, name: &str, traffic: Traffic, channel: Channel, random
         chip.run(chip.cycle() + MS / 2).unwrap();
     }
     rig.run_to(rig.now() + wait * MS / 2 + 10 * MS).unwrap();
-    let chip = rig.chip().unwrap();
+    let chip = &mut rig.chip;
     // Later packets repeat it.
     let from = match channel {
         Channel::Frame => chip.e_stopped[old],
@@ -201,15 +200,13 @@ pub(crate) fn sweep(name: &str, traffic: Traffic, channel: Channel, tries: u64, 
     println!(
         "{name}, {traffic:?}: e-stop by {channel:?} to all lines low: {least} / {median} / {most} cycles (least, median, most of {tries})"
     );
-    assert_eq!(rig.chip().unwrap().read("STALLS", 4).unwrap(), 0, "the executor counts as hung");
-    let (boots, _) = rig.finish();
+    assert_eq!(rig.chip.read("STALLS", 4).unwrap(), 0, "the executor counts as hung");
+    let (boots, notices) = rig.finish();
     assert_eq!(boots.len(), 1, "the chip has restarted");
     // The judge knows no bytes beside the host's.
     if traffic == Traffic::Quiet {
-        for boot in boots {
-            let findings: Vec<_> = boot.judge().findings.iter().map(ToString::to_string).collect();
-            assert!(findings.is_empty(), "{}", findings.join("\n"));
-        }
+        let wrong = boots[0].judge(&notices);
+        assert!(wrong.is_empty(), "{}", wrong.join("\n"));
     }
     most
 }
@@ -261,10 +258,10 @@ fn lines_are_low_soon_after_a_request_right_behind_anything_in_a_packet() {
         packets.extend((0..2).map(|_| contrived(&mut random)));
         for (phase, bytes) in packets.into_iter().enumerate() {
             let mut rig = armed(ChipOptions { slow, ..ChipOptions::new(1) });
-            rig.order(job(&pattern("full-load").unwrap(), 1.0));
+            rig.order(job(&pattern("full-load"), 1.0));
             rig.run_to(rig.now() + 40 * MS + phase as u64 * 1_733).unwrap();
             let epoch = rig.tap().epoch().wrapping_add(1);
-            let chip = rig.chip().unwrap();
+            let chip = &mut rig.chip;
             // The request's SETUP packet follows the packet without a pause.
             chip.write(Function::Cdc, &bytes).unwrap();
             chip.control(e_stop_request(epoch)).unwrap();

@@ -1,10 +1,9 @@
 //! E-stops that race a tick or a packet of the other pipe: the pulses counted are those on the pins, and no e-stop is missed.
 
-use crate::play::{armed, job};
+use crate::play::{armed, job, pattern};
 use crate::random::uniform;
 use firmware_protocol::frame::PROTOCOL;
 use meissner_hil::bench::chip::ChipOptions;
-use meissner_hil::scenario::pattern;
 use meissner_hil::time::{MS, TICK};
 use meissner_stream::queues::{Command, StreamEvent};
 use rand_chacha::ChaCha8Rng;
@@ -29,7 +28,7 @@ fn counts_of(late: u64, seed: u64) {
     for number in 0..COUNTED {
         rig.notices.clear();
         let before = rig.now();
-        rig.order(job(&pattern("full-load").unwrap(), 5.0));
+        rig.order(job(&pattern("full-load"), 5.0));
         rig.run_to(rig.now() + uniform(&mut random, 20.0 * MS as f64, 25.0 * MS as f64) as u64).unwrap();
         rig.order(Command::EStop);
         rig.run_to(rig.now() + 12 * MS).unwrap();
@@ -38,7 +37,7 @@ fn counts_of(late: u64, seed: u64) {
             _ => None,
         });
         let counted = counted.unwrap();
-        let pins = &rig.chip().unwrap().pins;
+        let pins = &rig.chip.pins;
         let off = pins.enable.last().unwrap().to;
         let begun = |by: u64| -> u64 {
             let trains =
@@ -75,13 +74,13 @@ fn an_e_stop_just_behind_a_packet_of_the_other_pipe_is_not_missed() {
     rig.requests_e_stops = false;
     let mut longest = 0;
     for before in 0..48 {
-        rig.chip().unwrap().e_stopped.clear();
+        rig.chip.e_stopped.clear();
         // What may be an e-stop up to its checksum takes the longest to look at.
         rig.stray(&[14, PROTOCOL, 2, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 0].repeat(4)).unwrap();
         rig.raw(&vec![0; before]);
         rig.order(Command::EStop);
         rig.run_to(rig.now() + 30 * MS).unwrap();
-        let chip = rig.chip().unwrap();
+        let chip = &mut rig.chip;
         let cycles = chip.pins.led.last().unwrap().to - chip.e_stopped[0];
         longest = longest.max(cycles);
         rig.order(Command::Reset { estops_seen: u64::MAX, keep: true });

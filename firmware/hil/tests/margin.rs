@@ -2,7 +2,7 @@
 //!
 //! The example `margin` runs the same over more patterns.
 
-use crate::play::{armed_with, job, job_of};
+use crate::play::{armed_with, job, job_of, pattern as named};
 use crate::random::{pattern, taking_turns};
 use firmware_protocol::controller::{BLOCK, HORIZON};
 use firmware_protocol::frame::{MAX_FRAME, encode};
@@ -12,9 +12,9 @@ use meissner_array::per_motor::PerMotor;
 use meissner_array::spec::Array;
 use meissner_array::strokes::{StrokeOptions, Strokes};
 use meissner_hil::bench::chip::ChipOptions;
-use meissner_hil::rig::{Faults, Rig, RigOptions};
-use meissner_hil::scenario::pattern as named;
+use meissner_hil::rig::{Rig, RigOptions};
 use meissner_hil::time::MS;
+use meissner_stream::faulty::Line;
 use meissner_stream::queues::{Command, StreamEvent};
 use meissner_stream::{Gains, LowerStopSettings};
 use meissner_test_support::paper::MOTORS;
@@ -52,7 +52,7 @@ fn pings() -> Vec<u8> {
 
 /// Plays pattern `number` and returns the least time left, in ticks.
 fn least(rig: &mut Rig, number: u64, beside: Beside) -> u64 {
-    rig.chip().unwrap().poke("SLACK_MIN", &HORIZON.to_le_bytes()).unwrap();
+    rig.chip.poke("SLACK_MIN", &HORIZON.to_le_bytes()).unwrap();
     rig.notices.clear();
     let played = if beside == Beside::KeptLimit { taking_turns(number) } else { pattern(number) };
     rig.order(job(&played, SECONDS));
@@ -70,7 +70,7 @@ fn least(rig: &mut Rig, number: u64, beside: Beside) -> u64 {
         rig.run_to(rig.now() + MS / 2).unwrap();
     }
     let status = rig.tap().status().unwrap();
-    let left = rig.chip().unwrap().read("SLACK_MIN", 4).unwrap();
+    let left = rig.chip.read("SLACK_MIN", 4).unwrap();
     if beside == Beside::EStops {
         assert_eq!((status.state, status.cause), (State::Faulted, Cause::EStop), "pattern {number}");
         rig.order(Command::Reset { estops_seen: u64::MAX, keep: true });
@@ -114,8 +114,8 @@ fn starts() -> Vec<(&'static str, Pattern, f64, u64)> {
         ("2 um at 300 Hz", all("two", 1, &strokes(2.0)), 0.05, 20),
         ("0.14 um at 300 Hz", all("least", 1, &strokes(0.14)), 0.05, 13),
         ("a hold of 1.5 s at 40 um", all("hold", 2, hold), 1.6, 22),
-        ("all-in-phase", named("all-in-phase").unwrap(), 0.05, 22),
-        ("rough-noise", named("motions/rough-noise").unwrap(), 0.3, 18),
+        ("all-in-phase", named("all-in-phase"), 0.05, 22),
+        ("rough-noise", named("motions/rough-noise"), 0.3, 18),
     ]
 }
 
@@ -132,12 +132,12 @@ pub(crate) fn after_rests(slow: f64, has_stop: bool) -> bool {
         let options = StrokeOptions { surplus, ..StrokeOptions::lasting(seconds) };
         let strokes = Strokes::new(&pattern, &options).unwrap();
         for rest in RESTS {
-            rig.chip().unwrap().poke("SLACK_MIN", &HORIZON.to_le_bytes()).unwrap();
+            rig.chip.poke("SLACK_MIN", &HORIZON.to_le_bytes()).unwrap();
             rig.notices.clear();
             rig.run_to(rig.now() + rest * MS).unwrap();
             rig.order(job_of(strokes.clone()));
             rig.run_to_end(1, (seconds * 1000.0) as u64 + 200).unwrap();
-            let left = rig.chip().unwrap().read("SLACK_MIN", 4).unwrap();
+            let left = rig.chip.read("SLACK_MIN", 4).unwrap();
             let state = rig.tap().status().unwrap().state;
             let ended = rig.notices.iter().find_map(|notice| match notice {
                 StreamEvent::PlayEnded { outcome, .. } => Some(outcome.bursts),
@@ -181,7 +181,7 @@ pub(crate) fn sweep(slow: f64, beside: Beside, patterns: std::ops::Range<u64>) -
     }
     let mut rig = armed_with(ChipOptions { slow, ..ChipOptions::new(1) }, options);
     if beside == Beside::Noise {
-        rig.set_faults(Faults { loss: 0.02, repeat: 0.05, corrupt: 0.02 });
+        rig.set_line(Line { loss: 0.02, repeat: 0.05, corrupt: 0.02, ..Line::default() });
     }
     let mut left: Vec<_> = patterns.map(|number| (least(&mut rig, number, beside), number)).collect();
     left.sort_unstable();
@@ -192,7 +192,7 @@ pub(crate) fn sweep(slow: f64, beside: Beside, patterns: std::ops::Range<u64>) -
         100.0 / slow,
         left.len(),
     );
-    assert_eq!(rig.chip().unwrap().read("STALLS", 4).unwrap(), 0, "the executor counts as hung");
+    assert_eq!(rig.chip.read("STALLS", 4).unwrap(), 0, "the executor counts as hung");
     let (boots, _) = rig.finish();
     assert_eq!(boots.len(), 1, "the chip has restarted");
     2 * least >= TIME

@@ -1,15 +1,22 @@
-//! Replacements at the maximum load: 24 motors at 300 Hz, strokes queued 100 ms ahead, 200 replacements a second.
+//! What a host may send besides strokes at the maximum load: replacements, 24 motors at 300 Hz, strokes queued 100 ms ahead, 200
+//! replacements a second; and rows of levels.
 //!
 //! The example `margin` prints the least time left to render in each of these conditions.
 
 use crate::hand::Hand;
 use crate::margin::TIME;
+use crate::random::uniform;
+use firmware_protocol::array::MotorSet;
+use firmware_protocol::batch::{BATCH_BYTES, Packer};
+use firmware_protocol::controller::BLOCK;
+use firmware_protocol::message::{Mark, MarkKind};
 use firmware_protocol::tick::Tick;
 use meissner_array::strokes::Stroke;
-use meissner_hil::bench::Which;
 use meissner_hil::bench::chip::ChipOptions;
-use meissner_hil::time::MS;
+use meissner_hil::time::{MS, TICK};
 use meissner_test_support::paper::MOTORS;
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::SeedableRng;
 
 /// Ticks of a period at 300 Hz, and pulses of a burst.
 const PERIOD: u64 = 283;
@@ -147,21 +154,16 @@ impl Load {
             new.extend(strokes.iter().filter(|stroke| stroke.up >= base));
         }
         if motors != 0 {
-            self.hand.replace(motors, base, new, true);
+            self.hand.replace(motors, base, new);
         }
         self.extend(until);
-    }
-
-    fn busy(&mut self) -> u64 {
-        self.hand.chip().busy_cycles()
     }
 }
 
 /// Plays, prints the least ticks left to render and the share of the time for which the core was busy, and returns whether half
 /// of the time is left.
 pub(crate) fn load((slow, replaced, in_phase): Condition) -> bool {
-    let which = Which::Chip(ChipOptions { slow, ..ChipOptions::new(1) });
-    let mut hand = Hand::armed(&which, 25_500);
+    let hand = Hand::armed(&ChipOptions { slow, ..ChipOptions::new(1) }, 25_500);
     let begin = hand.tick() + 30 * TICKS;
     let offset = |motor: usize| if in_phase { 0 } else { motor as u64 * PERIOD / MOTORS as u64 };
     let first = std::array::from_fn(|motor| begin + offset(motor));
@@ -171,8 +173,7 @@ pub(crate) fn load((slow, replaced, in_phase): Condition) -> bool {
         load.hand.settle();
     }
     load.hand.slack();
-    let (from, busy, sent) = (load.hand.now(), load.busy(), load.hand.sent);
-    load.hand.chip().profile(true).unwrap();
+    let (from, busy, sent) = (load.hand.now(), load.hand.chip.busy_cycles(), load.hand.sent);
     let mut rounds = 0;
     while load.hand.now() < from + PLAY * MS {
         load.replace(rounds);
@@ -185,30 +186,72 @@ pub(crate) fn load((slow, replaced, in_phase): Condition) -> bool {
     }
     let elapsed = load.hand.now() - from;
     let sent = load.hand.sent - sent;
-    let longest = load.hand.chip().profile(false).unwrap().longest.into_iter();
-    let longest =
-        longest.filter(|(function, _)| function.contains("take_moves")).map(|(_, cycles)| cycles).max();
-    let share = (load.busy() - busy) as f64 / elapsed as f64;
+    let share = (load.hand.chip.busy_cycles() - busy) as f64 / elapsed as f64;
     load.hand.settle();
-    let slack = u64::from(load.hand.slack().unwrap());
-    let verdicts = load.hand.verdicts(0);
-    assert_eq!((verdicts.kept, verdicts.late), (0, 0), "{replaced:?}");
-    let (_, counters) = load.hand.finish(false);
+    let slack = load.hand.slack();
+    let counters = load.hand.finish(replaced.lead() / TICKS + 20);
     let per_s = |count: u64| (count * 1_000 * MS) as f64 / elapsed as f64;
     println!(
         "core at {:.0} %, {} motors at 300 Hz{}, {replaced:?} replaced at {:.0} Hz: of {TIME} ticks, {slack} are left at least; {:.0} moves/s \
-         sent, {:.0} % busy, at most {} cycles to take a piece of a frame; {} of {} moves replaced",
+         sent, {:.0} % busy; {} of {} moves replaced",
         100.0 / slow,
         replaced.motors(),
         if in_phase { " in phase" } else { "" },
         per_s(rounds),
         per_s(sent),
         100.0 * share,
-        longest.unwrap_or(0),
         counters.replaced,
         counters.replaced + counters.played,
     );
     2 * slack >= TIME
+}
+
+/// Ticks of the grid of 500 moves a second.
+const GRID: u64 = 170;
+
+/// Rows of all motors, 500 a second, with levels below `most` that change with each row: 12 000 moves a second. Prints the load and
+/// the least time left to render, and returns whether half of it is left, or a block to a slower core.
+pub(crate) fn rows(slow: f64, most: u64) -> bool {
+    let mut hand = Hand::armed(&ChipOptions { slow, ..ChipOptions::new(1) }, 25_500);
+    let base = hand.tick() + 3_000;
+    let mut random = ChaCha8Rng::seed_from_u64(most);
+    let (mut from, mut busy) = (0, 0);
+    hand.slack();
+    for pair in 0..150 {
+        let tick = base + 2 * pair * GRID;
+        let mut packer = Packer::<BATCH_BYTES>::new(tick);
+        for row in 0..2 {
+            let levels: Vec<_> = (0..MOTORS).map(|_| uniform(&mut random, 0.0, most as f64) as u16).collect();
+            packer.row(tick + row * GRID, MotorSet::from_bits(ALL.into()), &levels).unwrap();
+        }
+        // The first frame of the play has as many moves as it may.
+        let mark = (pair == 0).then_some(Mark { kind: MarkKind::Play, trigger: None, hold: 0 });
+        hand.moves(&packer, mark, 0);
+        if pair == 10 {
+            (from, busy) = (hand.now(), hand.chip.busy_cycles());
+        }
+        hand.run(2 * GRID * TICK);
+    }
+    let load = (hand.chip.busy_cycles() - busy) as f64 / (hand.now() - from) as f64;
+    let left = hand.slack();
+    let counters = hand.finish(250);
+    println!(
+        "core at {:.0} %, 24 motors x 500 moves/s in rows, levels below {most}: {:.1} % busy, of {TIME} ticks {left} are left at least; \
+         {} played, {} shortened",
+        100.0 / slow,
+        100.0 * load,
+        counters.played,
+        counters.shortened
+    );
+    if slow > 1.0 { left >= BLOCK.into() } else { 2 * left >= TIME }
+}
+
+/// Bursts that end before the next row, and bursts that each row cuts.
+pub(crate) const ROWS: [(f64, u64); 4] = [(1.0, 150), (1.1, 150), (1.0, 700), (1.1, 700)];
+
+#[test]
+fn half_of_the_time_is_left_while_all_motors_follow_rows() {
+    assert!(ROWS.into_iter().all(|(slow, most)| rows(slow, most)));
 }
 
 #[cfg(test)]

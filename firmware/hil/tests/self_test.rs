@@ -1,6 +1,6 @@
 //! The self-test of the board: a sound chip passes, the test finds planted faults, and an e-stop or `arm` ends it.
 
-use crate::play::{armed, job};
+use crate::play::{armed, job, pattern};
 use firmware_protocol::array::MotorSet;
 use firmware_protocol::board::Output::{Line, Trigger};
 use firmware_protocol::board::{Counts, LineTest, Outputs, Reset, SelfTest, SelfTestState};
@@ -9,7 +9,6 @@ use meissner_hil::bench::CpuEvent;
 use meissner_hil::bench::chip::ChipOptions;
 use meissner_hil::pins::PinTrain;
 use meissner_hil::rig::Rig;
-use meissner_hil::scenario::pattern;
 use meissner_hil::tap::Event;
 use meissner_hil::time::{MS, TICK};
 use meissner_stream::queues::Command;
@@ -58,12 +57,12 @@ fn is_sound(test: &SelfTest) -> bool {
 #[test]
 fn a_sound_board_passes_and_is_as_before() {
     let mut rig = disarmed();
-    let enabled = rig.chip().unwrap().pins.enable.len();
+    let enabled = rig.chip.pins.enable.len();
     let begun = rig.now();
     let result = test(&mut rig, 1);
     println!("{result:?}, over within {:.0} ms", (rig.now() - begun) as f64 / MS as f64);
     assert!(is_sound(&result), "{result:?}");
-    let chip = rig.chip().unwrap();
+    let chip = &mut rig.chip;
     assert!(chip.pins.still_high().is_none() && chip.pins.strays.is_empty());
     assert_eq!(chip.pins.enable.len(), enabled, "the drivers stay off");
     for line in &chip.pins.lines {
@@ -76,7 +75,7 @@ fn a_sound_board_passes_and_is_as_before() {
     // It plays as before.
     rig.order(Command::Arm { assume_rest: false });
     rig.run_to(rig.now() + 20 * MS).unwrap();
-    rig.order(job(&pattern("full-load").unwrap(), 0.2));
+    rig.order(job(&pattern("full-load"), 0.2));
     let played = rig.run_to_end(1, 1000).unwrap();
     assert!(played.bursts.planned > 100 && played.bursts.played == played.bursts.planned, "{played:?}");
     let board = played.board.unwrap();
@@ -115,10 +114,10 @@ fn each_fault_of_the_wiring_is_found_and_named() {
     ];
     let mut rig = disarmed();
     for ((wiring, expected), run) in faults.into_iter().zip(1..) {
-        rig.chip().unwrap().wiring(wiring.0, wiring.1, wiring.2).unwrap();
+        rig.chip.wiring(wiring.0, wiring.1, wiring.2).unwrap();
         assert_eq!(test(&mut rig, run).lines, Some(expected), "{wiring:?}");
     }
-    rig.chip().unwrap().wiring(0, 0, &[]).unwrap();
+    rig.chip.wiring(0, 0, &[]).unwrap();
     assert!(is_sound(&test(&mut rig, 100)));
 }
 
@@ -132,7 +131,7 @@ fn a_slow_core_and_a_slow_clock_are_found() {
     assert!(result.work_us.unwrap() > 150 && result.lines == Some(LineTest::default()));
     // CLK_SYS_DIV: the system clock, and with it the waveform, runs 1.5 % too slow. The system timer does not.
     let mut rig = disarmed();
-    rig.chip().unwrap().register(0x4000_8040, 1 << 8 | 4).unwrap();
+    rig.chip.register(0x4000_8040, 1 << 8 | 4).unwrap();
     let result = test(&mut rig, 1);
     println!("clock slower by 1.5 %: {result:?}");
     let wave = result.wave.unwrap();
@@ -157,7 +156,7 @@ fn an_e_stop_and_an_arm_end_a_self_test() {
         assert_eq!(state(&rig, 1), Some(SelfTestState::Ended), "{phase}");
         let now = rig.tap().status().unwrap().state;
         assert_eq!(now, if phase % 2 == 0 { State::Faulted } else { State::Armed }, "{phase}");
-        let chip = rig.chip().unwrap();
+        let chip = &mut rig.chip;
         assert!(chip.pins.still_high().is_none(), "{phase}");
         let last = chip.pins.lines.iter().filter_map(|line| line.last()).map(PinTrain::end).max();
         // The packet, and the step under way.
@@ -170,8 +169,8 @@ fn an_output_that_is_high_at_the_start_is_reported() {
     let mut rig = disarmed();
     for (high, reported) in [(1 << 26 | 1 << 28, Outputs { enable: true, ..of(1 << 23) }), (0, Outputs::NONE)]
     {
-        rig.chip().unwrap().wiring(high, 0, &[]).unwrap();
-        rig.chip().unwrap().cpu(CpuEvent::Run).unwrap();
+        rig.chip.wiring(high, 0, &[]).unwrap();
+        rig.chip.cpu(CpuEvent::Run).unwrap();
         rig.run_to(rig.now() + 1500 * MS).unwrap();
         let board = rig.tap().events.iter().rev().find_map(|(_, event)| match event {
             Event::Board(board) => Some(*board),

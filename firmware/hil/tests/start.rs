@@ -14,7 +14,7 @@ const WATCHDOG: u64 = 4;
 const PANIC: u64 = 5;
 
 fn reset(rig: &mut Rig) -> u64 {
-    rig.chip().unwrap().read("RESET", 4).unwrap()
+    rig.chip.read("RESET", 4).unwrap()
 }
 
 #[test]
@@ -31,10 +31,10 @@ fn the_board_knows_why_it_has_started() {
         (CpuEvent::Die, WATCHDOG),
     ];
     for (number, (event, why)) in events.into_iter().enumerate() {
-        rig.chip().unwrap().cpu(event).unwrap();
+        rig.chip.cpu(event).unwrap();
         // The watchdog's time, and that of the start.
         rig.run_to(rig.now() + 400 * MS).unwrap();
-        assert_eq!(rig.chip().unwrap().resets(), 1 + number as u64, "{event:?}");
+        assert_eq!(rig.chip.resets(), 1 + number as u64, "{event:?}");
         assert_eq!(reset(&mut rig), why, "{event:?}");
     }
 }

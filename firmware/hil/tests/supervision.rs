@@ -1,10 +1,9 @@
 //! PIO and DMA that fail while the core lives: the pads are undriven soon, the fault has its cause, and the receipt is true.
 
-use crate::play::{armed, job};
+use crate::play::{armed, job, pattern};
 use firmware_protocol::controller::BLOCK;
 use firmware_protocol::message::{Cause, State};
 use meissner_hil::bench::chip::{ChipBench, ChipOptions};
-use meissner_hil::scenario::pattern;
 use meissner_hil::time::{MS, TICK};
 use meissner_stream::queues::{Command, StreamEvent};
 
@@ -39,14 +38,14 @@ const FAILURES: [Failure; 14] = [
 
 fn fail((name, writes): Failure, phase: u64) -> u64 {
     let mut rig = armed(ChipOptions::new(1));
-    rig.order(job(&pattern("full-load").unwrap(), 1.0));
+    rig.order(job(&pattern("full-load"), 1.0));
     rig.run_to(rig.now() + 40 * MS + phase * TICK * u64::from(BLOCK) / TRIES + phase * 431).unwrap();
     let failed = rig.now();
     for &(address, to) in writes {
-        rig.chip().unwrap().register(address, to).unwrap();
+        rig.chip.register(address, to).unwrap();
     }
     rig.run_to(failed + 20 * MS).unwrap();
-    let chip = rig.chip().unwrap();
+    let chip = &mut rig.chip;
     assert!(chip.pins.still_high().is_none(), "{name}: a line is high");
     let off = chip.pins.enable.last().unwrap().to;
     let low = chip.pins.low_since(u64::MAX).unwrap().max(off);
@@ -58,7 +57,7 @@ fn fail((name, writes): Failure, phase: u64) -> u64 {
     rig.order(Command::Reset { estops_seen: u64::MAX, keep: true });
     rig.run_to(rig.now() + 20 * MS).unwrap();
     assert_eq!(rig.tap().status().unwrap().state, State::Faulted, "{name}");
-    let chip = rig.chip().unwrap();
+    let chip = &mut rig.chip;
     assert_eq!(chip.pins.enable.last().unwrap().to, off, "{name}: enabled again");
     let on_pins: u64 = chip.pins.lines.iter().flatten().map(|train| train.pulses).sum();
     let outcome = rig.run_to_end(1, 300).unwrap();

@@ -2,8 +2,9 @@
 //!
 //! The numbers are those of USB 3.2, 9.6.2, and of Microsoft's specification of OS 2.0 descriptors, not of the firmware's library.
 
+use crate::bus::start;
 use firmware_protocol::urgent::e_stop_request;
-use meissner_hil::bench::chip::{ChipBench, ChipOptions};
+use meissner_hil::bench::chip::ChipBench;
 use meissner_hil::time::MS;
 
 /// D8DD60DF-4589-4CC7-9CD2-659D9E648A9F, as it is on the wire.
@@ -11,15 +12,6 @@ const MICROSOFT_OS_20: [u8; 16] =
     [0xdf, 0x60, 0xdd, 0xd8, 0x89, 0x45, 0xc7, 0x4c, 0x9c, 0xd2, 0x65, 0x9d, 0x9e, 0x64, 0x8a, 0x9f];
 /// Windows 8.1, the first that reads them.
 const WINDOWS_8_1: u32 = 0x0603_0000;
-
-fn start() -> ChipBench {
-    let mut chip = ChipBench::start(&ChipOptions::new(1)).unwrap_or_else(|error| panic!("{error}"));
-    while !chip.configured() {
-        chip.run(chip.cycle() + MS).unwrap();
-        assert!(chip.cycle() < 500 * MS, "no device");
-    }
-    chip
-}
 
 /// The device's answer to an IN request; `None` if it stalls.
 fn get(chip: &mut ChipBench, kind: u8, request: u8, value: u16, index: u16, length: u16) -> Option<Vec<u8>> {

@@ -1,15 +1,14 @@
 //! Faults by script: the cases of `tests/faults`, and how a play that meets one is judged.
 //!
-//! Two runners share it: in virtual time (`crates/stream/tests/faults.rs`) and the emulated chip (`firmware/hil`). A runner takes
-//! [`cases`], does what each [`Fault`] says when
-//! [`Kind::begins`] says, fills in [`Seen`] and [`Observed`], and asks [`Expect::judge`].
+//! The runner (`crates/stream/tests/faults.rs`) takes [`cases`], does what each [`Fault`] says when [`Kind::begins`] says, fills in
+//! [`Seen`] and [`Observed`], and asks [`Expect::judge`].
 //!
 //! - [`case`]: the format of a file.
 //! - [`judge`]: what a run has shown, and whether that is what the case expects.
 //! - [`bytes`]: what a device must never send.
 //! - [`plays`]: kinds with patterns, many at once.
 //!
-//! Invariant: nothing here knows how a runner makes time pass.
+//! Invariant: nothing here knows how the runner makes time pass.
 
 #![expect(missing_docs, missing_debug_implementations, reason = "only tests use it")]
 #![expect(clippy::unwrap_used, clippy::missing_panics_doc, reason = "a test that panics has failed")]
@@ -71,13 +70,4 @@ fn inherit(own: &mut Table, each: &Table) {
             _ => {}
         }
     }
-}
-
-/// The kinds of the cases with these names, or of all of them if there are none; a line about a name that is unknown.
-pub fn kinds_of<'a>(cases: &'a [Case], names: &[String]) -> Result<Vec<Kind<'a>>, String> {
-    if let Some(unknown) = names.iter().find(|name| cases.iter().all(|case| case.name != **name)) {
-        return Err(format!("faults: there is no case {unknown}: see tests/faults"));
-    }
-    let wanted = |case: &&Case| names.is_empty() || names.contains(&case.name);
-    Ok(cases.iter().filter(wanted).flat_map(Case::kinds).collect())
 }

@@ -30,22 +30,9 @@ struct Head {
     #[serde(default)]
     resets: u64,
     #[serde(default)]
-    instructions: u64,
-    #[serde(default)]
     asleep: u64,
     #[serde(default)]
     hex: Option<String>,
-    #[serde(default)]
-    profile: Option<Profile>,
-}
-
-/// Where the core's cycles went.
-#[derive(Clone, Debug, Default, Deserialize)]
-pub struct Profile {
-    /// Addresses of instructions, and the cycles spent in each.
-    pub instructions: Vec<(u32, u64)>,
-    /// Functions by their symbols, and the cycles of the longest call of each, with the interrupts in between.
-    pub longest: Vec<(String, u64)>,
 }
 
 /// A whole answer.
@@ -67,14 +54,10 @@ pub struct Answer {
     pub configured: bool,
     /// Resets since power-up.
     pub resets: u64,
-    /// Instructions since power-up.
-    pub instructions: u64,
     /// Cycles slept since power-up.
     pub asleep: u64,
     /// The memory asked for.
     pub memory: Vec<u8>,
-    /// The profile asked for.
-    pub profile: Option<Profile>,
 }
 
 /// Why there is no answer.
@@ -127,10 +110,8 @@ impl Answer {
             transfers,
             configured: head.configured,
             resets: head.resets,
-            instructions: head.instructions,
             asleep: head.asleep,
             memory: bytes_of(hex)?,
-            profile: head.profile,
         })
     }
 }
@@ -169,7 +150,7 @@ mod tests {
         tail.extend(0x1_0000_0002u64.to_le_bytes());
         tail.extend(0x1000_0001u32.to_le_bytes());
         tail.extend([10, 0, 13, 7]);
-        let line = r#"{"cycle":9,"levels":1,"cdc":3,"bulk":1,"packets":[["cdc",5,64]],"configured":true,"resets":1,"instructions":4,"asleep":2}"#;
+        let line = r#"{"cycle":9,"levels":1,"cdc":3,"bulk":1,"packets":[["cdc",5,64]],"configured":true,"resets":1,"asleep":2}"#;
         let mut bytes = canned(line, &tail);
         bytes.extend(canned(r#"{"cycle":10,"levels":0,"cdc":0,"bulk":0,"packets":[],"configured":true,"resets":1,"hex":"0aff"}"#, &[]));
         let mut bytes = &bytes[..];

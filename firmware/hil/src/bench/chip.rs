@@ -2,8 +2,8 @@
 //!
 //! This module passes on and records. The process ends with the bench.
 
-use crate::bench::answer::{Answer, AnswerError, Profile, hex};
-use crate::bench::device::{BenchError, CpuEvent, Function, Heard};
+use crate::bench::answer::{Answer, AnswerError, hex};
+use crate::bench::{BenchError, CpuEvent, Function, Heard};
 use crate::pins::Pins;
 use firmware_protocol::urgent::{Urgent, Watch};
 use std::collections::VecDeque;
@@ -235,15 +235,6 @@ impl ChipBench {
     pub fn memory(&mut self, symbol: &str, bytes: usize) -> Result<Vec<u8>, BenchError> {
         self.ask(&serde_json::json!({ "read": symbol, "bytes": bytes }))?;
         Ok(std::mem::take(&mut self.last.memory))
-    }
-
-    /// Begins to count the core's cycles, or ends it. Returns what was counted since the last call.
-    ///
-    /// # Errors
-    /// If the emulator is gone.
-    pub fn profile(&mut self, on: bool) -> Result<Profile, BenchError> {
-        self.ask(&serde_json::json!({ "profile": on }))?;
-        Ok(self.last.profile.take().unwrap_or_default())
     }
 
     /// Writes the firmware's memory at a symbol.

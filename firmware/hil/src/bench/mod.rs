@@ -1,175 +1,76 @@
-//! The device that the host is connected to: the mock, or the firmware in an emulated chip.
-//!
-//! Both run in lock-step on the cycles of [`crate::time`]. Time passes on them only in [`Bench::run`].
+//! The firmware in an emulated chip. Time passes on it only in [`chip::ChipBench::run`].
 
 pub mod answer;
 pub mod chip;
-mod device;
-pub mod mock;
 
-use crate::pins::Pins;
-use chip::{ChipBench, ChipOptions};
-pub use device::{BenchError, CpuEvent, Function, Heard};
-use firmware_protocol::urgent::e_stop_request;
-use mock::MockBench;
+use std::path::PathBuf;
 
-/// A device on the bench.
-#[derive(Debug)]
-pub enum Bench {
-    /// The library's mock.
-    Mock(MockBench),
-    /// The emulated chip.
-    Chip(ChipBench),
+/// A USB function of the board.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Function {
+    /// The tty.
+    #[default]
+    Cdc,
+    /// The vendor interface.
+    Bulk,
 }
 
-/// Which bench to build.
-#[derive(Clone, Debug)]
-pub enum Which {
-    /// The mock, with this seed.
-    Mock(u64),
-    /// The chip.
-    Chip(ChipOptions),
-}
-
-impl Bench {
-    /// Powers one up.
-    ///
-    /// # Errors
-    /// If the chip's emulator or firmware is missing.
-    pub fn start(which: &Which) -> Result<Self, BenchError> {
-        match which {
-            Which::Mock(seed) => MockBench::start(*seed).map(Self::Mock),
-            Which::Chip(options) => ChipBench::start(options).map(Self::Chip),
-        }
-    }
-
-    /// Its clock.
+impl Function {
+    /// The emulator's name for it.
     #[must_use]
-    pub fn cycle(&self) -> u64 {
+    pub const fn name(self) -> &'static str {
         match self {
-            Self::Mock(mock) => mock.cycle(),
-            Self::Chip(chip) => chip.cycle(),
+            Self::Cdc => "cdc",
+            Self::Bulk => "bulk",
         }
     }
 
-    /// Whether a host can talk to it.
+    /// The other one.
     #[must_use]
-    pub fn configured(&self) -> bool {
+    pub const fn other(self) -> Self {
         match self {
-            Self::Mock(mock) => mock.configured(),
-            Self::Chip(chip) => chip.configured(),
-        }
-    }
-
-    /// Resets since power-up.
-    #[must_use]
-    pub fn resets(&self) -> u64 {
-        match self {
-            Self::Mock(mock) => mock.resets(),
-            Self::Chip(chip) => chip.resets(),
-        }
-    }
-
-    /// Sends bytes to one of its functions.
-    ///
-    /// # Errors
-    /// If the emulator is gone or refuses; also for the methods below.
-    pub fn write(&mut self, function: Function, bytes: &[u8]) -> Result<(), BenchError> {
-        match self {
-            Self::Mock(mock) => mock.write(function, bytes),
-            Self::Chip(chip) => chip.write(function, bytes)?,
-        }
-        Ok(())
-    }
-
-    /// Runs up to a cycle and returns what it sent.
-    ///
-    /// # Errors
-    /// As for [`Self::write`].
-    pub fn run(&mut self, to: u64) -> Result<Heard, BenchError> {
-        match self {
-            Self::Mock(mock) => {
-                mock.run(to);
-                Ok(mock.take_heard())
-            }
-            Self::Chip(chip) => {
-                chip.run(to)?;
-                Ok(chip.take_heard())
-            }
-        }
-    }
-
-    /// Asks for an e-stop past the bytes that wait. The mock has no control requests; it takes the frame.
-    ///
-    /// # Errors
-    /// As for [`Self::write`].
-    pub fn e_stop(&mut self, epoch: u16) -> Result<(), BenchError> {
-        match self {
-            Self::Mock(_) => Ok(()),
-            Self::Chip(chip) => chip.control(e_stop_request(epoch)),
-        }
-    }
-
-    /// Opens or closes the tty.
-    ///
-    /// # Errors
-    /// As for [`Self::write`].
-    pub fn dtr(&mut self, open: bool) -> Result<(), BenchError> {
-        match self {
-            Self::Mock(mock) => mock.dtr(open),
-            Self::Chip(chip) => chip.dtr(open)?,
-        }
-        Ok(())
-    }
-
-    /// Plugs the cable in or out.
-    ///
-    /// # Errors
-    /// As for [`Self::write`].
-    pub fn usb(&mut self, plugged: bool) -> Result<(), BenchError> {
-        match self {
-            Self::Mock(mock) => mock.usb(plugged),
-            Self::Chip(chip) => chip.usb(plugged)?,
-        }
-        Ok(())
-    }
-
-    /// Makes the core fail.
-    ///
-    /// # Errors
-    /// As for [`Self::write`].
-    pub fn cpu(&mut self, event: CpuEvent) -> Result<(), BenchError> {
-        match self {
-            Self::Mock(mock) => mock.fail(),
-            Self::Chip(chip) => chip.cpu(event),
-        }
-    }
-
-    /// Takes the recording of the lines since power-up or the last call.
-    pub fn take_lines(&mut self) -> Played {
-        match self {
-            Self::Mock(mock) => Played::Ticks(Box::new(std::mem::take(&mut mock.log))),
-            Self::Chip(chip) => Played::Pins(Box::new(std::mem::take(&mut chip.pins))),
+            Self::Cdc => Self::Bulk,
+            Self::Bulk => Self::Cdc,
         }
     }
 }
 
-/// The recording of the lines of one boot.
-#[derive(Clone, Debug)]
-pub enum Played {
-    /// On the mock.
-    Ticks(Box<crate::log::Log>),
-    /// On the chip.
-    Pins(Box<Pins>),
+/// A failure of the core.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum CpuEvent {
+    /// It stops executing.
+    Die,
+    /// The firmware panics.
+    Panic,
+    /// A hard fault.
+    Hardfault,
+    /// The RUN pin goes low for a moment.
+    Run,
 }
 
-impl Played {
-    /// The cycle at which the last pulse has fallen.
-    #[must_use]
-    pub fn low_since(&self, grid: crate::time::Grid) -> Option<u64> {
-        match self {
-            Self::Ticks(log) => log.end().map(|tick| grid.cycle(tick)),
-            Self::Pins(pins) => pins.low_since(u64::MAX),
-        }
-    }
+/// Bytes from the device.
+#[derive(Clone, Debug, Default)]
+pub struct Heard {
+    /// From the tty.
+    pub cdc: Vec<u8>,
+    /// From the vendor interface.
+    pub bulk: Vec<u8>,
+}
+
+/// Why there is no bench, or it ended.
+#[derive(Debug, thiserror::Error)]
+pub enum BenchError {
+    /// The firmware was not built.
+    #[error("{0}: no firmware there; build it (`firmware/build`) or set MEISSNER_FIRMWARE_ELF")]
+    NoFirmware(PathBuf),
+    /// The emulator is not installed.
+    #[error("{0}: no emulator there; install it (`npm ci` in firmware/emulator/)")]
+    NoEmulator(PathBuf),
+    /// Node does not start.
+    #[error("`node` cannot be started ({0}); install Node.js 20 or newer")]
+    NoNode(#[source] std::io::Error),
+    /// The emulator's answer.
+    #[error(transparent)]
+    Answer(#[from] answer::AnswerError),
 }
