@@ -210,7 +210,10 @@ impl Rule {
         }
         if lines.up.contains(motor as u8) {
             pin.rises = true;
-            assert!(!self.waits_beside(motor, lines, true), "motor {motor} at {now}: another comes down first");
+            assert!(
+                !self.waits_beside(motor, lines, true),
+                "motor {motor} at {now}: another comes down first"
+            );
             return;
         }
         // A limit refuses it.
