@@ -516,47 +516,4 @@ mod tests {
             }
         }
     }
-
-    #[test]
-    fn after_a_second_of_rest_nothing_counts() {
-        let mut account = OnTime::new(&PAPER, Tick(0));
-        account.set_limits(PowerLimits { motor: 100, rail: 600, ..PAPER.no_limits() }, &PAPER);
-        let mut begin = |now, motor, pulses, back| {
-            account.pass(Tick(now));
-            let begun = account.begin(motor, pulses, back, &PAPER);
-            account.end(
-                motor,
-                if begun.is_ok() { pulses } else { 0 },
-                if begun.is_ok() { pulses } else { 0 },
-            );
-            begun
-        };
-        assert_eq!(begin(0, 5, 51, [50; 2]), Err(Refusal::MotorOnTime));
-        assert_eq!(begin(0, 5, 50, [50; 2]), Ok(()));
-        assert_eq!(begin(100, 5, 50, [0; 2]), Ok(()));
-        assert_eq!(begin(84_000, 5, 1, [0; 2]), Err(Refusal::MotorOnTime));
-        assert_eq!(begin(100 + 85_000 + 1_251, 5, 50, [50; 2]), Ok(()));
-        assert_eq!(begin(1 << 40, 4, 100, [0; 2]), Ok(()));
-        assert_eq!(begin(1 << 40, 3, 100, [0, 350]), Ok(()));
-        assert_eq!(begin(1 << 40, 5, 1, [0, 450]), Err(Refusal::RailOnTime));
-    }
-
-    /// A burst that is ended early counts with what was played of it, and a surplus that is over the limit counts nothing.
-    #[test]
-    fn what_was_not_played_does_not_count() {
-        let mut account = OnTime::new(&PAPER, Tick(0));
-        account.set_limits(PowerLimits { motor: 100, ..PAPER.no_limits() }, &PAPER);
-        assert_eq!(account.begin(1, 50, [50; 2], &PAPER), Ok(()));
-        account.end(1, 50, 10);
-        assert_eq!(account.begin(1, 40, [51; 2], &PAPER), Err(Refusal::MotorOnTime));
-        assert_eq!(account.begin(1, 40, [50; 2], &PAPER), Ok(()));
-        let mut pushing = Pushing::new(&PAPER, Tick(0));
-        assert_eq!((pushing.begin(1, 0), pushing.begin(1, 1)), (Ok(()), Err(Refusal::Pushing)));
-        pushing.set_limit(100);
-        assert_eq!(pushing.begin(1, 101), Err(Refusal::Pushing));
-        assert_eq!(pushing.begin(1, 100), Ok(()));
-        pushing.end(1, 100, 30);
-        assert_eq!(pushing.begin(1, 71), Err(Refusal::Pushing));
-        assert_eq!((pushing.begin(2, 100), pushing.begin(1, 70)), (Ok(()), Ok(())));
-    }
 }

@@ -3,7 +3,6 @@
 use crate::bench::{Bench, FIRMWARE, burst, stroke};
 use Direction::{Down, Up};
 use firmware_protocol::batch::Stroke;
-use firmware_protocol::message::Op;
 use firmware_protocol::stroke::Direction;
 use firmware_protocol::tick::Tick;
 
@@ -71,32 +70,6 @@ fn the_newest_generation_wins_per_move_and_across_the_wrap() {
     }
     amended.amend(0xfff0, Down, 19);
     assert_eq!(amended.played(), (24, 19, 2, 3));
-}
-
-/// A burst up that a stop cuts is undone, up to the level of its move. A burst down to rest that runs ends as amended. What is between
-/// them is undone as planned: a correction is no height.
-#[test]
-fn an_amended_stroke_is_returned_from_its_level() {
-    for event in 130..270 {
-        let mut amended = Amended::new();
-        amended.amend(1, Up, 26);
-        amended.amend(1, Down, 24);
-        let Amended { mut bench, first } = amended;
-        bench.run(event);
-        let (at, ready) = (bench.device.rendered(), bench.device.ready());
-        bench.control(Op::Stop);
-        bench.settle();
-        let (up, down) = (first.up.0, first.down.0);
-        let played = at.since(first.up).clamp(0, 26).unsigned_abs();
-        let expected = if played == 0 {
-            vec![]
-        } else if at > first.down {
-            vec![burst(up, Up, 26), burst(down, Down, 24)]
-        } else {
-            vec![burst(up, Up, played), burst(ready.0, Down, played.min(20))]
-        };
-        assert_eq!(bench.bursts(1)[..expected.len()], expected, "{event}");
-    }
 }
 
 #[test]

@@ -17,7 +17,6 @@ use firmware_protocol::message::{
 use firmware_protocol::moves::Move;
 use firmware_protocol::stroke::{Direction, Line, Lines};
 use firmware_protocol::tick::Tick;
-use proptest::prelude::*;
 use serde::Serialize;
 use std::collections::VecDeque;
 
@@ -76,10 +75,6 @@ pub(crate) const LAYOUTS: &[Layout] = &[
     layout("eight-by-eight", 200_000, &grouped::<64>(8), &chips_of_eights(), 3_000),
 ];
 
-pub(crate) fn layouts() -> impl Strategy<Value = Layout> {
-    prop::sample::select(LAYOUTS)
-}
-
 /// How a shell renders: blocks of `block` ticks, up to `ahead` ticks from now.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Shell {
@@ -129,8 +124,6 @@ pub(crate) struct Bench {
     shell: Shell,
     /// The limits of the last `arm`.
     limits: PowerLimits,
-    /// Most motors of a rail, and of a chip, that had pulses at once.
-    pub(crate) most_at_once: [u32; 2],
     /// Whether it takes frames as the firmware does: a piece in each block, with lines rendered in between.
     pub(crate) in_pieces: bool,
     /// Runs of one tick, each with whether a stroke that was to begin then or soon was refused by a limit, withdrawn or flushed.
@@ -207,7 +200,6 @@ impl Bench {
             start: start.0,
             shell,
             limits: layout.no_limits(),
-            most_at_once: [0; 2],
             in_pieces: false,
             ahead: VecDeque::new(),
             taken_back: 0,
@@ -310,7 +302,7 @@ impl Bench {
     }
 
     /// Asserts that no more motors of a rail or a chip have pulses than the limits allow.
-    fn check_at_once(&mut self, pulses: MotorSet) {
+    fn check_at_once(&self, pulses: MotorSet) {
         if pulses.is_empty() {
             return;
         }
@@ -321,10 +313,9 @@ impl Bench {
             chips[usize::from(self.device.layout().chip(motor))] += 1;
         }
         let groups = [(rails, rail_at_once), (chips, chip_at_once)];
-        for ((groups, limit), most) in groups.into_iter().zip(&mut self.most_at_once) {
+        for (groups, limit) in groups {
             let at_once = groups.into_iter().max().unwrap_or(0);
             assert!(at_once <= limit, "{at_once} of a group at {}", self.now);
-            *most = u32::from(at_once).max(*most);
         }
     }
 

@@ -3,12 +3,11 @@
 //! Sequence numbers, epochs, sessions, reports, and frames that cannot be read.
 
 use crate::bench::{Bench, FIRMWARE, NO_LIMITS, ONSET, TICK_HZ, frame, pack, stroke};
-use crate::interruptions::planned;
+use crate::taking::bursts;
 use firmware_protocol::batch::{MAX_BATCH, Stroke};
 use firmware_protocol::controller::{POOL, REORDER_WINDOW, REPORTS};
 use firmware_protocol::frame::PROTOCOL;
-use firmware_protocol::limits::Refusal;
-use firmware_protocol::message::{Cause, DeviceMessage, HostMessage, Op, Report, State};
+use firmware_protocol::message::{Cause, DeviceMessage, HostMessage, Op, State};
 use firmware_protocol::stroke::Direction;
 use firmware_protocol::tick::Tick;
 
@@ -44,7 +43,7 @@ fn frames_out_of_order_are_buffered_until_the_missing_one_arrives() {
         assert_eq!((bench.status().next_seq, bench.status().out_of_order), (next_seq, early));
     }
     bench.run(500);
-    assert_eq!(bench.bursts(1), sent.iter().flat_map(planned).collect::<Vec<_>>());
+    assert_eq!(bench.bursts(1), bursts(&sent));
 }
 
 #[test]
@@ -58,7 +57,7 @@ fn a_frame_buffered_and_repeated_is_taken_once() {
     bench.follow();
     assert_eq!((bench.status().next_seq, bench.reports()), (3, vec![]));
     bench.run(500);
-    assert_eq!(bench.bursts(1), sent.iter().flat_map(planned).collect::<Vec<_>>());
+    assert_eq!(bench.bursts(1), bursts(&sent));
 }
 
 #[test]
@@ -148,7 +147,7 @@ fn the_sequence_and_the_epoch_wrap() {
     }
     assert_eq!(bench.epoch, first.wrapping_add(3));
     bench.run(200);
-    assert_eq!(bench.bursts(1), planned(&next));
+    assert_eq!(bench.bursts(1), bursts([&next]));
 }
 
 /// The numbers of the reports sent since the last call.
@@ -221,19 +220,7 @@ fn a_full_ring_takes_no_strokes_and_loses_the_newest_report() {
     let next = stroke(1, bench.soon(), 7, 6, 7);
     bench.strokes(&[next]);
     bench.run(200);
-    assert_eq!(bench.bursts(1), planned(&next));
-}
-
-#[test]
-fn the_numbers_of_reports_wrap() {
-    let mut bench = Bench::armed(FIRMWARE);
-    let bad = stroke(24, bench.soon(), 7, 6, 7);
-    for round in 1..65_536u32 + 40 {
-        bench.strokes(&[bad]);
-        assert_eq!((u32::from(bench.seen), bench.status().reports), (round % 65_536, bench.seen));
-        bench.inbox.drain(..bench.inbox.len() - 2);
-    }
-    assert_eq!(bench.device.counters().reports_lost, 0);
+    assert_eq!(bench.bursts(1), bursts([&next]));
 }
 
 #[test]
@@ -277,7 +264,7 @@ fn the_same_session_again_changes_nothing_and_skips_no_report() {
     assert_eq!((hello.session, hello.epoch, hello.reports, hello.boot), (1, epoch, 0, 7));
     bench.is(State::Armed, Cause::Request);
     bench.run(200);
-    assert_eq!(bench.bursts(1), planned(&next));
+    assert_eq!(bench.bursts(1), bursts([&next]));
 }
 
 #[test]
@@ -380,56 +367,4 @@ fn bad_frames_are_counted_and_change_nothing() {
     // The next frame is read.
     bench.bytes(&frames[0]);
     assert_eq!((bench.status().next_seq, bench.status().credits), (1, POOL as u16 - 2));
-}
-
-#[test]
-fn a_frame_may_have_256_bytes_and_no_more() {
-    let mut bench = Bench::armed(FIRMWARE);
-    // One byte too long is bad even with a valid CRC.
-    for (len, bad_frames) in [(254 - 5, 0), (254 - 4, 1)] {
-        let crc = crc::Crc::<u32>::new(&crc::CRC_32_ISO_HDLC);
-        // Another version, which is answered with a hello only. A zero in the middle adds a byte of COBS.
-        let mut message = vec![9; 1 + len];
-        message[100] = 0;
-        message.extend(crc.checksum(&message).to_le_bytes());
-        let mut bytes = vec![0; 300];
-        let encoded = cobs::encode(&message, &mut bytes);
-        bytes.truncate(encoded + 1);
-        assert_eq!(bytes.len() as u64, 256 + bad_frames);
-        bench.bytes(&bytes);
-        assert_eq!(bench.device.counters().bad_frames, bad_frames, "{} bytes", bytes.len());
-    }
-}
-
-#[test]
-fn bytes_come_in_any_chunks_and_a_lost_link_forgets_the_half_frame() {
-    let mut bench = Bench::armed(FIRMWARE);
-    let (_, frames) = three(&bench);
-    for byte in frames.concat() {
-        bench.bytes(&[byte]);
-    }
-    assert_eq!(bench.status().next_seq, 3);
-    bench.bytes(&frames.concat()[..20]);
-    bench.device.link_lost(Tick(bench.now));
-    bench.hello(3);
-    assert_eq!(bench.device.counters().bad_frames, 0);
-    assert!(bench.inbox.iter().any(|m| matches!(m, DeviceMessage::Hello(hello) if hello.session == 3)));
-}
-
-#[test]
-fn a_stroke_from_half_the_range_ahead_is_too_far_and_from_behind_it_is_late() {
-    let mut bench = Bench::armed(FIRMWARE);
-    for (distance, late, refused) in
-        [((1i64 << 30) - 100, 0, 0), (1 << 30, 0, 2), ((1 << 31) - 1, 0, 2), (-(1 << 31), 2, 0), (-1, 2, 0)]
-    {
-        let before = bench.device.counters();
-        bench.strokes(&[stroke(1, bench.now.wrapping_add_signed(distance), 7, 6, 7)]);
-        let after = bench.device.counters();
-        assert_eq!((after.late - before.late, after.refused - before.refused), (late, refused), "{distance}");
-    }
-    let far = bench
-        .reports()
-        .into_iter()
-        .filter(|report| matches!(report, Report::Verdict { reason: Some(Refusal::TooFar), .. }));
-    assert_eq!(far.count(), 2);
 }

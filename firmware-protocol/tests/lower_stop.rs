@@ -7,7 +7,7 @@ use crate::bench::{
 use crate::taking::verdict;
 use Direction::{Down, Up};
 use firmware_protocol::batch::Stroke;
-use firmware_protocol::limits::Refusal;
+use firmware_protocol::limits::{PowerLimits, Refusal};
 use firmware_protocol::message::{Cause, LowerStop, Op, State};
 use firmware_protocol::moves::Move;
 use firmware_protocol::stroke::Direction;
@@ -58,45 +58,6 @@ fn without_a_stop_no_move_may_push() {
             } else {
                 assert_eq!(verdict(&bench), (0, 1, Some(Refusal::Surplus)));
             }
-        }
-    }
-}
-
-#[test]
-fn arming_seeks_the_stop_and_then_knows_the_position() {
-    for shell in SHELLS {
-        let mut bench = bench(shell, stop(MAX_PUSHES_PER_S, WHOLE_TRAVEL));
-        bench.is(State::Returning, Cause::Request);
-        assert!(!bench.status().position_known);
-        bench.run(100);
-        // Strokes are refused meanwhile.
-        bench.strokes(&[stroke(1, bench.now + 1_000, 10, 5, 10)]);
-        assert_eq!(verdict(&bench), (0, 0b11, Some(Refusal::NotArmed)));
-        bench.settle();
-        bench.is(State::Armed, Cause::Request);
-        assert!(bench.status().position_known);
-        for motor in 0..MOTORS as u8 {
-            let [down] = bench.bursts(motor)[..] else { panic!("{:?}", bench.bursts(motor)) };
-            assert_eq!((down.direction, down.pulses), (Down, WHOLE_TRAVEL));
-        }
-        // Its pulses count, and no move.
-        let counters = bench.device.counters();
-        assert_eq!((counters.played, counters.pulses), (0, MOTORS as u64 * u64::from(WHOLE_TRAVEL)));
-
-        // Again while armed and idle, not while anything is queued.
-        bench.run(100);
-        bench.control(Op::Seek { pulses: 60 });
-        bench.settle();
-        bench.is(State::Armed, Cause::Request);
-        assert_eq!(bench.bursts(7)[1].pulses, 60);
-        bench.strokes(&[stroke(1, bench.now + 1_000, 10, 5, 10)]);
-        bench.control(Op::Seek { pulses: 60 });
-        assert_eq!(bench.status().refusal, Some(Refusal::State));
-        for pulses in [0, MAX_SEEK + 1] {
-            bench.control(Op::Stop);
-            bench.settle();
-            bench.control(Op::Seek { pulses });
-            assert_eq!(bench.status().refusal, Some(Refusal::Travel));
         }
     }
 }
@@ -252,5 +213,27 @@ fn a_seek_that_may_not_reach_the_stop_is_refused_and_changes_nothing() {
         assert_eq!(bench.outstanding(), 0);
         bench.control(Op::Move { motor: 5, direction: Up, pulses: 3_000 });
         assert_eq!(bench.status().refusal, None);
+    }
+}
+
+#[test]
+fn a_seek_takes_turns_at_each_limit() {
+    // In the order of the motors' numbers: with 2 and 1 the last motor waits for the chip, while the rail has a place.
+    for (rail_at_once, chip_at_once, turns) in
+        [(6, 2, 1), (5, 2, 2), (3, 2, 2), (2, 2, 3), (1, 2, 6), (6, 1, 2), (4, 1, 2), (2, 1, 4), (1, 1, 6)]
+    {
+        let limits = PowerLimits { rail_at_once, chip_at_once, ..NO_LIMITS };
+        let mut bench = Bench::new(FIRMWARE);
+        bench.hello(1);
+        let ready = bench.device.ready().0;
+        let lower_stop = stop(MAX_PUSHES_PER_S, MAX_SEEK);
+        bench.control(Op::Arm { assume_rest: false, host_timeout: 10 * TICK_HZ, limits, lower_stop });
+        bench.settle();
+        bench.is(State::Armed, Cause::Request);
+        let took = bench.last_pulse().map(|last| last + 1 - ready);
+        assert_eq!(took, Some(turns * u64::from(MAX_SEEK)), "{limits:?}");
+        assert_eq!(bench.last_cut().outstanding, MOTORS as u32 * u32::from(MAX_SEEK));
+        assert!(u64::from(PAPER.turns(&limits)) >= turns, "{limits:?}");
+        assert_eq!(bench.total(), MOTORS as u64 * u64::from(MAX_SEEK));
     }
 }

@@ -1,9 +1,9 @@
 //! The first frame of a play or of a later item: reported at its onset, with the trigger output.
 
 use crate::bench::{Bench, FIRMWARE, NO_LIMITS, ONSET, PULSE, SHELLS, TICK_HZ, pack, stroke, to};
-use crate::interruptions::planned;
+use crate::taking::bursts;
 use firmware_protocol::array::MotorSet;
-use firmware_protocol::batch::{BATCH_BYTES, MAX_FIRST_BATCH, Packer};
+use firmware_protocol::batch::{BATCH_BYTES, Packer};
 use firmware_protocol::controller::POOL;
 use firmware_protocol::limits::Refusal;
 use firmware_protocol::message::{Mark, MarkKind, Report, State, Trigger};
@@ -40,10 +40,7 @@ fn an_onset_is_all_or_nothing_and_reported_when_it_has_passed() {
             })
             .collect();
         assert_eq!(onsets, [(ready.wire(), 0, 0), (later.wire(), 4, 36)]);
-        assert_eq!(
-            (bench.bursts(1), bench.bursts(2)),
-            (planned(&strokes[0]).to_vec(), planned(&strokes[1]).to_vec())
-        );
+        assert_eq!((bench.bursts(1), bench.bursts(2)), (bursts(&strokes[..1]), bursts(&strokes[1..])));
         assert_eq!((bench.device.counters().late, bench.device.counters().refused), (0, 2));
     }
 }
@@ -73,7 +70,7 @@ fn a_late_mark_of_an_item_is_refused_alone() {
                 }
             ]
         );
-        assert_eq!((bench.bursts(1), bench.bursts(2)), (vec![], planned(&strokes[1]).to_vec()));
+        assert_eq!((bench.bursts(1), bench.bursts(2)), (vec![], bursts(&strokes[1..])));
         assert_eq!((bench.triggered.len(), bench.device.state()), (0, State::Armed));
     }
 }
@@ -100,34 +97,6 @@ fn the_trigger_gives_each_code_as_a_serial_frame() {
         bench.run(1_000);
         assert!(matches!(bench.last_report(), Report::Onset { tick, .. } if tick == Tick(onset).wire()));
         assert_eq!(bench.triggered, []);
-    }
-}
-
-/// The chip takes the first frame of a play in one piece, so it is bounded. A frame with more moves is refused as if its mark were late.
-#[test]
-fn the_first_frame_of_a_play_has_a_bounded_number_of_moves() {
-    for (count, fits) in [(MAX_FIRST_BATCH, true), (MAX_FIRST_BATCH + 1, false)] {
-        let mut bench = Bench::armed(FIRMWARE);
-        let at = bench.soon();
-        let mut packer = Packer::<BATCH_BYTES>::new(Tick(at));
-        for k in 0..count as u64 {
-            packer.moves(&to((k % 24) as u8, at + 50 * (k / 24), if k < 24 { 9 } else { 0 })).unwrap();
-        }
-        bench.frame(Some(ONSET), at, packer.bytes());
-        bench.run(300);
-        let refused = bench.reports().iter().any(|report| matches!(report, Report::OnsetRefused { .. }));
-        assert_eq!((refused, bench.device.counters().played), (!fits, if fits { count as u64 } else { 0 }));
-        assert_eq!(bench.triggered.is_empty(), refused);
-        // A later item may have more: it is taken in pieces.
-        let at = bench.soon();
-        let mut packer = Packer::<BATCH_BYTES>::new(Tick(at));
-        for k in 0..count as u64 {
-            packer.moves(&to((k % 24) as u8, at + 50 * (k / 24), if k < 24 { 10 } else { 0 })).unwrap();
-        }
-        let before = bench.device.counters().played;
-        bench.frame(Some(Mark { kind: MarkKind::Item, ..ONSET }), at, packer.bytes());
-        bench.run(300);
-        assert_eq!(bench.device.counters().played - before, count as u64);
     }
 }
 

@@ -1,10 +1,10 @@
 //! Frames that replace queued moves: each motor's from one tick on or not at all, all of them counted.
 
-use crate::bench::{Bench, FIRMWARE, SHELLS, stroke};
+use crate::bench::{Bench, FIRMWARE, stroke};
 use crate::taking::{bursts, end};
 use firmware_protocol::array::MotorSet;
 use firmware_protocol::batch::{Amendment, BATCH_BYTES, Packer, Stroke};
-use firmware_protocol::controller::{BLOCK, POOL};
+use firmware_protocol::controller::BLOCK;
 use firmware_protocol::message::{Counters, HostMessage, Report, Withdraw};
 use firmware_protocol::moves::Move;
 
@@ -23,11 +23,6 @@ fn moves<'a>(strokes: impl IntoIterator<Item = &'a Stroke>) -> Vec<Move> {
     strokes.into_iter().flat_map(Stroke::moves).collect()
 }
 
-/// The strokes that begin before `base`.
-fn strokes_before(base: u64, strokes: &[Stroke]) -> Vec<Stroke> {
-    strokes.iter().copied().filter(|stroke| stroke.up.0 < base).collect()
-}
-
 fn counted(counters: Counters) -> u64 {
     counters.played + counters.late + counters.dropped + counters.refused + counters.replaced
 }
@@ -39,48 +34,6 @@ fn kept(bench: &Bench) -> Vec<u64> {
         _ => None,
     };
     bench.reports().iter().filter_map(kept).collect()
-}
-
-/// A replacement sent at each phase of a running stroke, and for each distance of `base`: what begins before it is played as sent, then
-/// either the new strokes or, if they come too late, the old ones. A stroke that `base` divides stays whole.
-#[test]
-fn in_every_phase_a_replacement_is_whole_or_not_at_all() {
-    for shell in SHELLS {
-        let (mut done, mut late, mut divided) = (0, 0, 0);
-        for phase in 0..PERIOD {
-            for ahead in [0, 1, 20, 63, 64, 65, 80, 100, 130, 250] {
-                let mut bench = Bench::armed(shell);
-                let old = train(1, bench.soon(), 12, PULSES);
-                bench.strokes(&old);
-                bench.run_to(old[2].up.0 + phase);
-                let base = bench.now + ahead;
-                let first = old.iter().find(|old| old.up.0 >= base).expect("one");
-                let new = train(1, first.up.0, 9, PULSES + 9);
-                let (rendered, ready) = (bench.device.rendered(), bench.device.ready());
-                bench.replace(1 << 1, 0, base, &new);
-                let has_begun = old.iter().any(|old| old.up.0 >= base && old.up < rendered);
-                let is_kept = has_begun || first.up < ready;
-                assert_eq!(kept(&bench), vec![0b10; usize::from(is_kept)], "phase {phase}, {ahead} ahead");
-                bench.run(2_000);
-                let stay = strokes_before(base, &old);
-                let withdrawn = 2 * (old.len() - stay.len());
-                divided += usize::from(!is_kept && stay.last().is_some_and(|last| last.down.0 >= base));
-                let expected = if is_kept { old.clone() } else { [&stay[..], &new].concat() };
-                assert_eq!(bench.bursts(1), bursts(&expected), "phase {phase}, {ahead} ticks ahead");
-                let counters = bench.device.counters();
-                assert_eq!((counters.dropped, counters.refused, counters.late), (0, 0, 0));
-                assert_eq!(counted(counters), 2 * (old.len() + new.len()) as u64);
-                assert_eq!((counters.pulses, counters.shortened), (bench.total(), 0));
-                let replaced = if is_kept { 2 * new.len() } else { withdrawn } as u64;
-                assert_eq!(counters.replaced, replaced);
-                bench.ping(0);
-                assert_eq!(bench.status().credits, POOL as u16);
-                *(if is_kept { &mut late } else { &mut done }) += 1;
-            }
-        }
-        assert!(done > 400 && (late > 100 || shell.ahead < 2), "{done} done, {late} late");
-        assert!(divided > 100, "{divided} divided");
-    }
 }
 
 /// After a replacement that came too late, frames behind it on the line do not mix with the old strokes.

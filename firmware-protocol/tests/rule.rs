@@ -32,8 +32,9 @@ struct Pin {
     /// When its last move began, and the last that is no second one of a stroke.
     begun: [u64; 2],
     still_since: u64,
-    /// For how many ticks it has been above its goal without a pulse.
+    /// For how many ticks it has been above its goal without a pulse, and for how many although nothing was in its way.
     waits: u64,
+    idles: u64,
     /// It has been held for so long that the device may lower it.
     may_fall: bool,
     /// Its height in the ticks that were played.
@@ -52,6 +53,8 @@ pub(crate) struct Rule {
     hold_since: u64,
     /// For how many ticks the drivers have been enabled.
     enabled: u64,
+    /// The lines of the tick before.
+    before: Lines,
     kept: MotorSet,
     /// When moves began.
     begins: Vec<u64>,
@@ -78,6 +81,7 @@ impl Rule {
             hold: [layout.least_hold().into(); 2],
             hold_since: 0,
             enabled: 0,
+            before: Lines::OFF,
             kept: MotorSet::EMPTY,
             begins: Vec::new(),
             refused: 0,
@@ -89,6 +93,38 @@ impl Rule {
     fn is_dense(&self, now: u64) -> bool {
         let recent = now - u64::from(self.layout.dense_ticks() + BLOCK);
         self.begins.iter().rev().take_while(|&&tick| tick >= recent).count() > self.layout.max_dense().into()
+    }
+
+    /// The motors that share a rail or a chip with `motor`, where so many of them may have pulses at once.
+    fn groups(&self, motor: usize) -> [(u8, MotorSet); 2] {
+        let (layout, limits) = (&self.layout, &self.limits);
+        let others = |is_one: &dyn Fn(usize) -> bool| {
+            let mut others = MotorSet::EMPTY;
+            (0..self.pins.len())
+                .filter(|&other| other != motor && is_one(other))
+                .for_each(|other| others.insert(other as u8));
+            others
+        };
+        [
+            (limits.rail_at_once, others(&|other| layout.rail(other) == layout.rail(motor))),
+            (limits.chip_at_once, others(&|other| layout.chip(other) == layout.chip(motor))),
+        ]
+    }
+
+    /// As many others of a group have pulses in these lines as may.
+    fn is_full(&self, motor: usize, pulses: MotorSet) -> bool {
+        self.groups(motor).into_iter().any(|(limit, others)| (others & pulses).len() >= limit.into())
+    }
+
+    /// Another pin of a group that motors take turns in is above its goal; `since`: it was so without a pulse in the tick before.
+    fn waits_beside(&self, motor: usize, lines: Lines, since: bool) -> bool {
+        self.groups(motor).into_iter().any(|(limit, others)| {
+            u32::from(limit) <= others.len()
+                && others.without(lines.pulsing()).iter().any(|other| {
+                    let pin = &self.pins[usize::from(other)];
+                    pin.height > pin.goal && (!since || pin.waits > 0)
+                })
+        })
     }
 
     fn set_hold(&mut self, ticks: u32, now: u64) {
@@ -117,8 +153,10 @@ impl Rule {
         let takes_turns = self.layout.takes_turns(&self.limits);
         let longest = u64::from(self.layout.driver_lead() + DRIVER_TAIL + 2 * BLOCK)
             + if takes_turns { 64 * 3_000 } else { 0 };
-        for (motor, pin) in self.pins.iter_mut().enumerate() {
+        for motor in 0..self.pins.len() {
             let at = || format!("motor {motor} at {now}");
+            let has_room = is_ready && !(takes_turns && self.is_full(motor, run.lines.pulsing()));
+            let pin = &mut self.pins[motor];
             match run.lines.line(motor as u8) {
                 Line::Pulse(Direction::Up) => {
                     assert!(pin.rises && pin.height < pin.goal, "nothing takes it up: {}", at());
@@ -131,16 +169,18 @@ impl Rule {
                     }
                     assert!(pin.height > pin.goal, "it is not above its goal, {}: {}", pin.goal, at());
                     pin.height -= 1;
-                    (pin.still_since, pin.waits) = (now + 1, 0);
+                    (pin.still_since, pin.waits, pin.idles) = (now + 1, 0, 0);
                 }
                 Line::Off if pin.height > pin.goal => {
                     pin.waits += 1;
-                    assert!(takes_turns || !is_ready, "it waits for nothing: {}", at());
+                    pin.idles = if has_room { pin.idles + 1 } else { 0 };
+                    // The device sees in the next tick that another's burst has ended early.
+                    assert!(pin.idles <= takes_turns.into(), "it waits for nothing: {}", at());
                     assert!(pin.waits <= longest, "it waits for too long: {}", at());
                 }
                 Line::Off => {
                     assert!(pin.height == pin.goal, "it is not at its goal, {}: {}", pin.goal, at());
-                    pin.waits = 0;
+                    (pin.waits, pin.idles) = (0, 0);
                     let still = now - pin.still_since;
                     pin.may_fall |= pin.goal > 0 && still > hold.min(before);
                     if pin.goal > 0 && now > (pin.still_since + hold).max(since) + LATEST_CHECK {
@@ -150,11 +190,11 @@ impl Rule {
             }
             pin.rises &= pin.height < pin.goal;
         }
+        self.before = run.lines;
     }
 
     /// The next move of a motor begins.
     fn begin(&mut self, motor: usize, now: u64, lines: Lines) {
-        let (limits, layout) = (self.limits, self.layout);
         let pin = &mut self.pins[motor];
         let Some((to, joined)) = pin.queue.pop_front() else { return };
         assert_eq!(to.tick.0, now, "motor {motor}: a move was forgotten");
@@ -170,14 +210,24 @@ impl Rule {
         }
         if lines.up.contains(motor as u8) {
             pin.rises = true;
+            assert!(
+                !self.waits_beside(motor, lines, true),
+                "motor {motor} at {now}: another comes down first"
+            );
             return;
         }
         // A limit refuses it.
         pin.goal = before.min(pin.height);
         let second = pin.queue.pop_front_if(|(_, joined)| *joined);
         self.refused += 1 + u64::from(second.is_some());
+        let none = self.layout.no_limits();
+        let has_on_time = self.limits.motor < none.motor || self.limits.rail < none.rail;
+        let pulses = lines.pulsing() | self.before.pulsing();
         assert!(
-            limits != layout.no_limits() || self.is_dense(now),
+            has_on_time
+                || self.is_dense(now)
+                || self.is_full(motor, pulses)
+                || self.waits_beside(motor, Lines::OFF, false),
             "motor {motor} at {now}: no limit refuses"
         );
     }
@@ -298,11 +348,11 @@ impl Rule {
     /// All lines have gone off: pins stay where they are.
     pub(crate) fn turn_off(&mut self) {
         self.clear();
-        (self.hold, self.enabled) = ([u64::MAX / 2; 2], 0);
+        (self.hold, self.enabled, self.before) = ([u64::MAX / 2; 2], 0, Lines::OFF);
         for pin in &mut self.pins {
             (pin.height, pin.goal, pin.rises, pin.may_fall) = (pin.shown, pin.shown, false, false);
             // It waits for the drivers anew when the device is armed again, perhaps in this tick.
-            pin.waits = 0;
+            (pin.waits, pin.idles) = (0, 0);
         }
     }
 

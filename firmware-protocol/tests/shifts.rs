@@ -165,32 +165,6 @@ fn an_on_time_limit_refuses_moves_up_when_they_begin_and_is_named() {
     }
 }
 
-/// A way up needs its own pulses, those of its way back, and those of the way back of every pin of the rail that is up.
-#[test]
-fn the_on_time_of_the_ways_down_is_reserved() {
-    for shell in SHELLS {
-        for (limit, plays) in [(100, true), (99, false)] {
-            for (motor, rail, others) in [(limit, 510_000, [3, 3]), (85_000, limit, [3, 4])] {
-                let mut bench = Bench::limited(shell, motor, rail);
-                let at = bench.soon();
-                let [first, second] = others;
-                let level = if first == second { 50 } else { 20 };
-                bench.moves(&[to(first, at, 30), to(second, at + 200, level)]);
-                bench.run(500);
-                assert_eq!(
-                    bench.device.counters().refused,
-                    u64::from(!plays),
-                    "{limit} {others:?} {shell:?}"
-                );
-                bench.control(Op::Stop);
-                bench.settle();
-                assert_eq!((bench.net(3), bench.net(4)), (0, 0));
-                assert!(bench.total() <= u64::from(limit));
-            }
-        }
-    }
-}
-
 /// A host that has read no report for a while still learns of each refused move. Until then each takes a credit, so the device
 /// never holds more of them than it has places.
 #[test]

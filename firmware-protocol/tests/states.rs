@@ -1,9 +1,8 @@
 //! The effect of each event in each state of the controller, and the device's reports about itself.
 
 use crate::bench::{Bench, FIRMWARE, HOST_TIMEOUT, MOTORS, SHELLS, Shell, stroke};
-use crate::interruptions::planned;
 use firmware_protocol::limits::Refusal;
-use firmware_protocol::message::{Cause, DeviceMessage, Op, Report, Samples, State};
+use firmware_protocol::message::{Cause, DeviceMessage, Op, Samples, State};
 use firmware_protocol::stroke::Direction::Up;
 use firmware_protocol::tick::Tick;
 
@@ -117,30 +116,6 @@ fn every_event_in_every_state() {
                     assert_eq!(bench.total(), total);
                 }
             }
-        }
-    }
-}
-
-#[test]
-fn moves_are_refused_in_all_states_but_armed() {
-    for (name, make) in STATES {
-        let mut bench = make(FIRMWARE);
-        let next = stroke(9, bench.now + 300, 5, 5, 5);
-        bench.onset(next.up.0, &[next]);
-        bench.run(400);
-        if name == "armed" {
-            assert_eq!(bench.bursts(9), planned(&next));
-        } else {
-            let Report::Verdict { late: 0, refused: 0b11, reason, .. } = bench.reports()[0..]
-                .iter()
-                .copied()
-                .find(|report| matches!(report, Report::Verdict { .. }))
-                .expect("a verdict")
-            else {
-                panic!("{name}")
-            };
-            assert_eq!(reason, Some(Refusal::NotArmed));
-            assert_eq!((bench.bursts(9), bench.device.counters().refused), (vec![], 2));
         }
     }
 }

@@ -2,8 +2,6 @@
 
 /// Corrections of queued moves.
 mod amendments;
-/// Motors that have pulses at once.
-mod at_once;
 /// A shell around the controller that plays it tick by tick and records the lines.
 mod bench;
 /// The board report and the self-test.
@@ -12,7 +10,7 @@ mod board;
 mod edges;
 /// The bytes of every message.
 mod golden;
-/// Stops, faults and silent hosts at every phase of a stroke.
+/// Stops, e-stops and silent hosts.
 mod interruptions;
 /// Moves to levels: up in time only, down at once.
 mod levels;

@@ -79,30 +79,5 @@ mod tests {
                 }
             }
         }
-
-        /// More motors than fit in a byte of blocks: the two moves of each motor that may begin in a block.
-        #[test]
-        fn all_motors_of_the_largest_array_may_begin_twice_in_a_block(pauses in prop::collection::vec(0usize..60, 1..50)) {
-            let id = *Layout::PAPER.id();
-            let motors = crate::array::CAPACITY;
-            let groups: std::vec::Vec<u8> = (0..motors as u8).collect();
-            let id = crate::array::ArrayId { motors: motors as u8, ..id };
-            let layout = Layout::new(id, &groups, &groups, 3_000, 17_000).unwrap();
-            let mut density = Density::new(&layout);
-            let (mut block, mut begun) = (0, std::vec::Vec::new());
-            for pause in pauses {
-                for _ in 0..=pause {
-                    density.next_block();
-                    block += 1;
-                }
-                for _ in 0..2 * motors {
-                    let fits = begun.iter().filter(|&&at| at + 53 > block).count() < 8 * motors;
-                    prop_assert_eq!(density.begin().is_ok(), fits);
-                    if fits {
-                        begun.push(block);
-                    }
-                }
-            }
-        }
     }
 }
