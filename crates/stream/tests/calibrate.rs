@@ -7,7 +7,7 @@ use meissner_array::random;
 use meissner_array::simulated::{SimulatedMotors, SimulatedMotorsConfig};
 use meissner_array::spec::Array;
 use meissner_stream::calibrate::{
-    BurstTravel, Calibration, FitPoint, MAX_BYTES, MotorFit, Plan, PlannedBurst, STROKES_PER_GROUP, fit,
+    BurstTravel, Calibration, MAX_BYTES, Plan, PlannedBurst, STROKES_PER_GROUP, fit,
     travels_by_sensor, travels_by_telemetry,
 };
 use meissner_stream::{Settings, simulate_play};
@@ -204,42 +204,6 @@ fn a_file_is_read_back_as_the_same_calibration() {
     assert!(!some.to_toml().contains("date"));
     assert_eq!(some.gain(20, Direction::Up), fits[20].up.gain(Array::paper().motor()));
     assert_eq!((some.gain(4, Direction::Up), some.motor(4)), (1.0, None));
-}
-
-#[test]
-fn the_longest_calibration_is_written_and_read_again() {
-    let point = |pulses| FitPoint { pulses, travel_um: -99.999, sd_um: 99.999, bursts: 10_000 };
-    let points: Vec<_> = (101..=200).map(point).collect();
-    let mut good = Calibration::parse(FILE, "good.toml").unwrap().motors()[0].clone();
-    assert!(good.up_points.is_empty(), "files of format 1 have none");
-    for fit in [&mut good.up, &mut good.down] {
-        fit.bursts = 1_000_000;
-        (fit.slope_um_per_pulse, fit.slope_se_um_per_pulse) =
-            (0.140_123_456_789_012_3, 1.234_567_890_123_456_7e-12);
-        (fit.offset_um, fit.relative_sd) = (-1.234_567_890_123_456_7e-12, 1.234_567_890_123_456_7e-12);
-    }
-    let motor =
-        |motor| MotorFit { motor, up_points: points.clone(), down_points: points.clone(), ..good.clone() };
-    let words = "\u{1}".repeat(200);
-    let of = |words: &String| words.clone();
-    let (device, firmware, identity, telemetry) = (of(&words), of(&words), of(&words), of(&words));
-    let made = Provenance { device, firmware, identity, telemetry, date: Some(words), ..provenance() };
-    let all = Calibration::new(Array::paper(), (0..24).map(motor).collect(), made).unwrap();
-    let text = all.to_toml();
-    assert!(text.len() < MAX_BYTES && text.contains("[101, -99.999, 99.999, 10000]"), "{}", text.len());
-    assert_eq!(Calibration::parse(&text, "c.toml"), Ok(all));
-
-    // Digits that no measurement has would make the file too long to be read again.
-    let digits = |um: f64| {
-        FILE.replace("blocks = 180\n", &format!("blocks = 180\npoints = [[7, {um:.300}, {um:.300}, 180]]\n"))
-    };
-    let read = Calibration::parse(&digits(1e-280), "c.toml").unwrap();
-    assert_eq!(
-        (read.motors()[0].up_points[0].travel_um, read.to_toml().len() < 1200),
-        (0.0, true),
-        "{}",
-        read.to_toml()
-    );
 }
 
 const FILE: &str = r#"format = 1

@@ -121,37 +121,6 @@ fn a_cut_does_not_forget_whether_telemetry_showed_the_pins() {
     assert!(!last_snapshot(&rig.take_events()).pins.seen);
 }
 
-/// Telemetry that showed the pins is expected to show them again. If it does, it overrides the operator; if not, the estimate
-/// from before stays.
-#[test]
-fn arming_forgets_nothing_where_telemetry_showed_the_pins() {
-    for comes_back in [true, false] {
-        let mut rig = Rig::armed(Line::default(), 5);
-        rig.start(&all_motors(10.0), None);
-        rig.run_ms(6000);
-        rig.send(Command::Disarm);
-        rig.run_ms(500);
-        let before = last_snapshot(&rig.take_events());
-        let farthest = |of: &[f32]| of.iter().fold(0.0, |most: f32, um| most.max(um.abs()));
-        assert!(before.pins.seen && farthest(&before.pins.rest.um) > 60.0, "{before:?}");
-        rig.mock.filter_telemetry(move |_| comes_back);
-        rig.send(Command::Arm { assume_rest: true });
-        rig.run_ms(4000);
-        let after = last_snapshot(&rig.take_events());
-        assert_eq!((after.state, after.pins.seen), (State::Armed, comes_back));
-        if comes_back {
-            assert_eq!(*after.pins.rest.source, [ErrorSource::Telemetry; MOTORS]);
-            for (&shown, motor) in after.pins.rest.um.iter().zip(0..) {
-                let um = rig.mock.position_um(motor);
-                assert!((f64::from(shown) - um).abs() < 0.5, "motor {motor}: {shown} um shown, {um} um true");
-            }
-        } else {
-            assert_eq!(*after.pins.rest.source, [ErrorSource::DeadReckoning; MOTORS]);
-            assert_eq!(after.pins.rest.um, before.pins.rest.um);
-        }
-    }
-}
-
 #[test]
 fn home_returns_pins_between_plays_or_gives_the_reason() {
     let mut rig = Rig::armed(Line::default(), 5);
@@ -313,29 +282,6 @@ fn a_homing_cut_by_the_device_is_answered_once() {
     rig.stall(Duration::from_millis(600));
     rig.run_ms(1000);
     assert_eq!(rig::answers(&rig.take_events(), home).count(), 1);
-}
-
-/// Lost acknowledgements, stops and immediate plays: position control finds no sensor fault.
-#[test]
-fn a_bad_line_causes_no_sensor_fault() {
-    for seed in 0..12 {
-        let mut rig =
-            Rig::new(Line { loss: 0.002, jitter: Duration::from_micros(500), ..Line::default() }, seed);
-        rig.arm();
-        for round in 0..10 {
-            rig.start_with(&two_motors(), Some(0.4), |play| {
-                (play.open_loop, play.replace) = (false, round % 3 == 1);
-            });
-            rig.run_ms(150 + 40 * round);
-            if round % 4 == 2 {
-                rig.send(Command::Stop);
-            }
-        }
-        rig.run_ms(1000);
-        let faulted =
-            rig.take_events().into_iter().find(|event| matches!(event, StreamEvent::SensorFault { .. }));
-        assert!(faulted.is_none(), "seed {seed}: {faulted:?}");
-    }
 }
 
 /// Corrections use no on-time that the plan needs, and cross no play's end.

@@ -1,16 +1,14 @@
 //! Drift without telemetry and stop: the estimate is true, grows with each play, and limits them; calibration and `home` change it
 //! by what they know.
 
-use firmware_protocol::message::State;
 use meissner_api::{EndCause, ErrorSource};
 use meissner_array::pattern::Pattern;
 use meissner_array::per_motor::PerMotor;
 use meissner_array::random::normal;
 use meissner_array::simulated::SimulatedMotorsConfig;
 use meissner_array::spec::Array;
-use meissner_array::strokes::{StrokeOptions, Strokes};
 use meissner_stream::queues::{Command, CommandError, End, Snapshot};
-use meissner_stream::{Gains, LowerStopSettings, Settings, forecast_drift};
+use meissner_stream::{Gains, Settings};
 use meissner_test_support::paper::MOTORS;
 use meissner_test_support::patterns::{drive, pattern};
 use meissner_test_support::rig::{Rig, answer, last_snapshot, outcomes};
@@ -66,67 +64,6 @@ fn estimates(rig: &mut Rig) -> Vec<f64> {
     let snapshot = last_snapshot(&rig.take_events());
     assert_eq!(*snapshot.pins.rest.source, [ErrorSource::DeadReckoning; MOTORS]);
     snapshot.pins.rest.um.iter().copied().map(f64::from).collect()
-}
-
-/// Of 40 trials without telemetry and stop, the daemon plays three whole ones; the fourth ends at the limit, and the fifth is
-/// refused, each with the reason.
-#[test]
-fn forty_trials_without_telemetry_are_refused_at_the_limit_with_the_reason() {
-    for seed in 0..3 {
-        let config = SimulatedMotorsConfig { end_stop_um: 500.0, ..blind(seed) };
-        let mut rig = rig(&config, Settings::of(Array::paper()).drift_limit_um);
-        let (mut whole, mut cut, mut refused, mut last_um) = (0, 0, 0, 0.0);
-        for _ in 0..40 {
-            let (answer, snapshot, ends) = play_trial(&mut rig);
-            match answer {
-                Some(Ok(())) => match ends[..] {
-                    [(End::Done, None)] => whole += 1,
-                    [(End::Stopped, Some(EndCause::DriftLimit))] => cut += 1,
-                    _ => panic!("{ends:?}"),
-                },
-                Some(Err(refusal @ CommandError::DriftLimit { um, limit_um: 150 })) => {
-                    refused += 1;
-                    assert_eq!(um, snapshot.pins.rest.um[0].round() as u32);
-                    let line = refusal.to_string();
-                    assert!(
-                        line.starts_with("pins may be 15") && line.contains("drift_limit_um = 150"),
-                        "{line}"
-                    );
-                    assert!(line.contains("`meissner home`") && line.contains("--checked NAME"), "{line}");
-                }
-                other => panic!("{other:?}"),
-            }
-            assert_eq!(snapshot.state, State::Armed);
-            assert!(snapshot.pins.rest.um[0] >= last_um, "it never shrinks by itself");
-            last_um = snapshot.pins.rest.um[0];
-        }
-        assert_eq!((whole, cut, refused), (3, 1, 36));
-        // No pin is much farther than that; without the limit they would be: the worst of 24 is two or three deviations off.
-        assert!(positions(&rig).all(|um| um.abs() < 4.0 * 150.0));
-        // Once somebody has levelled the pins, a play of pins that rest where they were may begin.
-        rig.send(Command::Disarm);
-        rig.run_ms(200);
-        rig.arm();
-        assert_eq!(play_trial(&mut rig).2, [(End::Done, None)]);
-    }
-}
-
-/// The estimate is the true root mean square over motors and arrays, within a quarter.
-#[test]
-fn the_estimate_is_the_true_root_mean_square_of_many_pins() {
-    for trials in [1, 4, 12] {
-        let (mut estimated, mut real) = (Vec::new(), Vec::new());
-        for seed in 0..8 {
-            let mut rig = rig(&blind(seed), f32::INFINITY);
-            for _ in 0..trials {
-                play_trial(&mut rig);
-            }
-            real.extend(positions(&rig));
-            estimated.extend(estimates(&mut rig));
-        }
-        let (estimated, real) = (rms(estimated), rms(real));
-        assert!((0.8..1.25).contains(&(estimated / real)), "{trials}: {estimated} {real}");
-    }
 }
 
 /// A calibration explains the drift so far: what is uncertain shrinks to scatter and the gains' own errors. `home` then moves
@@ -195,42 +132,6 @@ fn the_estimate_outlives_disarming_and_unplugging() {
     assert_eq!(play_trial(&mut rig).2, [(End::Done, None)]);
 }
 
-/// While nobody looks, the estimate sums up over arms, and a script may arm until it is too large. Once somebody looks, it begins
-/// anew.
-#[test]
-fn arms_that_nobody_has_checked_leave_the_estimate() {
-    let mut rig = rig(&blind(1), 150.0);
-    // Only this motor is driven: the others have no estimate.
-    let estimate = |rig: &mut Rig| {
-        rig.run_ms(1100);
-        f64::from(last_snapshot(&rig.take_events()).pins.rest.um[3])
-    };
-    let one = pattern("one", Some(1.0 / 60.0), [drive(3, 60.0, 80.0)]);
-    let (mut um, mut taken) = (0.0, 0);
-    let refused = loop {
-        rig.start(&one, None);
-        rig.run_ms(200);
-        let now = estimate(&mut rig);
-        assert!(now > um, "{um} {now}");
-        um = now;
-        rig.send(Command::Disarm);
-        rig.run_ms(200);
-        rig.take_events();
-        let ticket = rig.send(Command::ArmUnchecked);
-        rig.run_ms(200);
-        match answer(&rig.take_events(), ticket).unwrap() {
-            Ok(()) => taken += 1,
-            Err(refused) => break refused,
-        }
-        assert!(um <= 20.0 && taken < 10, "{um}");
-    };
-    assert_eq!(refused, CommandError::LevelNotChecked { um: um.round() as u32 });
-    let ticket = rig.send(Command::Arm { assume_rest: true });
-    rig.run_ms(200);
-    assert_eq!(answer(&rig.take_events(), ticket), Some(Ok(())));
-    assert_eq!(estimate(&mut rig), 0.0);
-}
-
 /// An arm in each millisecond of a play and after it: none is decided on an estimate from before the play's end.
 #[test]
 fn no_moment_of_an_unchecked_arm_slips_past_the_estimate() {
@@ -248,46 +149,4 @@ fn no_moment_of_an_unchecked_arm_slips_past_the_estimate() {
             "{ms} ms: {answered:?}"
         );
     }
-}
-
-/// What a plan is told before it begins is what the streamer does with it on a device without telemetry.
-#[test]
-fn a_forecast_ends_where_the_play_ends() {
-    let array = Array::paper();
-    let pattern = pattern("plan", Some(60.0), [drive(3, 62.5, 80.0), drive(9, 62.5, 120.0)]);
-    let strokes = Strokes::new(&pattern, &StrokeOptions::default()).unwrap();
-    let settings = Settings { end_stop_um: 10_000.0, ..Settings::of(array) };
-    let uncalibrated = PerMotor::all(array, Gains::default());
-    let forecast = forecast_drift(strokes.clone(), &settings, &uncalibrated).unwrap();
-    let stopped_at = forecast.stopped_at.expect("it drifts beyond the limit");
-    assert_eq!((forecast.motor, forecast.followed_until), (9, None));
-    assert!((150.0..160.0).contains(&forecast.um), "{forecast:?}");
-
-    let config = blind(5);
-    let mut rig = rig(&config, settings.drift_limit_um);
-    let onset = {
-        rig.start(&pattern, None);
-        rig.run_ms(30_000);
-        let events = rig.take_events();
-        let outcomes = outcomes(&events);
-        let [outcome] = &outcomes[..] else { panic!("{} plays have ended", outcomes.len()) };
-        assert_eq!(outcome.cause, Some(EndCause::DriftLimit));
-        outcome.pulses.played
-    };
-    // Both go by the same strokes: as many pulses as the forecast had until then, and those of the strokes that the stop has returned.
-    let mut strokes_until = strokes.clone();
-    strokes_until.begin(firmware_protocol::tick::Tick(0));
-    let pulses_to = |until: u64| {
-        let steps = strokes_until.clone().map(Result::unwrap);
-        steps.take_while(|step| step.begin().0 < until).map(|step| u64::from(step.pulses())).sum::<u64>()
-    };
-    let (least, most) = (pulses_to(stopped_at - 6 * 1360), pulses_to(stopped_at + 6 * 1360));
-    assert!((least..=most).contains(&onset), "{onset} pulses, not {least} to {most}");
-
-    // A calibration makes it later, a lower stop ends it.
-    let calibrated = forecast_drift(strokes.clone(), &settings, &true_gains(&config)).unwrap();
-    assert!(calibrated.stopped_at.is_none_or(|later| later > stopped_at), "{calibrated:?}");
-    let stop = Settings { lower_stop: Some(LowerStopSettings::of(array)), ..settings };
-    let still = forecast_drift(strokes, &stop, &uncalibrated).unwrap();
-    assert_eq!((still.stopped_at, still.um), (None, 0.0));
 }

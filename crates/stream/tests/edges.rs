@@ -76,25 +76,6 @@ fn a_play_begins_the_delay_after_its_edge_exact_to_the_tick() {
     }
 }
 
-#[test]
-fn an_edge_marks_when_nothing_waits() {
-    let mut rig = Rig::armed(Line::default(), 3);
-    let between = edge_in(&mut rig, 10);
-    rig.run_ms(20);
-    rig.start(&rig::pattern("pin-60"), Some(0.3));
-    rig.run_ms(100);
-    let within = edge_in(&mut rig, 10);
-    rig.run_ms(500);
-    let events = rig.take_events();
-    let found: Vec<_> = edges(&events)
-        .into_iter()
-        .map(|(edge, play, does)| (edge.number, edge.at.tick, play, does))
-        .collect();
-    assert_eq!(found, [(1, between, None, EdgeEffect::Mark), (2, within, Some(1), EdgeEffect::Mark)]);
-    let outcome = rig::into_outcomes(events).pop().unwrap();
-    assert_eq!((outcome.end, outcome.started_by, outcome.stopped_by), (End::Done, None, None));
-}
-
 /// The second edge comes while the first play runs and only marks: the second play waits for its end.
 #[test]
 fn waiting_plays_take_an_edge_each() {
@@ -152,33 +133,6 @@ fn edges_during_an_emergency_stop_mark_and_start_nothing() {
     );
 }
 
-#[test]
-fn an_edge_stops_a_play_that_asks_for_it() {
-    let mut rig = Rig::armed(Line::default(), 5);
-    let (id, _) = start(&mut rig, 20 * MS, true);
-    let (next, _) = start(&mut rig, 20 * MS, true);
-    rig.run_ms(20);
-    // One edge starts it, one within the delay only marks, one stops it.
-    let [first, within, last] = [0, 5 * MS, 120 * MS].map(|ahead| edge_in(&mut rig, ahead));
-    rig.run_ms(600);
-    let events = rig.take_events();
-    let found: Vec<_> =
-        edges(&events).into_iter().map(|(edge, play, does)| (edge.at.tick, play, does)).collect();
-    let wanted = [
-        (first, Some(id), EdgeEffect::Start),
-        (within, None, EdgeEffect::Mark),
-        (last, Some(id), EdgeEffect::Stop),
-    ];
-    assert_eq!(found, wanted);
-    let [stopped, queued] = &rig::into_outcomes(events)[..] else { panic!("two plays") };
-    assert_eq!((stopped.end, &stopped.cause), (End::Stopped, &Some(EndCause::Edge)));
-    assert_eq!(stopped.stopped_by.map(|edge| edge.at.tick), Some(last));
-    let cut = stopped.onset.unwrap().actual + stopped.cut_after.unwrap();
-    assert!(cut > last && cut - last < 5 * MS, "{} ticks after the edge", cut - last);
-    // The ordinary stop clears the queue.
-    assert_eq!((queued.play.id, &queued.cause), (next, &Some(EndCause::Stop)));
-}
-
 /// Its report may come before that of the onset.
 #[test]
 fn an_edge_right_after_the_onset_stops_the_play() {
@@ -198,19 +152,7 @@ fn an_edge_right_after_the_onset_stops_the_play() {
 }
 
 #[test]
-fn what_no_edge_can_start_is_refused_when_it_is_ordered() {
-    let mut rig = Rig::armed(Line::default(), 6);
-    let (_, short) = start(&mut rig, 4 * MS, false);
-    let (_, waits) = start(&mut rig, 5 * MS, false);
-    let mut fixed = rig.play(&rig::pattern("pin-60"), Some(0.3));
-    fixed.at = At::After(1_000_000_000);
-    let fixed = rig.send(Command::Play(Box::new(fixed)));
-    rig.run_ms(20);
-    let events = rig.take_events();
-    assert_eq!(answer(&events, short), Some(Err(CommandError::EdgeTooSoon { least_ms: 5 })));
-    assert_eq!(answer(&events, waits), Some(Ok(())));
-    assert_eq!(answer(&events, fixed), Some(Err(CommandError::BehindEdge)));
-
+fn a_board_without_a_trigger_input_starts_no_play_by_an_edge() {
     let mut rig = Rig::new(Line::default(), 6);
     rig.lie(|message| {
         if let DeviceMessage::Hello(hello) = message {
@@ -294,25 +236,6 @@ fn edges_that_cannot_be_true_are_ignored() {
         let wanted = if lie == 0 { 0 } else { 2 };
         assert_eq!(edges(&rig.take_events()).len(), wanted, "{lie}");
     }
-}
-
-#[test]
-fn a_device_that_comes_back_plays_nothing_of_a_play_that_waited() {
-    let mut rig = Rig::armed(Line::default(), 12);
-    let (id, _) = start(&mut rig, 100 * MS, false);
-    rig.run_ms(20);
-    rig.unplug();
-    rig.run_ms(100);
-    rig.connect();
-    rig.run_ms(500);
-    rig.mock.take_trace();
-    edge_in(&mut rig, 0);
-    rig.run_ms(500);
-    let events = rig.take_events();
-    assert_eq!(edges(&events).last().map(|&(_, play, does)| (play, does)), Some((None, EdgeEffect::Mark)));
-    let outcome = rig::into_outcomes(events).pop().unwrap();
-    assert_eq!((outcome.play.id, &outcome.cause, outcome.onset), (id, &Some(EndCause::Unplugged), None));
-    assert_eq!(first_pulse(&mut rig), None);
 }
 
 #[test]

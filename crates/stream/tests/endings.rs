@@ -67,33 +67,18 @@ fn the_offset_of_a_whole_play_is_the_end_of_its_last_pulse() {
     }
 }
 
-#[test]
-fn the_offset_of_a_stopped_play_includes_the_return() {
-    for command in [|| Command::Stop, || Command::Disarm] as [fn() -> Command; 2] {
-        for phase in 0..40u32 {
-            let mut rig = Rig::armed(Line::default(), 3);
-            rig.start_closed(&mixed(Some(5.0)), None);
-            rig.run(400 * MS + phase * MS / 2);
-            rig.mock.take_trace();
-            rig.send(command());
-            rig.run_ms(100);
-            let outcome = rig.outcomes().remove(0);
-            assert_eq!(outcome.end, End::Stopped);
-            assert_offset(&mut rig, &outcome, &format!("phase {phase}"));
-            let (cut, onset) = (outcome.cut_after.unwrap(), outcome.onset.unwrap().actual);
-            let over = outcome.offset.unwrap().tick - onset;
-            assert!(cut <= over + 2_000 && over <= cut + 2_000, "{cut} and {over}");
-        }
-    }
-}
-
-/// Of a rail whose motors may not have pulses at once, and of a motor whose drivers are off in its pauses.
-fn slow_returns() -> [(Pattern, PowerLimits); 2] {
+/// Of a rail whose motors may not have pulses at once, of motors whose drivers are off in their pauses or holds, and of many.
+fn slow_returns() -> [(Pattern, PowerLimits); 4] {
     let turns = [0, 1, 2].map(|motor| Drive { phase: 0.1 * f64::from(motor), ..drive(motor, 10.0, 80.0) });
-    let one = PowerLimits { rail_at_once: 1, chip_at_once: 1, ..Array::paper().layout().no_limits() };
+    let no_limits = Array::paper().layout().no_limits();
+    let one = PowerLimits { rail_at_once: 1, chip_at_once: 1, ..no_limits };
+    let held =
+        "format = 2\nname = \"held\"\n[[ramp]]\nmotor = 9\nto_um = 200.0\nrise_s = 0.05\nhold_s = 9.0\n";
     [
         (pattern("turns", Some(5.0), turns), one),
-        (pattern("pauses", Some(5.0), [drive(2, 10.0, 80.0)]), Array::paper().layout().no_limits()),
+        (pattern("pauses", Some(5.0), [drive(2, 10.0, 80.0)]), no_limits),
+        (Pattern::parse(held, "held.toml").unwrap(), no_limits),
+        (mixed(Some(5.0)), no_limits),
     ]
 }
 
@@ -113,17 +98,18 @@ fn the_offset_of_a_stopped_play_includes_what_the_return_waits_for() {
             waited = waited.max(outcome.offset.unwrap().tick.since(onset + cut));
             assert_offset(&mut rig, &outcome, &format!("{} at phase {phase}", pattern.name()));
         }
-        assert!(waited > 600, "{waited}");
+        assert!(waited > 200, "{waited}");
     }
 }
 
 #[test]
 fn an_e_stop_in_the_return_of_a_stopped_play_is_its_offset() {
-    let [(pattern, limits), _] = slow_returns();
+    let (pattern, limits) = &slow_returns()[0];
     for ms in 3..12 {
-        let mut rig = Rig::with(Settings { limits, ..Settings::of(Array::paper()) }, Line::default(), 3);
+        let mut rig =
+            Rig::with(Settings { limits: *limits, ..Settings::of(Array::paper()) }, Line::default(), 3);
         rig.arm();
-        rig.start(&pattern, None);
+        rig.start(pattern, None);
         rig.run_ms(435);
         rig.send(Command::Stop);
         rig.run_ms(ms);
@@ -218,18 +204,6 @@ fn after_an_e_stop_the_offset_is_when_the_lines_went_off() {
 }
 
 #[test]
-fn a_play_whose_last_strokes_are_late_ends_with_the_last_one_played() {
-    let mut rig = Rig::armed(Line::default(), 6);
-    rig.start(&mixed(None), Some(1.0));
-    rig.run_ms(850);
-    rig.stall(190 * MS);
-    rig.run_ms(1000);
-    let outcome = rig.outcomes().remove(0);
-    assert!(outcome.end == End::Done && outcome.bursts.late > 0, "{outcome:?}");
-    assert_offset(&mut rig, &outcome, "late");
-}
-
-#[test]
 fn plays_without_a_gap_have_offsets_of_their_own_whatever_the_host_misses() {
     for stall in [0, 60, 180] {
         let mut rig = Rig::armed(Line::default(), 7);
@@ -250,26 +224,6 @@ fn plays_without_a_gap_have_offsets_of_their_own_whatever_the_host_misses() {
         }
         assert!(outcomes.iter().filter(|outcome| outcome.offset.is_none()).all(|o| o.bursts.played == 0));
     }
-}
-
-/// The device returned the pins when the host had been silent for 300 ms; all sent strokes were over by then.
-#[test]
-fn a_silent_host_learns_after_how_long_the_play_was_cut() {
-    let mut rig = Rig::armed(Line::default(), 8);
-    rig.start(&mixed(None), Some(3.0));
-    rig.run_ms(1000);
-    let silent = rig.now();
-    rig.stall(700 * MS);
-    rig.run_ms(1000);
-    let outcome = rig.outcomes().remove(0);
-    assert_eq!((outcome.end, outcome.cause.clone()), (End::Stopped, Some(EndCause::HostTimeout)));
-    assert_offset(&mut rig, &outcome, "lease");
-    let heard = RATE.duration_to_ticks(silent.since(outcome.onset.unwrap().at));
-    let cut = outcome.cut_after.unwrap();
-    assert!(
-        cut.abs_diff(heard + 25_500) < 25 * 85,
-        "{cut} after the onset, {heard} when the host fell silent"
-    );
 }
 
 /// The host no longer trusts the device: the daemon's own e-stop ends what counts as played, and the receipt says that it

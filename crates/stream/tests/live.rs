@@ -1,7 +1,6 @@
 //! Live plays in virtual time: what the streamer acknowledges is what the lines carry, tick for tick.
 
 use firmware_protocol::tick::Tick;
-use meissner_api::EndCause;
 use meissner_array::motor::SquareWave;
 use meissner_array::per_motor::PerMotor;
 use meissner_array::spec::Array;
@@ -10,7 +9,7 @@ use meissner_array::strokes::{LiveMotion, LiveStrokes};
 use meissner_stream::queues::{
     Applied, Command, CommandError, End, LiveResult, LiveUpdate, Outcome, Play, StreamEvent,
 };
-use meissner_stream::{Bandwidth, Line, Settings, Source};
+use meissner_stream::{Line, Source};
 use meissner_test_support::at_length;
 use meissner_test_support::paper::{MOTORS, RATE};
 use meissner_test_support::random::Random;
@@ -207,21 +206,6 @@ fn what_is_acknowledged_is_on_the_lines_tick_for_tick() {
 }
 
 #[test]
-fn updates_that_come_too_fast_are_merged() {
-    let mut live = LivePlay::start(Line { delay: 5 * MS, ..Line::default() }, 6, steady());
-    for number in 0..200 {
-        let mut waves = all(None);
-        waves[number % MOTORS] = Some(wave(60.0, number as f64 / 2.0, 0.0));
-        live.update(waves);
-        live.run(MS);
-    }
-    let merged =
-        live.results().iter().filter(|(_, result)| matches!(result, LiveResult::Merged { .. })).count();
-    assert!(merged > 100, "{merged}");
-    live.check();
-}
-
-#[test]
 fn a_lossy_line_delays_updates_and_loses_no_count() {
     // The later seeds have: a stroke of an undecided update too late to be sent (9, 13), an update while the window is full and
     // what is sent is over (21), a new drive's first stroke where two of the motor's periods may have brought it (5, 137).
@@ -261,29 +245,6 @@ fn on_a_good_line_an_update_is_decided_within_three_milliseconds() {
 }
 
 #[test]
-fn a_silent_client_ends_the_play_and_an_update_without_drives_keeps_it() {
-    let mut live = LivePlay::start(Line::default(), 7, steady());
-    for _ in 0..10 {
-        live.update(all(None));
-        live.run(400 * MS);
-    }
-    assert!(live.applied().iter().all(|(_, applied)| applied.motors == all(None)));
-    assert!(into_outcomes(std::mem::take(&mut live.events)).is_empty());
-    live.run(400 * MS);
-    live.update(all(None));
-    let outcome = into_outcomes(live.events).pop().expect("it ended");
-    assert_eq!((outcome.end, outcome.cause.clone()), (End::Stopped, Some(EndCause::ClientSilent)));
-    assert_closed(&outcome);
-    let late = live.rig.take_events();
-    assert!(
-        late.iter().any(
-            |event| matches!(event, StreamEvent::LiveUpdated(update) if update.result == LiveResult::Over)
-        )
-    );
-    assert_eq!(bursts_on_the_lines(&live.rig.mock.take_trace()).net, [0; MOTORS]);
-}
-
-#[test]
 fn a_stop_or_an_e_stop_in_the_middle_of_an_update_ends_it_at_once() {
     for command in [|| Command::Stop, || Command::EStop, || Command::Disarm] {
         for wait in 0..12 {
@@ -303,72 +264,6 @@ fn a_stop_or_an_e_stop_in_the_middle_of_an_update_ends_it_at_once() {
 }
 
 #[test]
-fn a_line_that_does_not_carry_the_updates_is_refused_beforehand() {
-    let settings = Settings::of(Array::paper());
-    let needs = |hz, updates_hz| Bandwidth::of_live(hz, updates_hz, &settings).unwrap().open.rate;
-    let slow = Line { bytes_per_s: 11_520, ..Line::default() };
-    // 24 motors at 60 Hz, 100 ms ahead: 7 strokes of each, at 6 bytes and their part of a frame.
-    assert!((1_000..1_300).contains(&((needs(60.0, 100.0) - needs(60.0, 0.0)) / 100)));
-    for (hz, updates_hz, fits) in
-        [(30.0, 5.0, true), (30.0, 50.0, false), (60.0, 5.0, false), (60.0, 1000.0, false)]
-    {
-        let mut rig = Rig::with(settings, slow, 1);
-        rig.run_ms(3_000);
-        rig.send(Command::Arm { assume_rest: true });
-        rig.run_ms(300);
-        rig.take_events();
-        let strokes = Source::Live(Box::new(LiveStrokes::new(steady())));
-        let bandwidth = Bandwidth::of_live(hz, updates_hz, &settings).unwrap();
-        let play = Play { open_loop: true, live: Some(TIMEOUT), bandwidth, ..Play::new(1, strokes) };
-        let ticket = rig.send(Command::Play(Box::new(play)));
-        let answer = answer(&rig.take_events(), ticket);
-        match answer {
-            Some(Ok(())) => assert!(fits, "{hz} Hz, {updates_hz}"),
-            Some(Err(refused @ CommandError::LineTooSlow { needs, frames, carries, .. })) => {
-                assert!(!fits, "{refused}");
-                assert_eq!((needs, frames), (bandwidth.open.rate, bandwidth.open.frames));
-                // What the line carries, whatever the play needs of it.
-                assert!((10_500..=11_520).contains(&carries), "{refused}");
-            }
-            other => panic!("{other:?}"),
-        }
-    }
-}
-
-/// A play that takes the place of another one gets none of its updates, and its own are applied.
-#[test]
-fn a_live_play_that_replaces_another_one_begins_anew() {
-    for wait in 0..12 {
-        let mut live = LivePlay::start(Line { delay: 2 * MS, ..Line::default() }, wait, steady());
-        for amplitude_um in [10.0, 20.0, 30.0] {
-            live.update(all(Some(wave(60.0, amplitude_um, 0.0))));
-            live.run(Duration::from_micros(300) * wait as u32);
-        }
-        let strokes = Source::Live(Box::new(LiveStrokes::new(all(wave(60.0, 50.0, 0.0)))));
-        let play = Play { open_loop: true, live: Some(TIMEOUT), replace: true, ..Play::new(7, strokes) };
-        live.rig.send(Command::Play(Box::new(play)));
-        live.run(200 * MS);
-        assert_eq!(live.results().len(), 3, "the first play's updates come back");
-        live.rig.mock.take_trace();
-        live.id = 7;
-        live.update(all(None));
-        live.run(100 * MS);
-        let pulses = bursts_on_the_lines(&live.rig.mock.take_trace());
-        // 50 um are 368 pulses; in 100 ms each of 24 motors has 12 bursts.
-        assert!(pulses.pulses.abs_diff(24 * 12 * 368) <= 48, "{wait}: {pulses:?}");
-        live.update(all(Some(wave(60.0, 0.0, 0.0))));
-        live.run(200 * MS);
-        assert!(matches!(live.results().last(), Some((5, LiveResult::Applied(_)))));
-        live.rig.send(Command::EndLive(7));
-        live.run(300 * MS);
-        let outcomes = into_outcomes(live.events);
-        outcomes.iter().for_each(assert_closed);
-        assert_eq!(outcomes.len(), 2);
-        assert!(outcomes[1].bursts.replaced > 0 && outcomes[1].bursts.late == 0, "{:?}", outcomes[1].bursts);
-    }
-}
-
-#[test]
 fn a_live_play_is_not_queued() {
     let mut rig = Rig::armed(Line::default(), 8);
     rig.start(&rig::pattern("pin-60"), Some(1.0));
@@ -379,42 +274,6 @@ fn a_live_play_is_not_queued() {
     assert_eq!(answer(&rig.take_events(), ticket), Some(Err(CommandError::Playing)));
     rig.run_ms(2_000);
     assert_eq!(rig.outcomes()[0].end, End::Done);
-}
-
-/// With a short lead little is on the device, and a lossy line makes updates come late: they go on all the same.
-#[test]
-fn a_short_lead_and_a_bad_line_do_not_end_the_updates() {
-    for (seed, lead_ms) in [(1, 5.0), (2, 10.0), (3, 20.0)] {
-        let settings = Settings { lead_ms, ..Settings::of(Array::paper()) };
-        let mut rig = Rig::with(settings, Line::default(), seed);
-        rig.arm();
-        let mut live = LivePlay::of(rig, Line { loss: 0.05, ..Line::default() }, steady());
-        let mut random = Random::new(seed);
-        for _ in 0..500 {
-            live.update(all(Some(wave(60.0, random.between(10.0, 100.0), 0.0))));
-            live.run(10 * MS);
-        }
-        let last = live.applied().last().map_or(0, |(number, _)| *number);
-        assert!(last > 480, "lead {lead_ms} ms: nothing applied after update {last}");
-        live.rig.send(Command::EndLive(live.id));
-        live.run(500 * MS);
-        into_outcomes(live.events).iter().for_each(assert_closed);
-    }
-}
-
-#[test]
-fn a_cable_that_is_pulled_gives_back_the_updates() {
-    let mut live = LivePlay::start(Line { delay: 3 * MS, ..Line::default() }, 3, steady());
-    for _ in 0..3 {
-        live.update(all(Some(wave(60.0, 30.0, 0.0))));
-        live.run(MS);
-    }
-    live.rig.unplug();
-    live.run(10 * MS);
-    assert_eq!(live.results().len(), 3);
-    let ended = live.events.iter().position(|event| matches!(event, StreamEvent::PlayEnded { .. })).unwrap();
-    let last = live.events.iter().rposition(|event| matches!(event, StreamEvent::LiveUpdated(_))).unwrap();
-    assert!(last < ended, "an update came back after the end of its play");
 }
 
 /// Levels at 60 Hz over good and bad lines, and of all pins as often as clients may send them, evenly and in bunches: the device refuses no

@@ -5,11 +5,8 @@ use meissner_array::pattern::Pattern;
 use meissner_array::simulated::SimulatedMotorsConfig;
 use meissner_array::spec::Array;
 use meissner_stream::Line;
-use meissner_stream::queues::{At, Command, End, Play, StreamEvent};
-use meissner_test_support::rig::{Rig, assert_closed, bad_line, bursts_on_the_lines};
-use std::time::Duration;
-
-const MS: Duration = Duration::from_millis(1);
+use meissner_stream::queues::{At, End, Play, StreamEvent};
+use meissner_test_support::rig::{Rig, bad_line};
 
 fn pattern(rest: &str) -> Pattern {
     Pattern::parse(&format!("format = 2\nname = \"test\"\n{rest}"), "test.toml").unwrap()
@@ -41,85 +38,6 @@ fn motions_are_played_tick_for_tick_over_good_and_bad_lines() {
     let all = rig.play_exactly(&noise_of_all(3.0), 3.0);
     let bytes = all.wire_bytes as f64 / all.bursts.planned as f64;
     assert!(bytes < 4.0, "{bytes}");
-}
-
-/// A minute of a sine of 10 Hz and 100 um: with telemetry the pin is near its level all the time, without it drifts.
-#[test]
-fn closed_loop_follows_a_sine_for_a_minute() {
-    let sine = pattern(
-        "[[tone]]\nmotor = 9\nfrequency_hz = 10.0\namplitude_um = 100.0\nabout_um = 60.0\nduration_s = 60.0\n\
-         envelope = { attack_s = 0.1, release_s = 0.1 }\n",
-    );
-    let farthest_um = |closed: bool| {
-        let mut rig = Rig::armed(Line::default(), 4);
-        rig.start_with(&sine, None, |play| play.open_loop = !closed);
-        rig.run_ms(1_000);
-        let (mut low_um, mut high_um) = (f64::MAX, f64::MIN);
-        for _ in 0..58_000 {
-            rig.run(MS);
-            let um = rig.mock.position_um(9);
-            (low_um, high_um) = (low_um.min(um), high_um.max(um));
-        }
-        rig.run_ms(2_000);
-        let outcome = rig.outcomes().remove(0);
-        assert_eq!((outcome.end, outcome.bursts.played), (End::Done, outcome.bursts.planned));
-        assert_closed(&outcome);
-        (10.0 - low_um).max(high_um - 110.0)
-    };
-    // A burst takes the pin by 30 um at most, and scatters by 10 %.
-    let (closed, open) = (farthest_um(true), farthest_um(false));
-    assert!(closed < 15.0 && open > 2.0 * closed, "{closed} um with telemetry, {open} um without");
-}
-
-/// A cut in each phase of a ramp and a hold: lines are low within the time of the return, and the pins are where they began.
-#[test]
-fn whatever_cuts_a_ramp_or_a_hold_brings_the_pin_down() {
-    #[derive(Clone, Copy, Debug)]
-    enum By {
-        Stop,
-        Disarm,
-        EStop,
-        Cable,
-    }
-    for by in [By::Stop, By::Disarm, By::EStop, By::Cable] {
-        // Rising, held, falling.
-        for ms in [110, 125, 149, 160, 400, 649, 660, 675, 690] {
-            let what = format!("{by:?} {ms} ms after the order");
-            let mut rig = Rig::armed(Line::default(), 5);
-            rig.mock.take_trace();
-            let onset = rig.mock.now() + 8_500;
-            rig.start_with(&pattern(RAMP), None, |play| play.at = At::Tick(onset));
-            rig.run_ms(ms);
-            let before = bursts_on_the_lines(&rig.mock.take_trace());
-            match by {
-                By::Stop => _ = rig.send(Command::Stop),
-                By::Disarm => _ = rig.send(Command::Disarm),
-                By::EStop => _ = rig.send(Command::EStop),
-                By::Cable => rig.unplug(),
-            }
-            rig.run(5 * MS);
-            let cut = bursts_on_the_lines(&rig.mock.take_trace());
-            // From 200 um a pin is down in 17.4 ms.
-            rig.run(20 * MS);
-            let mut net = before.net[9] + cut.net[9] + bursts_on_the_lines(&rig.mock.take_trace()).net[9];
-            if matches!(by, By::EStop) {
-                assert_eq!(i64::from(rig.mock.controller().outstanding(9)), net, "{what}");
-                rig.send(Command::Reset { estops_seen: u64::MAX, keep: true });
-                rig.run_ms(20);
-                rig.send(Command::Arm { assume_rest: false });
-                rig.run_ms(50);
-                let back = bursts_on_the_lines(&rig.mock.take_trace());
-                net += back.net[9];
-                assert!(back.net.iter().all(|&net| net <= 0), "{what}");
-            }
-            assert_eq!(net, 0, "{what}");
-            rig.run_ms(300);
-            assert_eq!(bursts_on_the_lines(&rig.mock.take_trace()).count, 0, "{what}");
-            let outcome = rig.outcomes().remove(0);
-            assert_closed(&outcome);
-            assert_eq!(outcome.end, End::Stopped, "{what}");
-        }
-    }
 }
 
 /// The device brings down a pin that is held for longer than its play allows, and the play's receipt is told which, when and why.

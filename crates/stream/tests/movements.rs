@@ -1,14 +1,11 @@
 //! What snapshots say that the pins do now, for each kind of play.
 
-use meissner_array::motor::SquareWave;
 use meissner_array::pattern::Pattern;
-use meissner_array::per_motor::PerMotor;
 use meissner_array::spec::Array;
 use meissner_stream::Line;
 use meissner_stream::queues::Command;
 use meissner_test_support::patterns::{self, drive};
 use meissner_test_support::rig::{Rig, last_snapshot};
-use std::time::Duration;
 
 /// Height, swing and strokes per second of each motor in the last snapshot.
 fn now(rig: &mut Rig) -> Vec<(f64, f64, f64)> {
@@ -62,26 +59,6 @@ fn drives_show_their_amplitude_and_frequency_and_after_the_play_nothing() {
     }
 }
 
-#[test]
-fn a_held_pin_shows_its_height_and_a_tone_about_a_height_both() {
-    let motions = pattern(
-        "[[ramp]]\nmotor = 9\nto_um = 200.0\nrise_s = 0.05\nhold_s = 1.5\nfall_s = 0.05\n\
-         [[tone]]\nmotor = 10\nfrequency_hz = 20.0\namplitude_um = 60.0\nabout_um = 50.0\nduration_s = 1.5\n\
-         envelope = { attack_s = 0.1, release_s = 0.1 }\n",
-    );
-    let mut rig = Rig::armed(Line::default(), 2);
-    rig.start(&motions, None);
-    rig.run_ms(1_000);
-    let pins = now(&mut rig);
-    assert_near(pins[9], (200.0, 0.0, 0.0));
-    let (height, swing, hz) = pins[10];
-    // The grid of the moves cuts the tops of a sine.
-    assert!((height - 50.0).abs() < 2.0 && (55.0..61.0).contains(&swing), "{height} um, {swing} um");
-    assert!((hz - 20.0).abs() < 0.7, "{hz} Hz");
-    rig.run_ms(1_200);
-    assert_still(&mut rig);
-}
-
 /// A stop while one pin is up and the others move.
 #[test]
 fn after_the_return_of_a_stopped_play_all_are_at_rest() {
@@ -101,32 +78,4 @@ fn after_the_return_of_a_stopped_play_all_are_at_rest() {
         rig.run_ms(400);
         assert_still(&mut rig);
     }
-}
-
-#[test]
-fn a_live_play_shows_what_its_last_update_drives() {
-    let wave = |hz, um| SquareWave::new(Array::paper(), hz, um, 0.0).unwrap();
-    let mut rig = Rig::armed(Line::default(), 5);
-    let id = rig.start_live(PerMotor::all(Array::paper(), wave(60.0, 80.0)), Duration::from_secs(5));
-    rig.run_ms(600);
-    for pin in now(&mut rig) {
-        assert_near(pin, (40.0, 80.0, 60.0));
-    }
-    let waves =
-        PerMotor::from_fn(
-            Array::paper(),
-            |motor| if motor == 7 { wave(100.0, 50.0) } else { wave(60.0, 0.0) },
-        );
-    let update = meissner_stream::queues::LiveUpdate {
-        motions: waves.map(|wave| Some(wave.into())),
-        ..meissner_stream::queues::LiveUpdate::new(Array::paper(), id, 1, rig.now())
-    };
-    rig.send(Command::UpdateLive(Box::new(update)));
-    rig.run_ms(600);
-    let pins = now(&mut rig);
-    assert_near(pins[7], (25.0, 50.0, 100.0));
-    assert_eq!(pins[8], (0.0, 0.0, 0.0));
-    rig.send(Command::EndLive(id));
-    rig.run_ms(600);
-    assert_still(&mut rig);
 }

@@ -2,11 +2,9 @@
 //!
 //! Each test sends commands at an awkward moment and counts the plays that start and end.
 
-use firmware_protocol::limits::PowerLimits;
 use firmware_protocol::message::State;
-use meissner_array::spec::Array;
+use meissner_stream::Line;
 use meissner_stream::queues::{At, Command, CommandError, End, StreamEvent};
-use meissner_stream::{Line, Settings};
 use meissner_test_support::rig::{self, Rig};
 use std::time::Duration;
 
@@ -62,37 +60,6 @@ fn a_play_behind_an_arm_that_timed_out_ends_with_it() {
     assert_eq!(started_and_ended(&rig.take_events()), (0, 1));
     assert_eq!(rig.mock.controller().state(), State::Disarmed);
     nothing_starts_later(&mut rig);
-}
-
-#[test]
-fn two_arms_in_a_row_leave_it_armed_and_playing() {
-    let mut rig = Rig::new(Line::default(), 23);
-    rig.run_ms(500);
-    rig.send(Command::Arm { assume_rest: true });
-    rig.send(Command::Arm { assume_rest: true });
-    send_play(&mut rig, "pin-60", Some(0.2), At::Next);
-    rig.run_ms(1000);
-    let outcomes = rig.outcomes();
-    assert_eq!(outcomes.iter().map(|outcome| outcome.end).collect::<Vec<_>>(), [End::Done]);
-    send_play(&mut rig, "pin-60", Some(0.2), At::Next);
-    rig.run_ms(1000);
-    assert_eq!(started_and_ended(&rig.take_events()), (1, 1));
-}
-
-#[test]
-fn tens_of_thousands_of_reports_later_verdicts_still_count() {
-    let settings = Settings {
-        limits: PowerLimits { motor: 300, ..Array::paper().layout().no_limits() },
-        ..Settings::of(Array::paper())
-    };
-    let mut rig = Rig::with(settings, Line { delay: 5 * MS, ..Line::default() }, 24);
-    rig.arm();
-    for round in 0..10 {
-        send_play(&mut rig, "all-in-phase", Some(6.0), At::Next);
-        rig.run_ms(7000);
-        rig.mock.take_trace();
-        assert_eq!(started_and_ended(&rig.take_events()), (1, 1), "round {round}");
-    }
 }
 
 #[test]

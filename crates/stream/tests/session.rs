@@ -292,37 +292,6 @@ fn an_e_stop_ahead_of_its_frame_is_answered() {
     assert!(!events.iter().any(|event| matches!(event, Event::Contradiction(_))), "{events:?}");
 }
 
-/// The host stands still in the first round of the link probe, so the answer measures the host, not the line. Frames that the
-/// line loses must not wait that long to be repeated.
-#[test]
-fn a_host_that_stalls_in_the_link_probe_does_not_make_the_line_slow() {
-    let mut pair = Pair::new();
-    while !pair.session.is_open() {
-        pair.exchange(0, 0);
-        pair.wait(170);
-    }
-    let mut frame = [0; MAX_FRAME];
-    let (now, tick) = (pair.now(), Tick::BOOT + pair.ticks);
-    let mut sent = 0;
-    loop {
-        let len = pair.session.transmit(now, &mut frame, &mut |_| {});
-        if len == 0 {
-            break;
-        }
-        sent += len;
-        pair.device.receive(tick, &frame[..len]);
-    }
-    assert!(sent > MAX_FRAME / 2 && !pair.session.is_probed(), "not in the probe: {sent} bytes");
-    pair.wait(850 * 75);
-    for _ in 0..40 {
-        pair.exchange(0, 0);
-        pair.wait(170);
-    }
-    assert!(pair.session.is_probed());
-    let rate = pair.session.capacity().unwrap();
-    assert!(rate > 10_000, "{rate} bytes/s");
-}
-
 fn arm() -> Command {
     let limits = Array::paper().layout().no_limits();
     Command::Arm { assume_rest: true, host_timeout: 850_000, limits, lower_stop: None }

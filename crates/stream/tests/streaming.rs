@@ -19,7 +19,6 @@ use meissner_test_support::at_length;
 use meissner_test_support::paper::RATE;
 use meissner_test_support::patterns::{self, drive};
 use meissner_test_support::rig::{self, Rig, bad_line};
-use proptest::prelude::*;
 use std::time::Duration;
 
 const MS: Duration = Duration::from_millis(1);
@@ -87,11 +86,9 @@ fn a_stall_drops_late_strokes_whole_or_ends_the_play_and_the_pins_come_down() {
         let [outcome] = &rig::into_outcomes(events)[..] else { panic!("one play") };
         assert_eq!((outcome.end, &outcome.cause), (end, &cause));
         rig::assert_closed(outcome);
-        if ms < 300 {
-            assert!(!late.is_empty() && late.iter().all(|late| late.0 == LateCause::Host && late.1 > 0.0));
-        }
+        assert!(late.iter().all(|late| late.0 == LateCause::Host && late.1 > 0.0));
         if end == End::Done {
-            assert_eq!(outcome.bursts.late, 2 * late.len() as u64);
+            assert!(!late.is_empty() && outcome.bursts.late == 2 * late.len() as u64);
         }
         let played = rig::bursts_on_the_lines(&rig.mock.take_trace());
         assert_eq!((outcome.pulses.played, played.net), (played.pulses, [0; 24]));
@@ -101,92 +98,34 @@ fn a_stall_drops_late_strokes_whole_or_ends_the_play_and_the_pins_come_down() {
 }
 
 #[test]
-fn an_e_stop_with_the_lead_full_leaves_no_line_high_and_arming_returns_the_pins() {
-    let pattern = rig::pattern("all-in-phase");
-    // At many phases of the stroke.
-    for phase in 0..34u32 {
-        let mut rig = Rig::armed(Line::default(), 9);
-        rig.start(&pattern, None);
-        rig.run(500 * MS + phase * MS / 2);
-        rig.mock.take_trace();
-        rig.send(Command::EStop);
-        // The command takes two steps of the simulation to the device.
-        rig.run(MS);
-        assert_eq!(rig.mock.controller().state(), State::Faulted);
-        rig.mock.take_trace();
-        rig.run_ms(500);
-        assert!(rig.mock.take_trace().iter().all(|(_, run)| run.lines == rig::OFF));
-        let outcome = rig.outcomes().remove(0);
-        assert_eq!((outcome.end, outcome.cause.clone()), (End::Stopped, Some(EndCause::EStop)));
-        rig::assert_closed(&outcome);
-        let outstanding: u16 = (0..24).map(|motor| rig.mock.controller().outstanding(motor)).sum();
-        rig.send(Command::Reset { estops_seen: u64::MAX, keep: true });
-        rig.run_ms(20);
-        rig.send(Command::Arm { assume_rest: false });
-        rig.run_ms(100);
-        let back = rig::bursts_on_the_lines(&rig.mock.take_trace());
-        assert_eq!(back.pulses, u64::from(outstanding));
-        assert!(back.net.iter().all(|&net| net <= 0));
-        assert_eq!(rig.mock.controller().state(), State::Armed);
-    }
-}
-
-#[test]
 fn pulling_the_cable_ends_the_play_and_the_device_comes_back_disarmed() {
-    let mut rig = Rig::armed(Line::default(), 10);
-    rig.start(&rig::pattern("all-in-phase"), None);
-    // Pins are up.
-    rig.run_ms(507);
-    let lost = rig.now();
-    rig.unplug();
-    rig.run_ms(100);
-    let outcome = rig.outcomes().remove(0);
-    assert_eq!((outcome.end, outcome.cause.clone()), (End::Stopped, Some(EndCause::Unplugged)));
-    rig::assert_closed(&outcome);
-    // When it ended is not known, but when it was lost.
-    let after = RATE.duration_to_ticks(lost.since(outcome.onset.unwrap().at));
-    assert!(outcome.offset.is_none() && outcome.cut_after.unwrap().abs_diff(after) <= 3, "{outcome:?}");
-    let played = rig::bursts_on_the_lines(&rig.mock.take_trace());
-    let counters = rig.mock.controller().counters();
-    assert_eq!((outcome.bursts.played, outcome.pulses.played), (counters.played, counters.pulses));
-    // Each pin came down by itself.
-    assert_eq!((played.net, played.count), ([0; 24], counters.played + 24));
-    rig.connect();
-    rig.run_ms(100);
-    let play = rig.start(&rig::pattern("pin-60"), Some(1.0));
-    assert_eq!(rig::answer(&rig.take_events(), play), Some(Err(CommandError::Disarmed)));
-}
-
-#[test]
-fn an_arm_that_failed_has_no_effect_when_the_link_is_back() {
-    let mut rig = Rig::new(Line::default(), 23);
-    rig.run_ms(500);
-    rig.set_line(Line { loss: 1.0, ..Line::default() });
-    rig.run_ms(5);
-    let arm = rig.send(Command::Arm { assume_rest: true });
-    rig.run_ms(300);
-    rig.set_line(Line { delay: 900 * MS, ..Line::default() });
-    rig.run_ms(1100);
-    rig.set_line(Line::default());
-    rig.run_ms(2000);
-    assert!(matches!(rig::answer(&rig.take_events(), arm), Some(Err(_))));
-    assert_eq!(rig.mock.controller().state(), State::Disarmed);
-}
-
-#[test]
-fn an_onset_asked_for_is_kept_to_the_tick_or_refused() {
-    let mut rig = Rig::armed(Line::default(), 11);
-    let at = rig.mock.now() + 85_000;
-    let start =
-        |rig: &mut Rig, at| rig.start_with(&rig::pattern("pin-60"), Some(0.2), |play| play.at = At::Tick(at));
-    start(&mut rig, at);
-    let soon = rig.mock.now() + 10;
-    let soon = start(&mut rig, soon);
-    rig.run_ms(2000);
-    let events = rig.take_events();
-    let began = |event: &StreamEvent| matches!(event, StreamEvent::PlayStarted { id: 1, onset } if onset.actual == at);
-    assert!(events.iter().any(began), "{events:?}");
-    assert_eq!(rig::answer(&events, soon), Some(Err(CommandError::TooSoon)));
+    let held =
+        "format = 2\nname = \"held\"\n[[ramp]]\nmotor = 9\nto_um = 70.0\nrise_s = 0.05\nhold_s = 9.0\n";
+    let held = Pattern::parse(held, "held.toml").unwrap();
+    for (pattern, up) in [(rig::pattern("all-in-phase"), 24), (held, 1)] {
+        let mut rig = Rig::armed(Line::default(), 10);
+        rig.start(&pattern, None);
+        // Pins are up.
+        rig.run_ms(507);
+        let lost = rig.now();
+        rig.unplug();
+        rig.run_ms(100);
+        let outcome = rig.outcomes().remove(0);
+        assert_eq!((outcome.end, outcome.cause.clone()), (End::Stopped, Some(EndCause::Unplugged)));
+        rig::assert_closed(&outcome);
+        // When it ended is not known, but when it was lost.
+        let after = RATE.duration_to_ticks(lost.since(outcome.onset.unwrap().at));
+        assert!(outcome.offset.is_none() && outcome.cut_after.unwrap().abs_diff(after) <= 3, "{outcome:?}");
+        let played = rig::bursts_on_the_lines(&rig.mock.take_trace());
+        let counters = rig.mock.controller().counters();
+        assert_eq!((outcome.bursts.played, outcome.pulses.played), (counters.played, counters.pulses));
+        // Each pin came down by itself.
+        assert_eq!((played.net, played.count), ([0; 24], counters.played + up));
+        rig.connect();
+        rig.run_ms(100);
+        let play = rig.start(&rig::pattern("pin-60"), Some(1.0));
+        assert_eq!(rig::answer(&rig.take_events(), play), Some(Err(CommandError::Disarmed)));
+    }
 }
 
 #[test]
@@ -294,117 +233,6 @@ fn a_play_without_strokes_separates_its_neighbours() {
         assert_eq!(outcomes.len(), 3);
         let played: u64 = outcomes.iter().map(|outcome| outcome.bursts.played).sum();
         assert_eq!(played, rig.mock.controller().counters().played, "seed {seed}");
-    }
-}
-
-#[derive(Clone, Debug)]
-enum Op {
-    Play { pattern: usize, ms: u32, endless: bool, abort: bool, replace: bool, open_loop: bool },
-    Stop,
-    EStop,
-    Reset,
-    Arm,
-    Disarm,
-    Stall(u32),
-    Unplug,
-    Line(bool),
-    Run(u32),
-}
-
-fn op() -> impl Strategy<Value = Op> {
-    let play = (0usize..5, 1u32..400, any::<bool>(), any::<bool>(), any::<bool>(), any::<bool>()).prop_map(
-        |(pattern, ms, endless, abort, replace, open_loop)| Op::Play {
-            pattern,
-            ms,
-            endless,
-            abort,
-            replace,
-            open_loop,
-        },
-    );
-    prop_oneof![
-        6 => play,
-        1 => Just(Op::Stop),
-        1 => Just(Op::EStop),
-        2 => Just(Op::Reset),
-        4 => Just(Op::Arm),
-        1 => Just(Op::Disarm),
-        1 => (1u32..500).prop_map(Op::Stall),
-        1 => Just(Op::Unplug),
-        1 => any::<bool>().prop_map(Op::Line),
-        6 => (1u32..300).prop_map(Op::Run),
-    ]
-}
-
-proptest! {
-    #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::with_cases(60) })]
-
-    /// Any commands and events: one answer per request, one end per play, closed accounts, and in the end all lines are off
-    /// and each pin has come down as far as it went up.
-    #[test]
-    fn after_any_commands_and_events_accounts_close_and_lines_are_low(ops in prop::collection::vec(op(), 1..40), seed in 0u64..1000) {
-        let patterns = rig::shipped();
-        let mut rig = Rig::armed(Line::default(), seed);
-        let (mut tickets, mut plays, mut unplugged, mut estopped) = (Vec::new(), Vec::new(), false, false);
-        for op in ops {
-            match op {
-                Op::Play { pattern, ms, endless, abort, replace, open_loop } => {
-                    let seconds = (!endless).then(|| f64::from(ms) / 1000.0);
-                    let mut play = rig.play(&patterns[pattern], seconds);
-                    play.late = if abort { LatePolicy::Abort } else { LatePolicy::Drop };
-                    (play.replace, play.open_loop) = (replace, open_loop);
-                    plays.push(play.id);
-                    tickets.push(rig.send(Command::Play(Box::new(play))));
-                }
-                Op::Stop => tickets.push(rig.send(Command::Stop)),
-                Op::EStop => {
-                    estopped = true;
-                    tickets.push(rig.send(Command::EStop));
-                }
-                Op::Reset => tickets.push(rig.send(Command::Reset { estops_seen: u64::MAX, keep: true })),
-                Op::Arm => tickets.push(rig.send(Command::Arm { assume_rest: false })),
-                Op::Disarm => tickets.push(rig.send(Command::Disarm)),
-                Op::Stall(ms) => rig.stall(ms * MS),
-                Op::Unplug => { unplugged = true; rig.unplug(); rig.run_ms(30); rig.connect(); rig.run_ms(100); }
-                Op::Line(bad) => rig.set_line(if bad { bad_line() } else { Line::default() }),
-                Op::Run(ms) => rig.run(ms * MS),
-            }
-        }
-        rig.set_line(Line::default());
-        rig.run_ms(300);
-        tickets.push(rig.send(Command::Reset { estops_seen: u64::MAX, keep: true }));
-        rig.run_ms(50);
-        tickets.push(rig.send(Command::Arm { assume_rest: false }));
-        rig.run_ms(200);
-        tickets.push(rig.send(Command::Disarm));
-        rig.run_ms(2000);
-        let events = rig.take_events();
-        for ticket in tickets {
-            prop_assert_eq!(rig::answers(&events, ticket).count(), 1, "ticket {}", ticket);
-        }
-        let mut ended: Vec<_> = events.iter().filter_map(|event| match event {
-            StreamEvent::PlayEnded { id, .. } => Some(*id),
-            StreamEvent::PlayRejected(play) => Some(play.id),
-            _ => None,
-        }).collect();
-        let outcomes = rig::outcomes(&events);
-        ended.sort_unstable();
-        prop_assert_eq!(ended, plays);
-        outcomes.iter().for_each(|outcome| rig::assert_closed(outcome));
-        let trace = rig.mock.take_trace();
-        prop_assert_eq!(rig.mock.controller().state(), State::Disarmed);
-        prop_assert_eq!(trace.last().unwrap().1.lines, rig::OFF);
-        let counters = rig.mock.controller().counters();
-        prop_assert_eq!(counters.reports_lost, 0);
-        if unplugged {
-            // Bursts played after the last status are estimated.
-            return Ok(());
-        }
-        let played: u64 = outcomes.iter().map(|outcome| outcome.bursts.played).sum();
-        prop_assert_eq!(played, counters.played);
-        // The device's pulses are all on the lines: also those with which an arm brings pins down after an e-stop.
-        let pulses: u64 = outcomes.iter().map(|outcome| outcome.pulses.played).sum();
-        prop_assert!(pulses == counters.pulses || (pulses < counters.pulses && estopped), "{} of {:?}", pulses, counters);
     }
 }
 

@@ -15,8 +15,6 @@ mod edges;
 mod endings;
 /// Faults by script.
 mod faults;
-/// The plan of a calibration with a laser.
-mod laser;
 /// A device that lies: undamaged messages that cannot be true.
 mod lies;
 /// Live plays: updates replace strokes on the device.

@@ -424,12 +424,12 @@ impl Active {
             let first = if first == up { queued[0] } else { Some(first) };
             *pin = first.map(|first| [first, queued[1].unwrap_or(up)]);
         }
-        let (play, Some(number)) = (self.until(), self.item_of(motor, up)) else { return };
+        let Some(number) = self.item_of(motor, up) else { return };
         let strokes = &self.play.strokes;
         let own = strokes.motors().filter(|motor| strokes.item_drives(number, *motor));
         let motors = MotorSet::from_bits(own.fold(0, |motors, motor| motors | 1 << motor));
         let Some(item) = self.play.items.get_mut(number) else { return };
-        let [first, last] = others(Span { from: item.onset, until: item.last_end, motors, play });
+        let [first, last] = others(Span { from: item.onset, until: item.last_end, motors });
         if item.first_up == Some(up) {
             item.first_up = first;
         }

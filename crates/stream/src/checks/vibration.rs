@@ -110,37 +110,6 @@ mod tests {
         dry_run(strokes, &Settings::of(strokes.array())).hold.vibrates
     }
 
-    /// Seconds of vibration of a play, and its spans.
-    fn vibrates(strokes: &Strokes) -> (f64, Vec<(f64, f64)>) {
-        let rate = strokes.array().rate();
-        let spans = spans_of(strokes).into_iter();
-        let spans: Vec<_> =
-            spans.map(|(from, until)| (rate.ticks_to_seconds(from), rate.ticks_to_seconds(until))).collect();
-        (spans.iter().map(|(from, until)| until - from).sum(), spans)
-    }
-
-    #[test]
-    fn ramps_of_a_millisecond_and_rare_short_strokes_vibrate_all_the_time() {
-        let tick = 1.0 / 60.0;
-        for (of, text) in [
-            (
-                "ramps",
-                format!(
-                    "duration_s = {tick}\n[[ramp]]\nmotor = 3\nto_um = 5.0\nrise_s = 0.0005\nfall_s = 0.0005\n"
-                ),
-            ),
-            (
-                "strokes",
-                format!(
-                    "duration_s = {tick}\n[[drive]]\nmotor = 3\nfrequency_hz = 300.0\namplitude_um = 19.0\nstop_s = 0.00334\n"
-                ),
-            ),
-        ] {
-            let (total_s, spans) = vibrates(&strokes(&text, Some(6.0)));
-            assert!(spans.len() == 1 && (5.9..=6.0).contains(&total_s), "{of}: {total_s} s, {spans:?}");
-        }
-    }
-
     #[test]
     fn what_is_not_counted_vibrates() {
         let endless = strokes("[[drive]]\nmotor = 3\nfrequency_hz = 0.2\namplitude_um = 80.0\n", None);

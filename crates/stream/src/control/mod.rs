@@ -20,7 +20,7 @@ mod telemetry_monitor;
 #[cfg(test)]
 mod tests;
 
-use burst_controller::{BurstController, Times};
+use burst_controller::{BurstController, Passed, Times};
 pub use estimator::{Gains, MeasuredBurst};
 pub(super) use queued::Cutting;
 
@@ -51,8 +51,6 @@ pub(super) struct Span {
     pub(super) until: Tick,
     /// Those of these motors.
     pub(super) motors: MotorSet,
-    /// The end of the play.
-    pub(super) play: Tick,
 }
 
 /// The position control of all motors.
@@ -72,8 +70,8 @@ pub(super) struct PositionControl {
     end_stop_um: f32,
     /// The device sends telemetry: a sample may still be on its way.
     telemetry: bool,
-    /// Strokes played and removed.
-    account: Account,
+    /// A cut or its return may move pins until then.
+    cut_until: Tick,
     /// Strokes that the device has been asked to withdraw.
     replacement: Replacement,
     /// Earlier samples still show motion from before the last cut; `None`: pins are not at rest yet.
@@ -97,7 +95,7 @@ impl PositionControl {
             limited: settings.is_limited(),
             end_stop_um: settings.end_stop_um,
             telemetry: true,
-            account: Account::default(),
+            cut_until: Tick(0),
             replacement: Replacement::new(array),
             motors: array.numbers().map(|_| BurstController::new(array, &Gains::default())).collect(),
             last_sample: None,
@@ -128,15 +126,12 @@ impl PositionControl {
             self.bound_standing(&self.highest(begun_by));
         }
         self.motors.iter_mut().for_each(|motor| motor.remember(begun_by));
-        // The strokes that are remembered may have been cut: their planned ends do not count.
-        let over = self.account.over.clone();
         if let Some(now) = now {
             self.reckon_to(now);
         }
-        self.account.over = over;
         let cut_at = now.map_or(begun_by, |now| now.min(begun_by));
         self.motors.iter_mut().for_each(|motor| motor.cut(cut_at));
-        self.account.moved_until = cut_at + u64::from(self.array.motor().most_pulses);
+        self.cut_until = cut_at + u64::from(self.array.motor().most_pulses);
         self.replacement.clear();
         (self.last_sample, self.advanced_to) = (None, Tick(0));
         self.valid_from = None;
@@ -244,7 +239,7 @@ impl PositionControl {
     /// A device was connected, which sends telemetry or not. Its clock may have begun again.
     pub(super) fn connected(&mut self, telemetry: bool) {
         self.telemetry = telemetry;
-        self.account = Account::default();
+        self.cut_until = Tick(0);
         self.motors.iter_mut().for_each(BurstController::forget_trail);
     }
 
@@ -263,9 +258,8 @@ impl PositionControl {
 
     /// Takes all strokes up to `tick` as played, without waiting for reports.
     fn advance_to(&mut self, tick: Tick) {
-        let account = &mut self.account;
         for motor in &mut self.motors {
-            motor.advance(tick, None, |_| (), |burst, until| account.gone(burst, until));
+            motor.advance(tick, None, |_| ());
         }
         self.advanced_to = self.advanced_to.max(tick);
     }
@@ -353,53 +347,34 @@ impl PositionControl {
 
     /// A step was sent to the device; its play ends at `until`.
     pub(super) fn sent(&mut self, step: &Step, closed_loop: bool, until: Tick) {
-        let Self { motors, account, .. } = self;
-        if let Some(motor) = motors.get_mut(usize::from(step.motor())) {
-            motor.sent(step, closed_loop, until, |burst, until| account.gone(burst, until));
+        if let Some(motor) = self.motor(step.motor()) {
+            motor.sent(step, closed_loop, until);
         }
     }
 
     /// When the last pulse of a play from `onset` to `until` was over; `cut` tells whether the device has cut the play. `None` if
     /// nothing was played, or if too much time has passed to know. Corrections count as sent.
     pub(super) fn over_at(&self, onset: Tick, until: Tick, cut: Option<Cutting>) -> Option<Tick> {
-        let gone = self.account.over.iter().find(|(of, _)| *of == until).map(|(_, over)| *over);
-        if gone.is_some_and(|over| cut.is_some_and(|cut| over > cut.at)) {
-            return None;
-        }
-        self.motors
-            .iter()
-            .try_fold(gone.filter(|&over| over > onset), |last, motor| {
-                motor.over_at(onset, until, cut).map(|over| last.max(over))
-            })
-            .ok()
-            .flatten()
+        let mut over = self.motors.iter().map(|motor| motor.over_at(onset, until, cut));
+        over.try_fold(None, |last: Option<Tick>, over| over.map(|over| last.max(over))).ok().flatten()
     }
 
     /// Of the strokes of `span` that the device has accepted: the first start of those not known to be over, and the last end of
     /// all.
     pub(super) fn span(&self, span: Span) -> [Option<Tick>; 2] {
-        let Span { from, until, motors, play } = span;
-        let of_item = self.motors.iter().zip(0..).filter(|(_, motor)| motors.contains(*motor));
-        let queued = of_item.flat_map(|(motor, _)| motor.in_device()).map(|(burst, _)| burst);
-        let bursts = queued.filter(|burst| burst.start >= from && burst.start < until);
-        let gone = self.account.over.iter().find(|(of, _)| *of == play).map(|(_, over)| *over);
-        let gone = gone.filter(|&over| over > from && over <= until);
-        bursts.fold([None, gone], |[first, last], burst| {
-            let start = burst.start;
-            [Some(first.map_or(start, |first: Tick| first.min(start))), last.max(Some(burst.end()))]
-        })
+        let Span { from, until, motors } = span;
+        let of_item = || self.motors.iter().zip(0..).filter(|(_, motor)| motors.contains(*motor));
+        let queued = of_item().flat_map(|(motor, _)| motor.in_device()).map(|passed| passed.burst);
+        let gone = of_item().filter_map(|(motor, _)| motor.trail().last(from, until).ok().flatten());
+        let gone = gone.map(|passed| passed.burst.end()).max();
+        let [first, last] = ends(queued.filter(|burst| burst.start >= from && burst.start < until));
+        [first, last.max(gone)]
     }
 
     /// Of what a motor has after a tick in the device: the first start and the last end.
     pub(super) fn queued(&self, motor: u8, after: Tick) -> [Option<Tick>; 2] {
         let of_motor = self.motors.get(usize::from(motor)).into_iter().flat_map(BurstController::in_device);
-        let bursts = of_motor.map(|(burst, _)| burst).filter(|burst| burst.start > after);
-        bursts.fold([None, None], |[first, last], burst| {
-            [
-                Some(first.map_or(burst.start, |first: Tick| first.min(burst.start))),
-                last.max(Some(burst.end())),
-            ]
-        })
+        ends(of_motor.map(|passed| passed.burst).filter(|burst| burst.start > after))
     }
 
     /// The device has been asked to withdraw the strokes of these motors that begin at `from` or later. Until it answers,
@@ -474,24 +449,20 @@ impl PositionControl {
         self.motors.iter_mut().for_each(|motor| motor.withdraw_from(onset));
     }
 
-    /// The device has reported its counters at `tick`.
-    pub(super) fn counters_heard(&mut self, tick: Tick) {
-        (self.account.counters_at, self.account.uncounted) = (tick, (0, 0));
-    }
-
     /// Bursts and pulses played after the counters of tick `heard`, if the link was lost at `lost`: the device brings all pins down then.
     /// With `stopped` an e-stop left the host at that tick: nothing later was played.
     pub(super) fn played_since_counters(&self, heard: Tick, lost: Tick, stopped: bool) -> (u64, u64) {
-        let (mut bursts, mut pulses) = self.account.uncounted;
+        let (mut bursts, mut pulses) = (0, 0);
+        let until = if stopped { lost } else { Tick(u64::MAX) };
         for motor in &self.motors {
-            let mut above = 0;
-            for (burst, level) in motor.in_device().filter(|(burst, _)| burst.start < lost) {
-                above = u64::from(level);
-                let until = if stopped { lost } else { Tick(u64::MAX) };
-                let (begun, played) = played_after(&burst, heard, until);
-                (bursts, pulses) = (bursts + begun, pulses + played);
+            let begun = || motor.in_device().take_while(|passed| passed.burst.start < lost);
+            let above = begun().last().map_or_else(|| motor.trail().level(), |last| last.to);
+            let uncounted = motor.trail().played().rev().take_while(|passed| passed.burst.end() > heard);
+            for Passed { burst, .. } in uncounted.chain(begun()) {
+                bursts += u64::from(burst.start >= heard);
+                pulses += burst.end().min(until) - burst.start.max(heard);
             }
-            pulses += if stopped { 0 } else { above };
+            pulses += if stopped { 0 } else { above.into() };
         }
         (bursts, pulses)
     }
@@ -514,10 +485,9 @@ impl PositionControl {
         self.last_sample = Some(tick);
         let known_to = Some(if self.limited { known_to } else { tick });
         let mut known = true;
-        let account = &mut self.account;
         for ((motor, &y), index) in self.motors.iter_mut().zip(y).zip(0..) {
             let mut over = |travel: estimator::Travel| over(travel.of(index));
-            if motor.advance(tick, known_to, &mut over, |burst, until| account.gone(burst, until)) {
+            if motor.advance(tick, known_to, &mut over) {
                 motor.telemetry(tick, f64::from(y) * 0.01, &mut over);
             } else {
                 known = false;
@@ -608,7 +578,8 @@ impl PositionControl {
 
     /// Whether a pin may have moved in the last [`SPAN_MS`]. Moves that are still queued do not count.
     pub(super) fn moved_lately(&self, now: Tick) -> bool {
-        now < self.account.moved_until + self.array.rate().of_ms(SPAN_MS)
+        let still_from = self.motors.iter().map(|motor| motor.trail().still_from());
+        now < still_from.fold(self.cut_until, Tick::max) + self.array.rate().of_ms(SPAN_MS)
     }
 
     /// [`Self::rest_error_um`] of one motor.
@@ -627,44 +598,10 @@ impl PositionControl {
     }
 }
 
-/// Of a burst: whether it began at `from` or later, and its pulses from then on and before `until`.
-fn played_after(burst: &Burst, from: Tick, until: Tick) -> (u64, u64) {
-    (u64::from(burst.start >= from), burst.end().min(until) - burst.start.max(from))
-}
-
-/// Plays whose bursts may leave the queue before the play is closed: more than the streamer holds.
-const PLAYS: usize = 64;
-
-/// The account of strokes that were played and have left the queue.
-#[derive(Debug, Default)]
-struct Account {
-    /// The tick of the device's last counters.
-    counters_at: Tick,
-    /// Bursts and pulses since then.
-    uncounted: (u64, u64),
-    /// Of each play, by its end: the end of its last stroke. The oldest makes room.
-    over: heapless::Deque<(Tick, Tick), PLAYS>,
-    /// The latest end of any.
-    moved_until: Tick,
-}
-
-impl Account {
-    /// Adds a burst of the play that ends at `until`.
-    fn gone(&mut self, burst: &Burst, until: Tick) {
-        let end = burst.end();
-        self.moved_until = end.max(self.moved_until);
-        let (begun, pulses) = played_after(burst, self.counters_at, end);
-        self.uncounted.0 += begun;
-        self.uncounted.1 += pulses;
-        match self.over.iter_mut().find(|(of, _)| *of == until) {
-            Some((_, over)) => *over = end.max(*over),
-            None => {
-                if self.over.is_full() {
-                    self.over.pop_front();
-                }
-                // Cannot fail: there is room now.
-                let _ = self.over.push_back((until, end));
-            }
-        }
-    }
+/// The first start and the last end of these bursts.
+fn ends(bursts: impl Iterator<Item = Burst>) -> [Option<Tick>; 2] {
+    bursts.fold([None, None], |[first, last], burst| {
+        let start = burst.start;
+        [Some(first.map_or(start, |first: Tick| first.min(start))), last.max(Some(burst.end()))]
+    })
 }

@@ -208,25 +208,6 @@ mod tests {
     }
 
     #[test]
-    fn slow_round_trips_do_not_disturb_offset_and_drift() {
-        let mut clock = Clock::new(RATE);
-        for i in 0..60u64 {
-            // Every third answer is 20 ms late.
-            let back = if i % 3 == 0 { 20_000_000 } else { 150_000 + i % 7 * 5_000 };
-            trip(&mut clock, 40.0, 1_000_000_000 + i * 100_000_000, 150_000, back);
-        }
-        assert!((clock.drift_ppm().unwrap() - 40.0).abs() < 5.0, "{:?}", clock.drift_ppm());
-        for later in [7_000_000_000, 8_000_000_000u64] {
-            let at = HostInstant::from_ns(later);
-            let error = clock.tick_at(at).unwrap().since(true_tick(RATE, 40.0, later));
-            let bound =
-                clock.estimate().unwrap().uncertainty(at).as_nanos() as f64 * ticks_per_ns(RATE) + 1.0;
-            assert!((error as f64).abs() <= bound, "{error} ticks off, bound {bound}");
-            assert!(bound < 25.0);
-        }
-    }
-
-    #[test]
     fn the_error_stays_within_its_bound_on_every_line() {
         // Each line delays one way or the other, by chance, as much as the model takes for good, or steadily.
         let mut state = 1u64;

@@ -189,7 +189,6 @@ impl Streamer {
 
     fn status(&mut self, now: HostInstant, status: Status, tick: Tick, emit: &mut dyn Emit) {
         let changed = self.known.heard(status, tick, &mut self.control);
-        self.control.counters_heard(tick);
         if self.latch.resets_own(&status) && self.operations.is_empty() {
             self.order(now, 0, Op::Reset, emit);
         }

@@ -48,7 +48,8 @@ use meissner_array::strokes::{Burst, Step};
 use meissner_array::units::TickRate;
 use reckoned::Reckoned;
 use std::collections::VecDeque;
-use trail::{Passed, Trail};
+pub(crate) use trail::Passed;
+use trail::Trail;
 
 /// Bursts of one motor that may begin in [`Times::longest_age`]: strokes at 300 Hz, moves every 1.6 ms.
 const PAST: usize = 800;
@@ -58,9 +59,7 @@ const PAST: usize = 800;
 pub(crate) struct BurstController {
     times: Times,
     queue: VecDeque<Queued>,
-    /// The level after the last burst that has left the queue, pulses above rest.
-    level: u16,
-    /// The last bursts that have left the queue as played.
+    /// The bursts that have left the queue as played.
     trail: Trail,
     /// The bursts that have begun since the pin was last at rest.
     bursts: Bursts,
@@ -93,7 +92,6 @@ impl BurstController {
         Self {
             times: Times::of(array),
             queue,
-            level: 0,
             trail: Trail::new(),
             bursts: Bursts::default(),
             last_cut: LastCut::default(),
@@ -119,21 +117,15 @@ impl BurstController {
         self.landing.is_some()
     }
 
-    /// Tracks a step sent; its play ends at `until`. Steps come in order. Calls `gone` as [`Self::advance`] does.
-    pub(crate) fn sent(
-        &mut self,
-        step: &Step,
-        closed_loop: bool,
-        until: Tick,
-        mut gone: impl FnMut(&Burst, Tick),
-    ) {
+    /// Tracks a step sent; its play ends at `until`. Steps come in order.
+    pub(crate) fn sent(&mut self, step: &Step, closed_loop: bool, until: Tick) {
         // Without telemetry past bursts leave the queue here: it is as bounded as the device's pool.
         while self.queue.len() + 2 > self.queue.capacity()
             && let Some(first) = self.queue.front()
         {
             let len = self.queue.len();
             let end = self.queue.get(1).filter(|next| next.joined).unwrap_or(first).burst.end();
-            self.advance(end + 1, None, |_| (), &mut gone);
+            self.advance(end + 1, None, |_| ());
             if self.queue.len() == len {
                 break;
             }
@@ -169,7 +161,7 @@ impl BurstController {
 
     /// The level before the burst at this place, pulses above rest.
     fn level_before(&self, at: usize) -> u16 {
-        at.checked_sub(1).map_or(self.level, |before| self.queue[before].level)
+        at.checked_sub(1).map_or_else(|| self.trail.level(), |before| self.queue[before].level)
     }
 
     /// The device has accepted the step that begins at this tick.
@@ -298,26 +290,28 @@ impl BurstController {
 
     /// Remembers the last bursts that have begun by `tick`, when the device has cut them or shortly after.
     pub(crate) fn remember(&mut self, tick: Tick) {
-        if self.queue.is_empty() && self.level == 0 {
+        let level = self.trail.level();
+        if self.queue.is_empty() && level == 0 {
             return;
         }
         let begun = self.queue.iter().filter(|queued| queued.burst.start < tick);
-        self.last_cut.remember(begun, self.level);
+        self.last_cut.remember(begun, level);
     }
 
     /// The highest level that the pin may have had since bursts last left the queue and until `tick`, pulses above rest.
     pub(crate) fn highest(&self, tick: Tick) -> u16 {
         let begun = self.queue.iter().take_while(|queued| queued.burst.start < tick);
-        begun.map(|queued| queued.level).fold(self.level, u16::max)
+        begun.map(|queued| queued.level).fold(self.trail.level(), u16::max)
     }
 
     /// The level at the tick of a cut, pulses above rest, before [`Self::cut`] or after it.
     pub(crate) fn height_at(&self, tick: Tick) -> u16 {
-        if self.queue.is_empty() && self.level == 0 {
+        let level = self.trail.level();
+        if self.queue.is_empty() && level == 0 {
             return self.last_cut.height_at(tick);
         }
         let last = self.queue.iter().rev().find(|queued| queued.burst.start < tick);
-        last.map_or(self.level, |last| last.level_at(tick))
+        last.map_or(level, |last| last.level_at(tick))
     }
 
     /// The device's clock has begun again: no tick of the past means anything.
@@ -327,8 +321,7 @@ impl BurstController {
     }
 
     /// When the last pulse is over of the bursts that began at `from` or later and before `until`. If the device cut
-    /// them at `cut`, nothing of them comes after it but, if the pins return, their way down. [Bursts that have
-    /// left the queue](Self::advance) are not among them. `Err`: too many bursts began after that cut.
+    /// them at `cut`, nothing of them comes after it but, if the pins return, their way down. `Err`: too many bursts began since.
     pub(crate) fn over_at(
         &self,
         from: Tick,
@@ -342,10 +335,12 @@ impl BurstController {
             let start = queued.burst.start;
             start >= from && start < until.min(at)
         });
-        let Some(last) = played.next_back() else { return Ok(None) };
-        let returns = !last.lands() || last.burst.end() > at;
-        let returned = cut.and_then(|cut| cut.returned).filter(|_| returns);
-        Ok(Some(returned.unwrap_or(last.burst.end().min(at))))
+        let last = match played.next_back() {
+            Some(last) => Some((last.burst.end(), last.level)),
+            None => self.trail.last(from, until.min(at))?.map(|last| (last.burst.end(), last.to)),
+        };
+        let returned = cut.and_then(|cut| cut.returned);
+        Ok(last.map(|(end, level)| returned.filter(|_| level > 0 || end > at).unwrap_or(end.min(at))))
     }
 
     /// Clears a sensor fault, and forgets what the faulty telemetry taught.
@@ -376,14 +371,22 @@ impl BurstController {
         self.monitor.fault()
     }
 
-    /// Bursts that the device has accepted, each with the level after it, pulses above rest.
-    pub(crate) fn in_device(&self) -> impl Iterator<Item = (Burst, u16)> {
-        self.queue.iter().filter(|queued| queued.accepted).map(|queued| (queued.burst, queued.level))
+    /// The bursts that the device has accepted and that are not known to be over.
+    pub(crate) fn in_device(&self) -> impl Iterator<Item = Passed> {
+        self.queue.iter().filter(|queued| queued.accepted).scan(self.trail.level(), |level, queued| {
+            let to = queued.level;
+            Some(Passed { burst: queued.burst, from: std::mem::replace(level, to), to })
+        })
+    }
+
+    /// What it has played, as far as it is kept.
+    pub(crate) const fn trail(&self) -> &Trail {
+        &self.trail
     }
 
     /// What the pin did from the first tick to the second, as planned.
     pub(crate) fn movement(&self, span: [Tick; 2], rate: TickRate) -> Movement {
-        self.trail.movement(moves(&self.queue, self.level), self.level, span, rate)
+        self.trail.movement(self.in_device(), self.trail.level(), span, rate)
     }
 
     /// Forgets what the pin did: the device's clock may have begun again.
@@ -395,14 +398,12 @@ impl BurstController {
     ///
     /// The device has reported which steps before `known_to` it refused. At a step without a verdict, or that begins
     /// later, it stops and returns false. With `None` it waits for no report: it removes a step without a verdict, and
-    /// takes the others as played. Calls `over` with each burst that has left the moving average, and `gone` with each
-    /// burst removed as played and the end of its play.
+    /// takes the others as played. Calls `over` with each burst that has left the moving average.
     pub(crate) fn advance(
         &mut self,
         tick: Tick,
         known_to: Option<Tick>,
         mut over: impl FnMut(Travel),
-        mut gone: impl FnMut(&Burst, Tick),
     ) -> bool {
         let mut known = true;
         while let Some(next) = self.queue.get(self.begun).copied().filter(|next| next.burst.start < tick) {
@@ -426,16 +427,9 @@ impl BurstController {
             && self.begun >= bursts
             && self.queue[bursts - 1].burst.end() <= tick
         {
-            for queued in self.queue.drain(..bursts) {
-                gone(&queued.burst, queued.until);
-                if queued.accepted {
-                    self.trail.passed(Passed {
-                        start: queued.burst.start,
-                        from: self.level,
-                        to: queued.level,
-                    });
-                }
-                self.level = queued.level;
+            for queued in self.queue.drain(..bursts).filter(|queued| queued.accepted) {
+                let (burst, from, to) = (queued.burst, self.trail.level(), queued.level);
+                self.trail.passed(Passed { burst, from, to });
             }
             self.begun -= bursts;
             self.finalised -= bursts;
@@ -513,12 +507,4 @@ impl BurstController {
             self.estimator.relearn(&self.gains);
         }
     }
-}
-
-/// The bursts of a queue that the device has accepted, as moves from level to level; the first begins at `level`.
-fn moves(queue: &VecDeque<Queued>, level: u16) -> impl Iterator<Item = Passed> {
-    queue.iter().filter(|queued| queued.accepted).scan(level, |level, queued| {
-        let to = queued.level;
-        Some(Passed { start: queued.burst.start, from: std::mem::replace(level, to), to })
-    })
 }

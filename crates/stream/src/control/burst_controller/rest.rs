@@ -3,7 +3,7 @@
 //! Invariant: with a lower stop no pin is taken for lower than rest.
 
 use super::reckoned::Reckoned;
-use super::{BurstController, moves};
+use super::{BurstController, Passed};
 use crate::control::estimator::{ASYMMETRY, Gains, after_rest, gain_index, sign};
 use crate::control::queued::Queued;
 use firmware_protocol::stroke::Direction;
@@ -14,11 +14,6 @@ use meissner_array::strokes::Burst;
 impl BurstController {
     /// The device has flushed the queue at `tick` and returns the pin.
     pub(crate) fn cut(&mut self, tick: Tick) {
-        let Self { queue, trail, .. } = self;
-        for passed in moves(queue, self.level).take_while(|passed| passed.start < tick) {
-            trail.passed(passed);
-        }
-        trail.cut(tick);
         let rest_um = self.cut_rest_um(tick);
         let begun = self.queue.iter().rev().find(|queued| queued.burst.start < tick);
         if let Some(end) = begun.map(|last| last.burst.end().min(tick)) {
@@ -26,7 +21,7 @@ impl BurstController {
         }
         // What is cut scatters like any other excursion.
         let um_per_pulse = self.um_per_pulse();
-        let highest = self.queue.front().map_or(self.level, |first| self.level.max(first.level));
+        let highest = self.queue.front().map_or(0, |first| first.level).max(self.trail.level());
         let unsure = self.estimator.scatter() * f64::from(highest) * um_per_pulse;
         // A bad line may have lost the corrections of bursts that no sample has shown.
         let unseen = self.queue.iter().skip(self.begun).take_while(|queued| queued.burst.start < tick);
@@ -34,8 +29,12 @@ impl BurstController {
             unseen.map(|Queued { burst, planned, .. }| f64::from(burst.pulses.abs_diff(*planned)));
         let corrected = corrections.map(|pulses| (pulses * um_per_pulse).powi(2)).sum::<f64>();
         let variance = 2.0 * unsure * unsure + corrected;
-        self.queue.clear();
-        (self.begun, self.finalised, self.pending, self.level) = (0, 0, [0; 2], 0);
+        let begun = self.queue.drain(..).take_while(|queued| queued.burst.start < tick);
+        for Queued { burst, level, .. } in begun.filter(|queued| queued.accepted) {
+            self.trail.passed(Passed { burst, from: self.trail.level(), to: level });
+        }
+        self.trail.cut(tick);
+        (self.begun, self.finalised, self.pending) = (0, 0, [0; 2]);
         self.bursts = Bursts::default();
         if let Some([mean, variance]) = self.landing {
             // The return ends at the stop, too.
@@ -51,7 +50,7 @@ impl BurstController {
     fn cut_rest_um(&self, tick: Tick) -> f64 {
         let position = self.estimator.position_um();
         let Some(last) = self.begun.checked_sub(1).map(|last| self.queue[last]) else {
-            return position - f64::from(self.level) * self.um_per_pulse();
+            return position - f64::from(self.trail.level()) * self.um_per_pulse();
         };
         let Queued { burst: Burst { direction, pulses, .. }, counted, .. } = last;
         let left = ((last.burst.end() - tick) as f64 / f64::from(pulses.max(1))).min(1.0);
@@ -191,7 +190,7 @@ impl BurstController {
         let is_up = self.queue.get(self.finalised).is_some_and(|next| next.joined);
         let height = match last {
             Some(up) if is_up => up.counted as f64 / 10.0 * self.estimator.gain(Direction::Up),
-            last => f64::from(last.map_or(self.level, |last| last.level)),
+            last => f64::from(last.map_or_else(|| self.trail.level(), |last| last.level)),
         };
         self.position_um() - height * self.um_per_pulse()
     }
@@ -238,7 +237,7 @@ mod tests {
         pin.assume_rest();
         pin.telemetry(second(1), 0.0, |_| ());
         let up = Move { motor: 0, tick: second(2), level: 500, surplus: 0 };
-        pin.sent(&Step::Move { of: up, from: 0 }, true, second(9), |_, _| ());
+        pin.sent(&Step::Move { of: up, from: 0 }, true, second(9));
         pin.accepted(up.tick);
         let mut more = 0;
         let amend = |_, pulses: u16| {

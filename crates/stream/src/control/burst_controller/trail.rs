@@ -1,63 +1,70 @@
-//! What the pin of one motor did lately: the last moves that have left the queue, as planned.
+//! The ledger of one motor's past: the moves that have left the queue as played, each once.
 //!
-//! [`Trail::passed`] takes each move that was played, and [`Trail::cut`] the way down after a cut. [`Trail::movement`] computes from
-//! these and from the moves under way how far the pin moved in a span of time, and how often.
+//! [`Trail::passed`] takes each move that was played, and [`Trail::cut`] the way down after a cut. What the pin did lately, when a play
+//! was over and how many pulses the device has not counted yet are read from it.
 //!
-//! Invariant: it never allocates after [`Trail::new`]. With more moves than [`KEPT`] the oldest is forgotten, and the span is shorter.
+//! Invariant: it never allocates after [`Trail::new`]. Its moves are in order. With more than [`KEPT`] the oldest is forgotten.
 
+use crate::control::queued::Forgotten;
 use crate::queues::Movement;
 use firmware_protocol::stroke::Direction;
 use firmware_protocol::tick::Tick;
+use meissner_array::strokes::Burst;
 use meissner_array::units::TickRate;
 use std::collections::VecDeque;
 
-/// Moves that are kept: those of strokes at 300 Hz in 0.2 s, or one every 1.6 ms.
-const KEPT: usize = 128;
+/// Moves that are kept: those of strokes at 300 Hz in 1.7 s. A play is closed so long after its end.
+const KEPT: usize = 1024;
 
 /// A move from level to level, pulses above rest, one pulse in each tick.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Passed {
-    pub(super) start: Tick,
+pub(crate) struct Passed {
+    /// As corrected; without pulses on the way down after a cut.
+    pub(crate) burst: Burst,
     pub(super) from: u16,
-    pub(super) to: u16,
+    pub(crate) to: u16,
 }
 
 impl Passed {
+    /// Its end as planned.
     fn end(&self) -> Tick {
-        self.start + u64::from(self.from.abs_diff(self.to))
+        self.burst.start + u64::from(self.from.abs_diff(self.to))
     }
 
     /// The level at a tick; before the move the one that it begins at.
     fn level_at(&self, tick: Tick) -> u16 {
         let whole = self.from.abs_diff(self.to);
-        let moved = u16::try_from(tick.since(self.start).max(0)).map_or(whole, |ticks| ticks.min(whole));
+        let moved =
+            u16::try_from(tick.since(self.burst.start).max(0)).map_or(whole, |ticks| ticks.min(whole));
         if self.to > self.from { self.from + moved } else { self.from - moved }
     }
 
     fn direction(&self) -> Direction {
         if self.to > self.from { Direction::Up } else { Direction::Down }
     }
+
+    /// The way down after a cut.
+    const fn way_down(start: Tick, from: u16) -> Self {
+        Self { burst: Burst { start, direction: Direction::Down, pulses: 0 }, from, to: 0 }
+    }
 }
 
 /// See the module.
 #[derive(Clone, Debug)]
-pub(super) struct Trail(VecDeque<Passed>);
+pub(crate) struct Trail(VecDeque<Passed>);
 
 impl Trail {
     /// No move was played.
-    pub(super) fn new() -> Self {
+    pub(crate) fn new() -> Self {
         let mut moves = VecDeque::with_capacity(KEPT);
         // Touch every page now, as the queue does.
-        moves.resize(KEPT, Passed { start: Tick(0), from: 0, to: 0 });
+        moves.resize(KEPT, Passed::way_down(Tick(0), 0));
         moves.clear();
         Self(moves)
     }
 
     /// A move has left the queue as played.
-    pub(super) fn passed(&mut self, passed: Passed) {
-        if passed.from == passed.to {
-            return;
-        }
+    pub(crate) fn passed(&mut self, passed: Passed) {
         if self.0.len() == KEPT {
             self.0.pop_front();
         }
@@ -65,34 +72,62 @@ impl Trail {
     }
 
     /// The device has cut the moves under way at `tick`, and brings the pin down.
-    pub(super) fn cut(&mut self, tick: Tick) {
+    pub(crate) fn cut(&mut self, tick: Tick) {
         let Some(last) = self.0.back_mut() else { return };
         last.to = last.level_at(tick);
-        let from = last.to;
-        self.passed(Passed { start: tick, from, to: 0 });
+        last.burst.pulses = last.burst.pulses.min(u16::try_from(tick - last.burst.start).unwrap_or(u16::MAX));
+        if last.to > 0 {
+            let from = last.to;
+            self.passed(Passed::way_down(tick, from));
+        }
+    }
+
+    /// The level after the last move, pulses above rest.
+    pub(crate) fn level(&self) -> u16 {
+        self.0.back().map_or(0, |last| last.to)
+    }
+
+    /// The moves that the device has played.
+    pub(crate) fn played(&self) -> impl DoubleEndedIterator<Item = Passed> {
+        self.0.iter().filter(|passed| passed.burst.pulses > 0).copied()
+    }
+
+    /// The last move that began at `from` or later and before `until`.
+    pub(crate) fn last(&self, from: Tick, until: Tick) -> Result<Option<Passed>, Forgotten> {
+        let is_short = self.0.len() == KEPT && self.0.front().is_some_and(|first| first.burst.start >= until);
+        let last = self.played().rev().find(|passed| passed.burst.start < until);
+        if is_short { Err(Forgotten) } else { Ok(last.filter(|last| last.burst.start >= from)) }
+    }
+
+    /// The tick after which no move was under way.
+    pub(crate) fn still_from(&self) -> Tick {
+        self.0.back().map_or(Tick(0), |last| last.burst.end())
     }
 
     /// Nothing is known of the pin's past: the device's clock may have begun again.
-    pub(super) fn clear(&mut self) {
+    pub(crate) fn clear(&mut self) {
         self.0.clear();
     }
 
     /// What the pin did from `from` to `now`, with the moves that came after those of the trail, in order. `rest` is its level if there
     /// is no move.
-    pub(super) fn movement(
+    pub(crate) fn movement(
         &self,
         under_way: impl Iterator<Item = Passed>,
         rest: u16,
         [from, now]: [Tick; 2],
         rate: TickRate,
     ) -> Movement {
-        let mut moves =
-            self.0.iter().copied().chain(under_way).take_while(|passed| passed.start < now).peekable();
+        // The one that began last before `from` may be under way then.
+        let first = self.0.partition_point(|passed| passed.burst.start < from).saturating_sub(1);
+        let moves = self.0.range(first..).copied().chain(under_way);
+        let mut moves = moves.filter(|passed| passed.from != passed.to);
+        let mut moves = moves.by_ref().take_while(|passed| passed.burst.start < now).peekable();
         let mut level = moves.peek().map_or(rest, |first| first.from);
         let (mut range, mut turns, mut before) = (None, Turns::default(), None);
         for passed in moves {
             let direction = Some(passed.direction());
-            if passed.start >= from && direction != before {
+            if passed.burst.start >= from && direction != before {
                 turns.add(passed);
             }
             before = direction;
@@ -124,9 +159,9 @@ impl Turns {
         self.count += 1;
         if passed.direction() == Direction::Up {
             if self.rises == 0 {
-                self.first = passed.start;
+                self.first = passed.burst.start;
             }
-            self.last = passed.start;
+            self.last = passed.burst.start;
             self.rises += 1;
         }
     }

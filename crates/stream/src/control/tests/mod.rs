@@ -1,5 +1,4 @@
 //! Position control of one motor, without a link.
 
-mod bound;
 mod motor_run;
 mod position_control;

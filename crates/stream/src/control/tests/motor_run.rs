@@ -134,7 +134,7 @@ impl MotorRun {
         while now < end {
             now = now + wake_up;
             while let Some(stroke) = next.filter(|stroke| stroke.up < now + lead.max(2 * times.finalise_at)) {
-                controller.sent(&stroke.into(), self.closed, end, |_, _| ());
+                controller.sent(&stroke.into(), self.closed, end);
                 controller.accepted(stroke.up);
                 motor.queue.push_back((stroke, stroke.up_pulses));
                 next = strokes.next();
@@ -154,7 +154,7 @@ impl MotorRun {
             }
             while let Some((tick, y)) = samples.front().copied().filter(|(tick, _)| *tick + age <= now) {
                 samples.pop_front();
-                controller.advance(tick, Some(tick), |_| (), |_, _| ());
+                controller.advance(tick, Some(tick), |_| ());
                 controller.telemetry(tick, f64::from(y) * 0.01, |_| ());
                 sampled = tick;
             }

@@ -142,29 +142,3 @@ impl Commands {
         self.epoch.wrapping_add(1).wrapping_add(number.wrapping_mul(E_STOP_EPOCHS))
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use firmware_protocol::controller::newer;
-
-    fn at(ms: u64) -> HostInstant {
-        HostInstant::from_ns(ms * 1_000_000)
-    }
-
-    #[test]
-    fn one_of_three_last_e_stops_is_newer_than_any_epoch() {
-        let mut commands = Commands::new();
-        commands.close();
-        let mut sent = Vec::new();
-        for ms in 0.. {
-            match commands.next_last(at(ms)) {
-                Turn::Send(epoch) => sent.push(epoch),
-                Turn::Wait => assert!(commands.last_due(at(ms)) > at(ms)),
-                Turn::Spent => break,
-            }
-        }
-        assert_eq!((sent.len(), commands.e_stopped_at()), (usize::from(E_STOPS), Some(at(0))));
-        assert!((0..=u16::MAX).all(|device| sent[..3].iter().any(|&epoch| newer(epoch, device))));
-    }
-}

@@ -109,16 +109,3 @@ impl Trust {
         self.0[MAX_CONTRADICTIONS - 1].is_some_and(|first| now.since(first) <= CONTRADICTIONS_WITHIN)
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn only_several_contradictions_within_a_second_end_the_trust() {
-        let at = |ms: u64| HostInstant::from_ns(ms * 1_000_000);
-        let mut trust = Trust::default();
-        assert_eq!([0, 500, 600, 700, 1001].map(|ms| trust.contradicted(at(ms))), [false; 5]);
-        assert!(trust.contradicted(at(1500)));
-    }
-}

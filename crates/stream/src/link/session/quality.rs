@@ -72,30 +72,3 @@ impl Quality {
         self.share = (share * 16.0).ceil() / 16.0;
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// The quality after frames of 60 bytes over a line that damages this share of bytes.
-    fn quality(share: f64) -> Quality {
-        let (mut quality, mut damaged) = (Quality::default(), 0.0);
-        for _ in 0..400 {
-            quality.sent(60);
-            damaged += 1.0 - (1.0 - share).powi(60);
-            quality.heard(damaged as u64);
-        }
-        quality
-    }
-
-    #[test]
-    fn the_more_bytes_are_damaged_the_shorter_are_the_frames() {
-        let good = quality(0.0);
-        assert_eq!((good.frame_bytes, good.share), (MAX_FRAME, 1.0));
-        let lengths = [0.0001, 0.001, 0.005, 0.01, 0.02, 0.1].map(|share| quality(share).frame_bytes);
-        assert!(lengths.is_sorted_by(|longer, shorter| longer >= shorter), "{lengths:?}");
-        assert_eq!((lengths[0], lengths[5]), (MAX_FRAME, SHORTEST));
-        let shares = [0.001, 0.01, 0.05].map(|share| quality(share).share);
-        assert!(shares[0] > shares[1] && shares[1] > shares[2] && shares[2] > 0.0, "{shares:?}");
-    }
-}

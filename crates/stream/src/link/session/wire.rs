@@ -135,29 +135,3 @@ impl Wire {
         }
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use firmware_protocol::frame::{MAX_FRAME, encode};
-
-    fn frame() -> Vec<u8> {
-        let mut out = [0; MAX_FRAME];
-        let len = encode(&DeviceMessage::NoSession, &mut out).unwrap();
-        out[..len].to_vec()
-    }
-
-    #[test]
-    fn damaged_frames_in_a_row_make_noise_that_a_whole_one_ends() {
-        let mut wire = Wire::default();
-        let mut damaged = frame();
-        damaged[3] ^= 0x80;
-        for _ in 0..NOISE {
-            assert!(!wire.is_noisy());
-            assert_eq!(wire.next(&mut damaged.as_slice()), None);
-        }
-        assert_eq!(wire.silence(LostReason::NoAnswer), LostReason::Noisy { percent: 100 });
-        assert_eq!(wire.next(&mut frame().as_slice()), Some(Ok(DeviceMessage::NoSession)));
-        assert_eq!((wire.is_disturbed(), wire.silence(LostReason::NoAnswer)), (false, LostReason::NoAnswer));
-    }
-}
