@@ -42,7 +42,7 @@ runs = [json.loads(line) for line in sys.stdin]
 bursts = {key: sum(run["receipt"]["counts"]["bursts"][key] for run in runs) for key in ("planned", "played", "late")}
 with_late = sum(run["receipt"]["counts"]["bursts"]["late"] > 0 for run in runs)
 onset = max(run["receipt"]["onset"]["latency_ms"] for run in runs if run["receipt"]["onset"])
-rest = max(run["rest_error_um"]["closed_loop_rms"] or 0 for run in runs)
+rest = max(run["rest_error_um"]["rms"] for run in runs)
 print(len(runs), "demos:", bursts, "with late bursts:", with_late, "longest onset: %.1f ms" % onset,
       "rest error at most %.1f um rms" % rest)')
     echo "$1: $sum"

@@ -128,25 +128,6 @@ fn patterns_are_listed_shown_and_imported(daemon: &Daemon) {
     let imported = document(daemon.meissner().args(["import", "f.toml", "--json"]));
     let shown = document(daemon.meissner().args(["show", "mine", "--json"]));
     assert_eq!((&imported["name"], &shown["sha256"]), (&json!("mine"), &imported["sha256"]));
-    // The reached amplitude and the time of whole strokes.
-    let reached = format!("{:.1}", shown["drives"][0]["reached_um"].as_f64().unwrap());
-    let whole = format!("{:.1}", shown["compiled_ms"].as_f64().unwrap());
-    let text = printed(daemon.meissner().args(["show", "mine"]));
-    assert!(
-        text.contains(&format!("0.3 s ({whole} ms in whole strokes)")) && text.contains(&reached),
-        "{text}"
-    );
-    let list = printed(daemon.meissner().arg("list"));
-    let row = list.lines().find(|line| line.starts_with("mine ")).unwrap();
-    assert!(row.contains(&reached) && row.contains(&whole), "{row}");
-    // A drive whose frame is too short for a stroke never moves its pin, and is not counted.
-    let short =
-        format!("{DRIVE}stop_s = 0.012\n{}", DRIVE[17..].replace("= 9", "= 14").replace("60.0", "200.0"));
-    write_pattern(&daemon.path("short.toml"), "short", &short);
-    let text = printed(daemon.meissner().args(["import", "short.toml"]));
-    assert!(text.contains("drive 1 (motor 9) gives no stroke"), "{text}");
-    let list = printed(daemon.meissner().arg("list"));
-    assert!(list.lines().any(|line| line.starts_with("short ") && line.contains("1 of 2 move")), "{list}");
     // The name is taken.
     let sha256 = imported["sha256"].as_str().unwrap();
     let line = complaint(daemon.meissner().args(["import", "f.toml"]));
@@ -301,22 +282,13 @@ fn the_demo_accounts_for_an_edge_rests_without_telemetry_and_serves_the_page() {
         receipt["counts"]["bursts"]["played"] == receipt["counts"]["bursts"]["planned"]
     };
     let (receipt, rendered) = (&report["receipt"], &report["rendered"]);
-    let both = all_played(receipt) && all_played(&rendered["receipt"]);
+    let both = all_played(receipt) && all_played(rendered);
     assert_eq!(output.status.success(), both, "{report}");
-    for class in 0..2 {
-        let error = |of: &str| rendered[of][class].as_f64().unwrap();
-        assert!(error("errors") < 0.7 * error("vibrating_errors"), "{report}");
-    }
     assert_eq!((&receipt["name"], &report["device"]), (&"edge-45".into(), &"mock".into()));
     assert_eq!((&receipt["duration_ms"]["ordered"], &report["lead_ms"]), (&1000.0.into(), &100.0.into()));
-    for figure in [
-        "/receipt/device/wire/bytes_per_burst",
-        "/bytes_per_burst_open_loop",
-        "/rest_error_um/open_loop_rms",
-        "/rest_error_um/closed_loop_rms",
-        "/rest_error_um/max",
-        "/duration_s",
-    ] {
+    for figure in
+        ["/receipt/device/wire/bytes_per_burst", "/rest_error_um/rms", "/rest_error_um/max", "/duration_s"]
+    {
         assert!(report.pointer(figure).and_then(Value::as_f64).unwrap() > 0.0, "{figure}: {report}");
     }
     assert!(report["realtime"]["fifo"].is_boolean() && report["realtime"]["mlock"].is_boolean());
@@ -329,15 +301,9 @@ fn the_sensorless_demo_rests_without_telemetry() {
     let report: Value = serde_json::from_slice(&output.stdout).unwrap();
     assert_accounts(&report["receipt"]);
     let figure = |pointer: &str| report.pointer(pointer).and_then(Value::as_f64);
-    let rest = figure("/rest_true_rms_um").unwrap();
-    assert!(rest > 0.0, "{report}");
-    assert_eq!(figure("/rest_error_um/lower_stop_rms"), Some(rest));
-    assert_eq!((figure("/rest_error_um/closed_loop_rms"), &report["sensorless"]), (None, &true.into()));
+    assert_eq!(report["sensorless"], true);
     // Here the scatter follows the clock. A test of `meissner-stream` bounds the rest error, and its estimate, in virtual time.
     assert!(figure("/rest_error_um/expected_rms").unwrap() > 0.0, "{report}");
-    assert!(figure("/rest_error_um/open_loop_rms").unwrap() > 5.0 * rest, "{report}");
-    let contrast = |key: &str| figure(&format!("/felt/{key}/contrast")).unwrap();
-    assert!(contrast("lower_stop_hz") > 0.95 * contrast("designed_hz"), "{report}");
     assert!(figure("/surplus_um").unwrap() > 5.0, "{report}");
 }
 

@@ -4,13 +4,8 @@
 //! Before criterion's figures it prints the number of spikes, and the effect of a search's coarser reach on the rates.
 
 use criterion::{Criterion, criterion_group, criterion_main};
-use firmware_protocol::tick::Tick;
-use meissner_array::motor::Ramp;
-use meissner_array::pattern::{Drive, Pattern};
-use meissner_array::random::normal;
+use meissner_array::pattern::Drive;
 use meissner_array::spec::Array;
-use meissner_array::strokes::{StrokeOptions, Strokes};
-use meissner_paper::{Play, predict_response};
 use meissner_skin::afferents;
 use meissner_skin::{
     AnyScene, Evaluator, Integrator, Keep, Method, ModelName, Options, SEARCH_MIN_WEIGHT, Scene, simulate,
@@ -153,37 +148,5 @@ fn changed(criterion: &mut Criterion) {
     group.finish();
 }
 
-/// A minute of a shipped pattern whose bursts travelled by 10 % more or less, as played and as designed.
-fn minute_played(criterion: &mut Criterion) {
-    let mut group = criterion.benchmark_group("minute_played");
-    group.sample_size(10).measurement_time(Duration::from_secs(10));
-    let pool = threads(1);
-    for (name, text) in [
-        ("edge-45-paper", include_str!("../../library/patterns/paper/edge-45-paper.toml")),
-        ("all-in-phase", include_str!("../../library/patterns/all-in-phase.toml")),
-    ] {
-        let pattern = Pattern::parse(text, name).expect("it is shipped");
-        let um_per_pulse = pattern.array().motor().um_per_pulse;
-        let strokes = Strokes::new(&pattern, &StrokeOptions::lasting(60.0)).expect("a minute can be played");
-        let bursts = strokes.flat_map(|step| {
-            let step = step.expect("a shipped pattern can be played");
-            step.bursts().map(move |burst| {
-                let gain = 1.0 + 0.1 * normal([0, step.motor().into(), burst.start.0, 0]);
-                let step_um = um_per_pulse * gain;
-                (step.motor(), Ramp::new(burst.start, burst.pulses.into(), burst.direction, step_um))
-            })
-        });
-        let bursts: Vec<_> = bursts.collect();
-        let options = StrokeOptions::lasting(60.0);
-        let play = Play { pattern: &pattern, options, onset: Tick(0), observed_s: 60.0 };
-        let found = predict_response(&play, bursts.iter().copied()).expect("a minute can be felt");
-        println!("{name}: {} bursts, {:?}, {:?}", bursts.len(), found.designed_hz, found.played_hz);
-        group.bench_function(format!("{name}/1_core"), |bencher| {
-            pool.install(|| bencher.iter(|| predict_response(black_box(&play), bursts.iter().copied())));
-        });
-    }
-    group.finish();
-}
-
-criterion_group!(benches, whole, sixty_four, afferents, changed, minute_played);
+criterion_group!(benches, whole, sixty_four, afferents, changed);
 criterion_main!(benches);

@@ -7,15 +7,14 @@
 //!
 //! Invariant: only the user may read the file.
 
-use crate::file::read_regular;
+use crate::file::{PRIVATE, PRIVATE_DIR, dir_of, make_dirs, read_regular, replace};
 use anyhow::{Context, Result};
 use meissner_api::{Code, Problem};
 use meissner_client::ClientError;
 use nix::unistd::getsid;
 use std::env;
-use std::fs::{self, DirBuilder, OpenOptions};
-use std::io::{self, Write};
-use std::os::unix::fs::{DirBuilderExt, OpenOptionsExt};
+use std::fs;
+use std::io;
 use std::path::PathBuf;
 
 /// The variable that replaces the file.
@@ -72,18 +71,9 @@ pub(super) fn hint(error: &anyhow::Error) -> &'static str {
 pub(super) fn keep(token: &str, session: &str) -> Result<PathBuf> {
     let path =
         file().context("neither XDG_RUNTIME_DIR nor HOME is set: no file can keep the session's token")?;
-    let dir = path.parent().unwrap_or(&path);
     let write = || -> io::Result<()> {
-        DirBuilder::new().recursive(true).mode(0o700).create(dir)?;
-        let next = path.with_extension("new");
-        // An old file may have other rights.
-        match fs::remove_file(&next) {
-            Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
-            _ => {}
-        }
-        let mut file = OpenOptions::new().write(true).create_new(true).mode(0o600).open(&next)?;
-        write!(file, "{token}\n{session}\n")?;
-        fs::rename(next, &path)
+        make_dirs(dir_of(&path), PRIVATE_DIR)?;
+        replace(&path, format!("{token}\n{session}\n").as_bytes(), PRIVATE)
     };
     write().with_context(|| format!("{}: the session's token cannot be kept", path.display()))?;
     Ok(path)

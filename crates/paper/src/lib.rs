@@ -14,7 +14,6 @@
 //! 6. `search`: [`search()`] goes from a start to better points.
 //! 7. `judge`: [`judge()`] simulates a pattern exactly; [`robustness()`] does so in other conditions.
 //! 8. `make`: [`make()`] searches frame by frame, judges the result and writes the pattern.
-//! 9. `prediction`: [`predict_response()`] compares the bursts of a play with those of its pattern.
 //!
 //! Invariant: results depend on the request alone, bit for bit on every machine. Only if a clock or the caller ends a search, the
 //! result also depends on when that happens.
@@ -43,7 +42,6 @@ mod naive;
 mod objective;
 mod partition;
 mod point;
-mod prediction;
 mod search;
 mod shipped;
 mod space;
@@ -57,7 +55,6 @@ pub use naive::Rule;
 pub use objective::{Fidelity, Incumbent, Objective, Score, Tried};
 pub use partition::{Partition, Verdict};
 pub use point::{Point, Vibration};
-pub use prediction::{MOST_OBSERVED_S, Play, PredictedResponse, PredictionError, Rates, predict_response};
 pub use search::{Brief, Ended, Found, Limit, Spent, Step, resume, search};
 pub use shipped::{YARDSTICK, shipped, shipped_names, shipped_text};
 pub use space::{Setting, Space, Window};

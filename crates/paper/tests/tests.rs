@@ -5,8 +5,6 @@
 mod frames;
 /// The library's patterns: made again byte for byte, with the figures that they state.
 mod library;
-/// The predicted response to bursts that do not travel as designed.
-mod prediction;
 /// The naive rules.
 mod rules;
 /// The search: the paper's frequencies, its work against a coordinate search's, threads, limits, flat objectives, its space.

@@ -6,8 +6,8 @@
 //!
 //! A pin that meets its end stop within a burst moves fast and then not at all. A caller that knows only the burst's travel
 //! describes it as a slower ramp. With stops at ±500 µm, an uncorrected pin loses little of a burst, and this moves a pattern's
-//! contrast by less than 0.5 impulses/s. If stops cut half of every burst, the computed contrast is an eighth too low (measured in
-//! `crates/paper/tests/prediction.rs`). A caller that knows when the pin stopped describes a shorter ramp.
+//! contrast by less than 0.5 impulses/s. If stops cut half of every burst, the computed contrast is an eighth too low (measured at
+//! commit e7f11c0d). A caller that knows when the pin stopped describes a shorter ramp.
 //!
 //! Invariant: a motor's ramps are in order of time and do not overlap.
 

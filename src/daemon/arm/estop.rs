@@ -11,15 +11,11 @@ use crate::record::Peer;
 use meissner_stream::queues::EStopSwitch;
 use meissner_stream::sync::atomic::{AtomicU64, Ordering};
 use nix::unistd::{Pid, getsid};
-use rustix::fs::{Mode, OFlags};
-use std::fmt::Write;
 
 /// Bits of a process's number: Linux counts to 2²² at most.
 const PID_BITS: u32 = 22;
-/// Bits of a terminal: a process's number and [`PARENT`], or one of [`UNKNOWN`], [`NONE`] and [`MIXED`].
+/// Bits of a terminal: a process's number, or one of [`UNKNOWN`], [`NONE`] and [`MIXED`].
 const TERMINAL_BITS: u32 = 24;
-/// If this bit is set, the number is that of the parent process.
-const PARENT: u32 = 1 << PID_BITS;
 /// The kernel does not report the terminal.
 const UNKNOWN: u32 = (1 << TERMINAL_BITS) - 1;
 /// In the guard: no emergency stop since the last reset.
@@ -29,9 +25,8 @@ const MIXED: u32 = UNKNOWN - 2;
 
 /// The identity of a client, by which `reset` distinguishes clients: its process, and its terminal.
 ///
-/// The terminal is the process session that the commands of one terminal share. In a container the kernel reports 0 for every
-/// session that began outside; then the parent process is used, which the commands of one shell or script share. If the kernel
-/// reports nothing about a client, it counts as different from all others.
+/// The terminal is the process session that the commands of one terminal share. Of a session that the kernel does not report, as of
+/// one that began outside of the client's container, each process counts alone.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Origin {
     /// 0: not known.
@@ -49,44 +44,22 @@ impl Origin {
         let pid = u32::try_from(peer.pid).ok().filter(|pid| *pid < 1 << PID_BITS).unwrap_or(0);
         // For process 0 the kernel would report the daemon's own session.
         let session = if pid == 0 { None } else { getsid(Some(Pid::from_raw(peer.pid))).ok() };
-        let session = session.and_then(|session| u32::try_from(session.as_raw()).ok());
-        Self::new(pid, session, || parent(pid))
+        Self::new(pid, session.and_then(|session| u32::try_from(session.as_raw()).ok()))
     }
 
-    fn new(pid: u32, session: Option<u32>, parent: impl FnOnce() -> Option<u32>) -> Self {
-        let number = |number: &u32| *number < 1 << PID_BITS;
-        let terminal = match session {
-            Some(0) => parent().filter(number).map(|parent| PARENT | parent),
-            session => session.filter(number),
-        };
+    /// Of a client in a container, whose session began outside, the session is 0.
+    fn new(pid: u32, session: Option<u32>) -> Self {
+        let terminal = session.filter(|number| (1..1 << PID_BITS).contains(number));
         Self { pid, terminal: terminal.unwrap_or(UNKNOWN) }
     }
 
     fn is_same(self, other: Self) -> bool {
-        let has_session = |of: Self| of.terminal & PARENT == 0;
-        if has_session(self) && has_session(other) {
+        match (self.terminal, other.terminal) {
+            (UNKNOWN, _) | (_, UNKNOWN) => self.pid != 0 && self.pid == other.pid,
             // A later program may have the number of an earlier process.
-            return self.terminal == other.terminal;
+            (own, other) => own == other,
         }
-        let is_parent = |of: Self, pid: u32| of.terminal == PARENT | pid;
-        let is_kin = is_parent(self, other.pid) || is_parent(other, self.pid);
-        let (known, same) = (self.terminal != UNKNOWN, self.terminal == other.terminal);
-        (self.pid != 0 && (self.pid == other.pid || is_kin && other.pid != 0)) || (known && same)
     }
-}
-
-/// The parent of a process, from `/proc`.
-fn parent(pid: u32) -> Option<u32> {
-    let mut path = heapless::String::<32>::new();
-    write!(path, "/proc/{pid}/stat").ok()?;
-    let file = rustix::fs::open(path.as_str(), OFlags::RDONLY | OFlags::CLOEXEC, Mode::empty()).ok()?;
-    let mut text = [0; 256];
-    let length = rustix::io::read(file, &mut text).ok()?;
-    // "PID (NAME) STATE PARENT ..."; a name may hold anything, at most 16 bytes.
-    let text = text.get(..length)?;
-    let after = text.iter().rposition(|&byte| byte == b')')? + 1;
-    let fields = std::str::from_utf8(text.get(after..)?).ok()?;
-    fields.split_ascii_whitespace().nth(1)?.parse().ok().filter(|parent| *parent != 0)
 }
 
 /// The origin of the emergency stops since the last reset: none, one terminal, or several. It changes with every emergency stop, so
@@ -168,12 +141,7 @@ mod tests {
     use meissner_stream::queues::queues;
 
     fn at(pid: u32, session: u32) -> Origin {
-        Origin::new(pid, Some(session), || panic!("it has a session"))
-    }
-
-    /// A client in a container, whose session began outside.
-    fn inside(pid: u32, parent: u32) -> Origin {
-        Origin::new(pid, Some(0), || Some(parent))
+        Origin::new(pid, Some(session))
     }
 
     fn estops() -> EStops {
@@ -215,17 +183,10 @@ mod tests {
     }
 
     #[test]
-    fn sessions_from_outside_of_a_container_are_told_apart_by_their_parents() {
-        let shell = 5;
-        assert!(inside(10, shell).is_same(inside(11, shell)), "commands of one shell");
-        assert!(!inside(10, shell).is_same(inside(12, 6)), "of two shells");
-        assert!(inside(shell, 1).is_same(inside(10, shell)), "a program and a command that it has started");
-        assert!(inside(10, shell).is_same(inside(shell, 1)));
-        assert!(!inside(10, shell).is_same(at(shell + 1, shell)), "a session is no parent");
-        // An unknown client counts as another one.
-        let hidden = Origin::new(10, Some(0), || None);
-        assert!(hidden.is_same(inside(10, 7)) && !hidden.is_same(Origin::new(11, Some(0), || None)));
-        assert!(!Origin::UNKNOWN.is_same(Origin::UNKNOWN) && !Origin::UNKNOWN.is_same(inside(10, 0)));
+    fn a_client_of_an_unknown_session_is_told_by_its_process_alone() {
+        let inside = |pid| at(pid, 0);
+        assert!(inside(10).is_same(inside(10)) && !inside(10).is_same(inside(11)));
+        assert!(inside(10).is_same(at(10, 5)) && !Origin::UNKNOWN.is_same(Origin::UNKNOWN));
         let estops = estops();
         estops.request(Origin::UNKNOWN);
         assert!(estops.guard().has_another(Origin::UNKNOWN) && estops.guard().has_another(at(10, 10)));
@@ -234,16 +195,9 @@ mod tests {
     #[test]
     fn a_guard_holds_the_largest_numbers() {
         let most = (1 << PID_BITS) - 1;
-        for origin in [at(most, most), inside(most, most), Origin::new(0, None, || None), at(1, 1)] {
+        for origin in [at(most, most), at(most, 0), Origin::new(0, None), at(1, 1)] {
             let guard = Guard::new(u64::MAX >> (PID_BITS + TERMINAL_BITS), Origin { pid: 0, terminal: NONE });
             assert_eq!(guard.with(origin).origin(), origin, "the count wraps");
         }
-    }
-
-    #[test]
-    fn this_process_has_a_parent() {
-        let me = std::process::id();
-        assert_eq!(parent(me), Some(std::os::unix::process::parent_id()).filter(|parent| *parent != 0));
-        assert_eq!(parent((1 << PID_BITS) - 1), None);
     }
 }

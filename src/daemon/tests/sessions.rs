@@ -1,7 +1,7 @@
 //! Sessions: one at a time, exclusive sessions, their owner's silence, their record, and failing disks.
 
-use super::bench::{Bench, Client, LOCAL, began, ended, next, problem, refusal};
-use meissner_api::{Event, PlayState, Session, SessionList, SessionStarted, Status};
+use super::bench::{Bench, Client, LOCAL, ended, problem, refusal};
+use meissner_api::{Session, SessionList, SessionStarted, Status};
 use serde_json::{Value, json};
 use std::io::{Read, Write};
 use std::time::Duration;
@@ -49,80 +49,6 @@ fn a_play_carries_its_session_trial_and_labels() {
     let recorded: Session = client.get(&format!("/v1/sessions/{}", started.id)).unwrap();
     assert_eq!(recorded, session);
     assert_eq!(problem(client.get("/v1/sessions/running")).code, "not-found");
-}
-
-#[test]
-fn two_clients_fight_for_a_session() {
-    let daemon = Bench::start();
-    let (mine, started) = owner(&daemon, "P07", true);
-    let mut other = daemon.client();
-    for (path, body) in [
-        ("/v1/sessions", json!({"participant": "P08"})),
-        ("/v1/play", json!({"pattern": "pin-60", "seconds": 0.1})),
-        ("/v1/reset", json!({"force": true})),
-    ] {
-        let refused = problem(other.post(path, &body));
-        assert_eq!((refused.code.as_str(), refused.status), ("session-exclusive", 409), "{path}");
-        let says = format!("session {} with participant `P07` is exclusive since 20", started.id);
-        assert!(
-            refused.detail.starts_with(&says) && refused.detail.contains(" s more"),
-            "{}",
-            refused.detail
-        );
-    }
-    // A wrong token gives no access.
-    other.set_token(Some("0".repeat(32)));
-    assert_eq!(problem(other.post("/v1/home", &json!({}))).code, "session-exclusive");
-    // Others may read; the owner may act, on any connection.
-    let status: Status = other.get("/v1/status").unwrap();
-    let session = status.session.unwrap();
-    assert!(session.is_closed_to_others() && session.release_in_s.is_some_and(|left| left > 60.0));
-    let mut again = daemon.client();
-    again.set_token(Some(started.token.clone()));
-    let _: Value = again.post("/v1/play", &json!({"pattern": "pin-60", "seconds": 30})).unwrap();
-    // Every client may order an emergency stop.
-    let stopped: Status = other.post("/v1/estop", &json!({})).unwrap();
-    assert_eq!(stopped.cause, "estop");
-    other.set_token(None);
-    let _: Status = mine.post("/v1/reset", &json!({"force": true})).unwrap();
-    let second = mine.post("/v1/sessions", &json!({"participant": "P09"}));
-    assert_eq!(refusal(second), ("session-running".into(), 409));
-    let _: Session = mine.post("/v1/sessions/running/end", &json!({})).unwrap();
-    let _: Status = other.post("/v1/disarm", &json!({})).unwrap();
-    start(&mut other, "P08", true);
-}
-
-#[test]
-fn an_owner_that_dies_in_mid_play_locks_nobody_out() {
-    let daemon = Bench::with("session_silence_s = 2\n");
-    let (mine, started) = owner(&daemon, "P07", true);
-    let mut events = daemon.client().events();
-    // From here on it is silent.
-    let _: Value = mine.post("/v1/play", &json!({"pattern": "pin-60", "seconds": 5})).unwrap();
-    let id = began(&mut events);
-    let other = daemon.client();
-    assert_eq!(problem(other.post("/v1/home", &json!({}))).code, "session-exclusive");
-    next(&mut events, |event| match event {
-        Event::SessionReleased { session } => {
-            assert_eq!(session, started.id);
-            Some(())
-        }
-        Event::Ended { .. } => panic!("the owner was silent for 2 s before the play's end"),
-        _ => None,
-    });
-    let status: Status = other.get("/v1/status").unwrap();
-    assert!(status.play.is_some_and(|play| play.id == id) && status.session.unwrap().released);
-    let receipt = ended(&mut events);
-    assert_eq!((receipt.id, receipt.state), (id, PlayState::Done));
-    let _: Value = other.post("/v1/play", &json!({"pattern": "pin-60", "seconds": 0.1})).unwrap();
-    assert_eq!(ended(&mut events).order.terms.session, Some(started.id.clone()));
-    // The owner's next request closes it again.
-    let back: Status = mine.get("/v1/status").unwrap();
-    assert!(back.session.unwrap().is_closed_to_others());
-    assert_eq!(problem(other.post("/v1/home", &json!({}))).code, "session-exclusive");
-    next(&mut events, |event| matches!(event, Event::SessionReleased { .. }).then_some(()));
-    let ended: Session = other.post("/v1/sessions/running/end", &json!({})).unwrap();
-    assert_eq!((ended.id, ended.reason.as_deref()), (started.id, Some("request")));
 }
 
 #[test]

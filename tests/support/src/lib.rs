@@ -6,7 +6,6 @@
 //! - [`statistics`]: mean, standard deviation, root mean square.
 //! - [`oracle`]: a second simulator, slow, written from the equations alone; [`both`] makes a scene for both.
 //! - [`rig`]: a streamer and a mock in virtual time; its lines are compared with compiled strokes.
-//! - [`played`]: the bursts that simulated motors make of a pattern.
 
 #![expect(missing_docs, missing_debug_implementations, reason = "only tests use it")]
 #![expect(clippy::unwrap_used, clippy::missing_panics_doc, reason = "a test that panics has failed")]
@@ -17,7 +16,6 @@ pub mod documents;
 pub mod oracle;
 pub mod paper;
 pub mod patterns;
-pub mod played;
 pub mod random;
 pub mod rig;
 pub mod statistics;
