@@ -286,6 +286,10 @@ fn the_demo_accounts_for_an_edge_rests_without_telemetry_and_serves_the_page() {
     assert_eq!(output.status.success(), both, "{report}");
     assert_eq!((&receipt["name"], &report["device"]), (&"edge-45".into(), &"mock".into()));
     assert_eq!((&receipt["duration_ms"]["ordered"], &report["lead_ms"]), (&1000.0.into(), &100.0.into()));
+    for class in 0..2 {
+        let error = |of: &str| report["felt"][of][class].as_f64().unwrap();
+        assert!(error("pressed_errors") < 0.7 * error("vibrating_errors"), "{report}");
+    }
     for figure in
         ["/receipt/device/wire/bytes_per_burst", "/rest_error_um/rms", "/rest_error_um/max", "/duration_s"]
     {

@@ -2,7 +2,7 @@
 //!
 //! The play takes the whole data path: socket, store, streamer, link, controller, motors. The true pin positions come from the
 //! simulation. It vibrates, so that position control has something to do. Then the same edge as a press is played, rendered from
-//! the real thing. With `--open-loop` pins are not corrected; with `--sensorless` the array has a lower stop but no telemetry, as a
+//! the real thing, and a simulated finger tells which of the two is more like the thing. With `--open-loop` pins are not corrected; with `--sensorless` the array has a lower stop but no telemetry, as a
 //! real board may.
 //!
 //! With `--page` its daemon serves the page, too, and goes on until a signal.
@@ -26,10 +26,11 @@ use meissner_array::per_motor::PerMotor;
 use meissner_array::spec::Array;
 use meissner_client::{Client, Events};
 use meissner_paper::shipped;
-use meissner_render::{Method, Rival, render};
+use meissner_render::{Judge, Method, Rival, render, response_of};
+use meissner_skin::Finger;
 use meissner_stream::device::Spec;
 use meissner_stream::{Gains, Settings};
-use meissner_touch::{Contact, Object, Touch, surface_of};
+use meissner_touch::{Contact, Object, Touch, respond, surface_of};
 use serde::Serialize;
 use std::net::Ipv4Addr;
 use std::process::ExitCode;
@@ -41,6 +42,10 @@ use std::time::{Duration, Instant};
 const PATTERN: &str = "edge-45";
 /// The same edge, rendered.
 const RENDERED: &str = "edge-45-rendered";
+/// The finger that compares both: one that nothing was made for.
+const FINGER: u64 = 5000;
+/// After the press, its spikes are counted for so long, s.
+const AFTER_S: f64 = 0.1;
 /// How long the mock may take to answer the handshake.
 const TIMEOUT: Duration = Duration::from_secs(5);
 
@@ -57,8 +62,17 @@ struct Report {
     rest_error_um: RestReport,
     /// Of the same edge, rendered.
     rendered: Receipt,
+    felt: Felt,
     realtime: Realtime,
     duration_s: f64,
+}
+
+/// The error of what a finger feels, of SA1 and of RA afferents: the size of the difference from its response to the real edge,
+/// blurred over the skin and in windows of 36 ms, over the size of that response.
+#[derive(Debug, Serialize)]
+struct Felt {
+    pressed_errors: [f64; 2],
+    vibrating_errors: [f64; 2],
 }
 
 /// The true rest error of the simulated pins.
@@ -113,7 +127,8 @@ pub(super) fn run(asked: &Asked) -> Result<ExitCode> {
     let mut client = Client::new(&config.socket)?;
     connected(&mut client)?;
     let signal = page.then(|| serve_page(&mut client)).transpose()?;
-    let [vibrating, pressed] = edges(array)?;
+    let edge = Edge::new()?;
+    let [vibrating, pressed] = edge.patterns(array)?;
     let terms = Terms { open_loop, ..Terms::default() };
     let item = Item { seconds: Some(seconds), ..Item::of(pattern_file::inline(&vibrating)?) };
     let mut events = client.events()?;
@@ -143,6 +158,7 @@ pub(super) fn run(asked: &Asked) -> Result<ExitCode> {
             expected_rms: sensorless.then(|| mean.sqrt()),
         },
         rendered,
+        felt: edge.felt(&vibrating, &pressed)?,
         realtime: hosted.realtime(),
         duration_s: begun.elapsed().as_secs_f64(),
     };
@@ -172,22 +188,46 @@ fn serve_page(client: &mut Client) -> Result<Receiver<i32>> {
     Ok(receiver)
 }
 
-/// The edge as a pattern that vibrates, and as a press. Those of the library are for the paper's array; for others they are made.
-fn edges(array: Array) -> Result<[Pattern; 2]> {
-    if array == Array::paper() {
-        let store = Store::new(None, false)?;
-        let of = |name| -> Result<Pattern> { Ok(Arc::unwrap_or_clone(store.get(name)?.pattern)) };
-        return Ok([of(PATTERN)?, of(RENDERED)?]);
+/// The edge under the finger.
+struct Edge {
+    object: Object,
+    contact: Contact,
+}
+
+impl Edge {
+    fn new() -> Result<Self> {
+        let target = shipped(PATTERN).context("internal error: the target is not shipped")?;
+        let object = Object::new(PATTERN, surface_of(target.shape()), Touch::default());
+        let contact = Contact::new(object.grains(object.pitch_mm()), object.touch().most_depth_mm())?;
+        Ok(Self { object, contact })
     }
-    let target = shipped(PATTERN).context("internal error: the target is not shipped")?;
-    let object = Object::new(PATTERN, surface_of(target.shape()), Touch::default());
-    let touch = object.touch();
-    let contact = Contact::new(object.grains(object.pitch_mm()), touch.most_depth_mm())?;
-    let drives = Rival::WithinReach.pattern(array, &contact, touch)?;
-    let drives = drives.drives().iter().map(|drive| Drive { start_s: None, stop_s: None, ..*drive });
-    let vibrating = Pattern::new(array, PATTERN, None, drives.collect(), toml::Table::new())?;
-    let pressed = render(array, &contact, touch, Method::Auto);
-    Ok([vibrating, pressed.pattern(array, RENDERED, toml::Table::new())?])
+
+    /// As a pattern that vibrates, and as a press. Those of the library are for the paper's array; for others they are made.
+    fn patterns(&self, array: Array) -> Result<[Pattern; 2]> {
+        if array == Array::paper() {
+            let store = Store::new(None, false)?;
+            let of = |name| -> Result<Pattern> { Ok(Arc::unwrap_or_clone(store.get(name)?.pattern)) };
+            return Ok([of(PATTERN)?, of(RENDERED)?]);
+        }
+        let touch = self.object.touch();
+        let drives = Rival::WithinReach.pattern(array, &self.contact, touch)?;
+        let drives = drives.drives().iter().map(|drive| Drive { start_s: None, stop_s: None, ..*drive });
+        let vibrating = Pattern::new(array, PATTERN, None, drives.collect(), toml::Table::new())?;
+        let pressed = render(array, &self.contact, touch, Method::Auto);
+        Ok([vibrating, pressed.pattern(array, RENDERED, toml::Table::new())?])
+    }
+
+    fn felt(&self, vibrating: &Pattern, pressed: &Pattern) -> Result<Felt> {
+        let (finger, touch) = (Finger::new(FINGER), self.object.touch());
+        let real_s = respond(&self.contact, touch, finger.afferents(), Some(0), &|_| ());
+        let seconds = touch.duration_s() + AFTER_S;
+        let judge = Judge::new(&finger, &real_s, seconds);
+        let errors = |pattern: &Pattern| -> Result<[f64; 2]> {
+            let [sa1, ra, _] = judge.compare(&response_of(&finger, pattern, seconds, 1)?).error_by_class;
+            Ok([sa1, ra])
+        };
+        Ok(Felt { pressed_errors: errors(pressed)?, vibrating_errors: errors(vibrating)? })
+    }
 }
 
 /// Waits until the mock has answered.
@@ -212,7 +252,8 @@ fn play(client: &mut Client, events: &mut Events, request: &Order, json: bool) -
 }
 
 fn summary(report: &Report) -> String {
-    let Report { receipt, rest_error_um, rendered, realtime, .. } = report;
+    let Report { receipt, rest_error_um, rendered, felt, realtime, .. } = report;
+    let ([sa1, ra], [vibrating_sa1, vibrating_ra]) = (felt.pressed_errors, felt.vibrating_errors);
     let yes = |granted| if granted { "yes" } else { "no" };
     let expected = rest_error_um.expected_rms.map_or_else(String::new, |um| {
         format!(" (expected without a sensor: {um:.2} um; surplus {:.1} um)", report.surplus_um)
@@ -228,7 +269,15 @@ fn summary(report: &Report) -> String {
                 rest_error_um.max
             ),
         ),
-        ("rendered", format!("{}: {}", rendered.name, rendered.state.name())),
+        (
+            "rendered",
+            format!(
+                "{}: {}; a finger's error from the real edge is {sa1:.2} (SA1) and {ra:.2} (RA), {vibrating_sa1:.2} and \
+                 {vibrating_ra:.2} with vibration",
+                rendered.name,
+                rendered.state.name()
+            ),
+        ),
         ("telemetry", if report.sensorless { "none, as on a board" } else { ON_NO_BOARD }.to_owned()),
         ("real time", format!("SCHED_FIFO {}, memory locked {}", yes(realtime.fifo), yes(realtime.mlock))),
     ]);

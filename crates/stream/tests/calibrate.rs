@@ -7,8 +7,8 @@ use meissner_array::random;
 use meissner_array::simulated::{SimulatedMotors, SimulatedMotorsConfig};
 use meissner_array::spec::Array;
 use meissner_stream::calibrate::{
-    BurstTravel, Calibration, MAX_BYTES, Plan, PlannedBurst, STROKES_PER_GROUP, fit,
-    travels_by_sensor, travels_by_telemetry,
+    BurstTravel, Calibration, MAX_BYTES, Plan, PlannedBurst, STROKES_PER_GROUP, fit, travels_by_sensor,
+    travels_by_telemetry,
 };
 use meissner_stream::{Settings, simulate_play};
 use meissner_test_support::documents::{assert_changes_refused, in_one_line};

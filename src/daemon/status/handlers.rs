@@ -37,8 +37,9 @@ pub(in crate::daemon) async fn doctor(Call { app, by }: Call) -> Answer<Json<Doc
     let _place = app.waiting_place(by.peer())?;
     let engine = Arc::clone(&app.engine);
     look_for_losses(&engine, READ).await;
-    let late =
-        |_| Problem::new(Code::Timeout, "the checks take too long: run `meissner doctor` on the daemon's machine");
+    let late = |_| {
+        Problem::new(Code::Timeout, "the checks take too long: run `meissner doctor` on the daemon's machine")
+    };
     let checked = async {
         // One check runs at a time, also if it hangs.
         let turn = app.doctor.lock_owned().await;
