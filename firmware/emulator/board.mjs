@@ -83,7 +83,6 @@ export class Board {
     this.bus = mcu.bus = new Bus(mcu);
     this.core = mcu.core = new Core(this.clock, this.bus, this.slow);
     this.bus.ppb = mcu.ppb = new PrivatePeripherals(this.core, this.clock);
-    this.core.onResetRequest = () => this.wantReset();
     mcu.dma = new Dma(mcu, 'DMA');
     mcu.pio = [new Pio(mcu, 'PIO0', 7, 0, this.pioLate), new Pio(mcu, 'PIO1', 9, 1, this.pioLate)];
     mcu.pins = new Pins(mcu, this.clock, this.recorder, this.wiring);
@@ -195,7 +194,7 @@ export class Board {
     this.wantReset();
   }
   hardfault() {
-    this.core.hardFault('forced by the bench');
+    this.core.hardFault();
   }
   symbol(name) {
     const s = this.symbols.get(name);

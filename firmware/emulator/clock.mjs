@@ -39,9 +39,6 @@ export class Clock {
   get nanos() {
     return this.baseNanos + ((this.t[NOW] - this.baseCycle) * 1e9) / this.hz;
   }
-  get micros() {
-    return this.nanos / 1000;
-  }
   /** First cycle at which `nanos` has been reached; the slack keeps a rounding error from costing a whole cycle. */
   cycleOf(nanos) {
     return Math.max(this.t[NOW], this.baseCycle + Math.ceil(((nanos - this.baseNanos) * this.hz) / 1e9 - 1e-6));

@@ -24,12 +24,10 @@ export class Core extends Interpreter {
     this.slow = slow;
     this.vtor = 0;
     this.asleep = AWAKE;
-    this.sleepOnExit = false;
     this.stopped = false;
     this.exceptions = new Exceptions(this);
     this.counts = new Float64Array(2); // instructions, cycles asleep
     this.carryOver = 0; // fractions of a cycle, with a fractional `slow`
-    this.fault = null; // text of the last fault, for `stats`
     // rp2040js's own peripherals use these two of its core
     this.cycles = 0;
     this.interruptNMIMask = 0;
@@ -69,7 +67,7 @@ export class Core extends Interpreter {
         else this.doze(Math.min(limit, t[NEXT]));
       } catch (e) {
         if (!(e instanceof Fault)) throw e;
-        this.hardFault(e.message);
+        this.hardFault();
       }
     }
   }
@@ -144,22 +142,19 @@ export class Core extends Interpreter {
     } catch (e) {
       if (!(e instanceof Fault)) throw e;
       // without a stack or a vector for the fault the chip locks up
-      this.fault = `lockup: ${e.message} on exception entry`;
       return this.die();
     }
     r[13] = frame;
-    r[14] = !thread ? 0xfffffff1 : this.onProcessStack ? 0xfffffffd : 0xfffffff9;
-    this.useProcessStack(false);
+    r[14] = thread ? 0xfffffff9 : 0xfffffff1;
     this.exceptions.enter(number);
     this.ipsr = number;
     this.event = true;
     r[15] = handler;
     this.attention = true;
   }
-  leave(code) {
+  leave() {
     const { r, bus } = this;
     const number = this.ipsr;
-    if ((code & 0xf) !== 1) this.useProcessStack((code & 0xf) === 0xd);
     const frame = r[13];
     for (let i = 0; i < 4; i++) r[i] = bus.read32(frame + 4 * i);
     r[12] = bus.read32(frame + 16);
@@ -171,11 +166,9 @@ export class Core extends Interpreter {
     this.ipsr = psr & 0x3f;
     this.event = true;
     this.exceptions.leave(number);
-    if (this.sleepOnExit && this.ipsr === 0) this.asleep = WFI;
   }
   /** Raises a fault; the stacked address is that of the instruction or, after a bad access, of the next one. */
-  hardFault(text) {
-    this.fault = `${text} near ${(this.r[15] >>> 0).toString(16)}`;
+  hardFault() {
     if (this.asleep === DEAD) return;
     if (this.exceptions.current <= -1) return this.die();
     this.asleep = AWAKE;
@@ -189,7 +182,7 @@ export class Core extends Interpreter {
   /** BX, POP and MOV to PC: jumps to an address, or returns from an exception. */
   branch(address) {
     if (this.ipsr !== 0 && address >>> 28 === 0xf) {
-      this.leave(address);
+      this.leave();
       return RETURN_CYCLES;
     }
     if (!(address & 1)) throw new Fault('branch without the Thumb bit');

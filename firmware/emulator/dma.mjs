@@ -109,7 +109,6 @@ class Channel {
   }
   finish() {
     this.control &= ~BUSY;
-    if (!(this.control & QUIET)) this.dma.raise(1 << this.index);
     if (this.chain !== this.index) this.dma.channels[this.chain]?.trigger();
   }
   abort() {
@@ -132,9 +131,8 @@ class Channel {
       else this.go();
     }
     if ((word & 3) !== 3) return;
-    // the null trigger: writing zero starts nothing, and raises the interrupt if the channel is in quiet mode
+    // the null trigger: writing zero starts nothing
     if (v !== 0) this.trigger();
-    else if (this.control & QUIET) this.dma.raise(1 << this.index);
   }
 }
 
@@ -147,9 +145,6 @@ export class Dma extends BasePeripheral {
   reset() {
     for (const c of this.channels) c.alarm.cancel();
     this.channels = Array.from({ length: CHANNELS }, (_, i) => new Channel(this, i));
-    this.raw = 0;
-    this.enable = [0, 0];
-    this.force = [0, 0];
   }
   /** A FIFO has room, or data. */
   requested(treq) {
@@ -161,63 +156,16 @@ export class Dma extends BasePeripheral {
   // the requests of rp2040js's other peripherals; none of them is served
   setDREQ() {}
   clearDREQ() {}
-  raise(bits) {
-    this.raw |= bits;
-    this.update();
-  }
-  status(i) {
-    return (this.raw & this.enable[i]) | this.force[i];
-  }
-  update() {
-    this.rp2040.setInterrupt(IRQ0, this.status(0) !== 0);
-    this.rp2040.setInterrupt(IRQ0 + 1, this.status(1) !== 0);
-  }
   readUint32(offset) {
     if (offset < CHANNELS * 64) return this.channels[offset >> 6].readRegister((offset >> 2) & 15);
     if (offset >= 0x800) return offset & 4 ? (this.channels[(offset - 0x800) >> 6]?.reload ?? 0) : 0;
-    const i = offset >= 0x410 ? 1 : 0;
-    switch (offset) {
-      case 0x400:
-        return this.raw;
-      case 0x404:
-      case 0x414:
-        return this.enable[i];
-      case 0x408:
-      case 0x418:
-        return this.force[i];
-      case 0x40c:
-      case 0x41c:
-        return this.status(i);
-      case 0x448:
-        return CHANNELS;
-      default:
-        return 0;
-    }
+    throw new Error(`the DMA's register ${offset.toString(16)} is not modelled`);
   }
   writeUint32(offset, v) {
     if (offset < CHANNELS * 64) return this.channels[offset >> 6].writeRegister((offset >> 2) & 15, v);
-    const i = offset >= 0x410 ? 1 : 0;
-    switch (offset) {
-      case 0x400:
-      case 0x40c:
-      case 0x41c:
-        this.raw &= ~this.rawWriteValue;
-        break;
-      case 0x404:
-      case 0x414:
-        this.enable[i] = v & 0xffff;
-        break;
-      case 0x408:
-      case 0x418:
-        this.force[i] = v & 0xffff;
-        break;
-      case 0x430:
-        for (const c of this.channels) if (v & (1 << c.index)) c.trigger();
-        break;
-      case 0x444:
-        for (const c of this.channels) if (v & (1 << c.index)) c.abort();
-        break;
-    }
-    this.update();
+    const all = (act) => this.channels.filter((c) => v & (1 << c.index)).forEach(act);
+    if (offset === 0x430) all((c) => c.trigger());
+    else if (offset === 0x444) all((c) => c.abort());
+    else throw new Error(`the DMA's register ${offset.toString(16)} is not modelled`);
   }
 }

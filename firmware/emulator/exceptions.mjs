@@ -2,10 +2,8 @@
 // it (stack frame, vector); the registers are in ppb.mjs.
 // Lines are level-sensitive as on the M0+'s NVIC: a rise is latched, and a line still high when its handler returns pends again.
 
-export const NMI = 2;
 export const HARDFAULT = 3;
 export const SVCALL = 11;
-export const PENDSV = 14;
 export const SYSTICK = 15;
 /** Priority of thread mode: lower than any exception's. */
 const THREAD = 4;
@@ -20,9 +18,7 @@ export class Exceptions {
     this.active = []; // innermost last
     this.current = THREAD; // priority of the running code, without PRIMASK
     this.priority = new Int8Array(48);
-    this.priority[NMI] = -2;
     this.priority[HARDFAULT] = -1;
-    this.sevOnPend = false;
   }
   /** Level of a peripheral's interrupt line. */
   setLine(irq, high) {
@@ -34,7 +30,6 @@ export class Exceptions {
     }
   }
   pend(mask) {
-    if (this.sevOnPend && mask & ~this.pending) this.core.event = true;
     this.pending |= mask;
     this.core.attention = true;
   }
@@ -43,7 +38,6 @@ export class Exceptions {
     for (let i = 0; i < 32; i++) if (mask & this.lines & (1 << i) && !this.active.includes(16 + i)) this.pending |= 1 << i;
   }
   pendSystem(number) {
-    if (this.sevOnPend && !(this.system & (1 << number))) this.core.event = true;
     this.system |= 1 << number;
     this.core.attention = true;
   }

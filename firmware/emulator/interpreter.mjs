@@ -16,8 +16,6 @@ export class Interpreter {
   constructor(bus) {
     this.bus = bus;
     this.r = new Int32Array(16); // r[15] is the address of the next instruction
-    this.otherSp = 0; // the banked stack pointer that is not in r[13]
-    this.onProcessStack = false;
     this.result = 0; // N and Z are those of this value
     this.c = 0;
     this.v = 0;
@@ -37,30 +35,21 @@ export class Interpreter {
     this.c = (psr >>> 29) & 1;
     this.v = (psr >>> 28) & 1;
   }
-  useProcessStack(yes) {
-    if (yes === this.onProcessStack) return;
-    [this.r[13], this.otherSp] = [this.otherSp, this.r[13]];
-    this.onProcessStack = yes;
-  }
   // ---- special registers
 
   readSpecial(which) {
     if (which <= 7) return (which & 4 ? 0 : this.psr & 0xf0000000) | (which & 1 ? this.ipsr : 0);
-    if (which === 8) return this.onProcessStack ? this.otherSp : this.r[13];
-    if (which === 9) return this.onProcessStack ? this.r[13] : this.otherSp;
+    if (which === 8) return this.r[13];
     if (which === 16) return this.primask;
-    if (which === 20) return this.onProcessStack ? 2 : 0;
-    return 0;
+    throw new Error(`the special register ${which} is not modelled`);
   }
   writeSpecial(which, value) {
     if (which <= 3) this.flags = value;
-    else if (which === 8 || which === 9) {
-      if (this.onProcessStack === (which === 9)) this.r[13] = value & ~3;
-      else this.otherSp = value & ~3;
-    } else if (which === 16) {
+    else if (which === 8) this.r[13] = value & ~3;
+    else if (which === 16) {
       this.primask = value & 1;
       this.attention = true;
-    } else if (which === 20 && this.ipsr === 0) this.useProcessStack(!!(value & 2));
+    } else throw new Error(`the special register ${which} is not modelled`);
   }
 
   // ---- arithmetic that sets the flags

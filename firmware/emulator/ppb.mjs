@@ -1,8 +1,8 @@
 // The core's private peripherals: SysTick, NVIC registers, System Control Block.
 // SysTick counts exact clk_sys cycles from an anchor instead of being stepped; with CLKSOURCE = 0 it counts the 1 µs tick.
-// MPU and debug registers read as zero.
+// Other registers are errors.
 
-import { NMI, PENDSV, SYSTICK } from './exceptions.mjs';
+import { SYSTICK } from './exceptions.mjs';
 
 const MAX = 0xffffff;
 
@@ -85,39 +85,14 @@ export class PrivatePeripherals {
       return v;
     }
     switch (offset) {
-      case 0x100:
-      case 0x180:
-        return ex.enabled;
-      case 0x200:
-      case 0x280:
-        return ex.pending;
-      case 0xd00:
-        return 0x410cc601;
       case 0xd04: {
         const external = ex.pending & ex.enabled;
-        return (
-          (ex.system & (1 << NMI) ? 1 << 31 : 0) |
-          (ex.system & (1 << PENDSV) ? 1 << 28 : 0) |
-          (ex.system & (1 << SYSTICK) ? 1 << 26 : 0) |
-          (external ? 1 << 22 : 0) |
-          (ex.next(5) << 12) |
-          this.core.ipsr
-        );
+        return (ex.system & (1 << SYSTICK) ? 1 << 26 : 0) | (external ? 1 << 22 : 0) | (ex.next(5) << 12) | this.core.ipsr;
       }
       case 0xd08:
         return this.core.vtor;
-      case 0xd0c:
-        return 0xfa050000;
-      case 0xd10:
-        return this.scr;
-      case 0xd14:
-        return 0x208; // STKALIGN and UNALIGN_TRP, both fixed on ARMv6-M
-      case 0xd1c:
-        return ex.priority[11] << 30;
-      case 0xd20:
-        return (ex.priority[14] << 22) | (ex.priority[15] << 30);
       default:
-        return 0;
+        throw new Error(`the register ${offset.toString(16)} of the core's peripherals is not modelled`);
     }
   }
   writeUint32(offset, v) {
@@ -142,33 +117,11 @@ export class PrivatePeripherals {
       case 0x280:
         ex.unpend(v);
         break;
-      case 0xd04:
-        if (v & (1 << 31)) ex.pendSystem(NMI);
-        if (v & (1 << 28)) ex.pendSystem(PENDSV);
-        if (v & (1 << 27)) ex.system &= ~(1 << PENDSV);
-        if (v & (1 << 26)) ex.pendSystem(SYSTICK);
-        if (v & (1 << 25)) ex.system &= ~(1 << SYSTICK);
-        break;
       case 0xd08:
         this.core.vtor = v & 0xffffff00;
         break;
-      case 0xd0c:
-        // AIRCR.SYSRESETREQ, with its key
-        if (v >>> 16 === 0x05fa && v & 4) this.core.onResetRequest?.();
-        break;
-      case 0xd10:
-        this.scr = v & 0x16;
-        ex.sevOnPend = !!(v & 0x10);
-        this.core.sleepOnExit = !!(v & 2);
-        break;
-      case 0xd1c:
-        ex.priority[11] = v >>> 30;
-        break;
-      case 0xd20:
-        ex.priority[14] = (v >>> 22) & 3;
-        ex.priority[15] = v >>> 30;
-        this.core.attention = true;
-        break;
+      default:
+        throw new Error(`the register ${offset.toString(16)} of the core's peripherals is not modelled`);
     }
   }
 }

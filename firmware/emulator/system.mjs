@@ -37,14 +37,12 @@ export class Timer extends BasePeripheral {
   constructor(rp2040, tick) {
     super(rp2040, 'TIMER');
     this.tick = tick;
-    this.offset = 0;
-    this.latched = 0;
-    this.raw = this.enable = this.force = 0;
+    this.raw = this.enable = 0;
     this.alarms = [0, 1, 2, 3].map((i) => ({ target: 0, armed: false, alarm: rp2040.clock.createAlarm(() => this.fire(i)) }));
     tick.listeners.push(() => this.alarms.forEach((_, i) => this.schedule(i)));
   }
   get time() {
-    return this.tick.count + this.offset;
+    return this.tick.count;
   }
   schedule(i) {
     const a = this.alarms[i];
@@ -52,7 +50,7 @@ export class Timer extends BasePeripheral {
     if (!a.armed || this.tick.nanosPerTick === Infinity) return;
     const now = this.time;
     const ahead = (a.target - (now % 2 ** 32)) >>> 0; // a time that has just passed comes again in 72 minutes
-    a.alarm.schedule(Math.max(0, this.tick.nanosUntil(now - this.offset + ahead)));
+    a.alarm.schedule(Math.max(0, this.tick.nanosUntil(now + ahead)));
   }
   fire(i) {
     this.alarms[i].armed = false;
@@ -60,33 +58,19 @@ export class Timer extends BasePeripheral {
     this.update();
   }
   update() {
-    const status = (this.raw & this.enable) | this.force;
+    const status = this.raw & this.enable;
     for (let i = 0; i < 4; i++) this.rp2040.setInterrupt(i, (status & (1 << i)) !== 0);
   }
   readUint32(offset) {
-    const { time } = this;
     switch (offset) {
-      case 0x08:
-        return this.latched;
-      case 0x0c:
-        this.latched = Math.floor(time / 2 ** 32);
-        return time % 2 ** 32;
       case 0x24:
-        return Math.floor(time / 2 ** 32);
+        return Math.floor(this.time / 2 ** 32);
       case 0x28:
-        return time % 2 ** 32;
-      case 0x20:
-        return this.alarms.reduce((m, a, i) => m | (a.armed ? 1 << i : 0), 0);
-      case 0x34:
-        return this.raw;
+        return this.time % 2 ** 32;
       case 0x38:
         return this.enable;
-      case 0x3c:
-        return this.force;
-      case 0x40:
-        return (this.raw & this.enable) | this.force;
       default:
-        return offset >= 0x10 && offset < 0x20 ? this.alarms[(offset - 0x10) >> 2].target : 0;
+        throw new Error(`the timer's register ${offset.toString(16)} is not modelled`);
     }
   }
   writeUint32(offset, v) {
@@ -100,13 +84,9 @@ export class Timer extends BasePeripheral {
         a.armed = false;
         a.alarm.cancel();
       });
-    } else if (offset === 0x04) this.low = v;
-    else if (offset === 0x00) {
-      this.offset = v * 2 ** 32 + (this.low ?? 0) - this.tick.count;
-      this.alarms.forEach((_, i) => this.schedule(i));
     } else if (offset === 0x34) this.raw &= ~this.rawWriteValue;
     else if (offset === 0x38) this.enable = v & 15;
-    else if (offset === 0x3c) this.force = v & 15;
+    else throw new Error(`the timer's register ${offset.toString(16)} is not modelled`);
     this.update();
   }
 }

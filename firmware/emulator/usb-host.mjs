@@ -86,7 +86,6 @@ export class UsbHost {
     this.address = 0;
     this.pipes = {}; // name → { ep, out, size, data1 }
     this.dtr = false;
-    this.serial = '';
     this.control = null;
     this.controls = [];
     this.current = null;
@@ -220,8 +219,7 @@ export class UsbHost {
       const total = head[2] | (head[3] << 8);
       get(2, total, (d) => {
         this.parse(d);
-        if (this.serialIndex)
-          get(3, 255, (s) => (this.serial = s ? Buffer.from(s.slice(2)).toString('utf16le') : ''), this.serialIndex, 0x409);
+        if (this.serialIndex) get(3, 255, () => {}, this.serialIndex, 0x409);
         this.ask(request(0, 9, d[5], 0, 0), {
           done: () => {
             if (this.pipes.cdc) this.ask(request(0x21, 0x20, 0, this.cdcInterface, 7), { data: Uint8Array.of(0, 0xc2, 1, 0, 0, 0, 8) });
