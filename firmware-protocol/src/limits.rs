@@ -83,7 +83,7 @@ const BUCKETS: usize = BUCKETS_PER_S + 1;
 
 /// Counts pulses per motor of the last second.
 #[derive(Clone, Debug, Hash)]
-struct SlidingSecond {
+pub struct SlidingSecond {
     /// Index of the bucket being filled.
     bucket: usize,
     /// Ticks of a bucket.
@@ -108,8 +108,8 @@ impl SlidingSecond {
         }
     }
 
-    /// Lets time pass. In each block that is a bucket at most.
-    fn pass(&mut self, now: Tick) {
+    /// Lets time pass up to `now`, where what is counted next begins or ends; in steps of a block at most, so that it is never long.
+    pub fn pass(&mut self, now: Tick) {
         if self.next <= now {
             self.next_buckets(now);
         }
@@ -132,16 +132,21 @@ impl SlidingSecond {
         }
     }
 
+    /// Counts a burst that no limit may refuse.
+    pub fn count(&mut self, motor: usize, pulses: u32) {
+        self.charged[motor] += pulses;
+    }
+
     /// Ends a move counted with `charged` pulses, of which `played` were played.
-    fn end(&mut self, motor: usize, charged: u32, played: u32) {
+    pub fn end(&mut self, motor: usize, charged: u32, played: u32) {
         let sum = &mut self.charged[motor];
         *sum = (*sum + played).saturating_sub(charged);
         let ended = &mut self.ended[self.bucket][motor];
         *ended = ended.saturating_add(u16::try_from(played).unwrap_or(u16::MAX));
     }
 
-    /// Counts no longer the last `pulses` that have ended, at most a bucket's time ago.
-    fn take_back(&mut self, motor: usize, pulses: u16) {
+    /// Counts no longer the last `pulses` that have ended, at most a bucket's time ago: they were not played.
+    pub fn take_back(&mut self, motor: usize, pulses: u16) {
         let sum = &mut self.charged[motor];
         *sum = sum.saturating_sub(pulses.into());
         let before = if self.bucket > 0 { self.bucket - 1 } else { BUCKETS - 1 };
@@ -165,7 +170,8 @@ pub struct OnTime {
     /// Whether the pulses per motor, and per rail, are limited.
     limits_motor: bool,
     limits_rail: bool,
-    pulses: SlidingSecond,
+    /// The pulses.
+    pub pulses: SlidingSecond,
 }
 
 impl OnTime {
@@ -236,26 +242,6 @@ impl OnTime {
         }
         room
     }
-
-    /// Lets time pass up to `now`, where what is counted next begins or ends; in steps of a block at most, so that it is never long.
-    pub fn pass(&mut self, now: Tick) {
-        self.pulses.pass(now);
-    }
-
-    /// Counts a burst that no limit may refuse.
-    pub fn count(&mut self, motor: usize, pulses: u32) {
-        self.pulses.charged[motor] += pulses;
-    }
-
-    /// Ends a move counted with `charged` pulses, of which `played` were played.
-    pub fn end(&mut self, motor: usize, charged: u32, played: u32) {
-        self.pulses.end(motor, charged, played);
-    }
-
-    /// Counts no longer the last pulses that have ended: they were not played.
-    pub fn take_back(&mut self, motor: usize, pulses: u16) {
-        self.pulses.take_back(motor, pulses);
-    }
 }
 
 /// The sum over the group of `motor`.
@@ -279,7 +265,8 @@ pub struct Pushing {
     limit: u32,
     /// The highest limit.
     most: u32,
-    pulses: SlidingSecond,
+    /// The pulses that push.
+    pub pulses: SlidingSecond,
 }
 
 impl Pushing {
@@ -324,39 +311,10 @@ impl Pushing {
         Ok(())
     }
 
-    /// Counts as many of `pulses` as do not break the limit, and returns their number.
-    pub fn begin_some(&mut self, motor: usize, pulses: u32) -> u32 {
-        let some = pulses.min(self.room(motor));
-        self.count(motor, some);
-        some
-    }
-
     /// How many pulses more a motor may push.
     #[must_use]
     pub fn room(&self, motor: usize) -> u32 {
         self.limit.saturating_sub(self.pulses.charged[motor])
-    }
-
-    /// Lets time pass, as [`OnTime::pass`].
-    pub fn pass(&mut self, now: Tick) {
-        self.pulses.pass(now);
-    }
-
-    /// Counts pulses that no limit may refuse.
-    pub fn count(&mut self, motor: usize, pulses: u32) {
-        self.pulses.charged[motor] += pulses;
-    }
-
-    /// Counts no longer the last pulses that have ended: they were not played.
-    pub fn take_back(&mut self, motor: usize, pulses: u16) {
-        self.pulses.take_back(motor, pulses);
-    }
-
-    /// Ends a surplus of `pulses`, of which `played` keep counting.
-    pub fn end(&mut self, motor: usize, pulses: u32, played: u32) {
-        if pulses > 0 || played > 0 {
-            self.pulses.end(motor, pulses, played);
-        }
     }
 }
 
@@ -462,7 +420,7 @@ mod tests {
     fn pass(account: &mut OnTime, passed: &mut u64, now: u64) {
         while *passed + u64::from(BLOCK) <= now {
             *passed += u64::from(BLOCK);
-            account.pass(Tick(*passed));
+            account.pulses.pass(Tick(*passed));
         }
     }
 
@@ -498,13 +456,13 @@ mod tests {
                         continue;
                     }
                 } else {
-                    account.count(motor, pulses);
+                    account.pulses.count(motor, pulses);
                 }
                 heights[motor] = level;
                 bursts.push((motor, now, now + u64::from(pulses)));
                 now += u64::from(pulses);
                 pass(&mut account, &mut passed, now);
-                account.end(motor, pulses, pulses);
+                account.pulses.end(motor, pulses, pulses);
             }
             for &(_, _, end) in &bursts {
                 let mut second = [0; 6];

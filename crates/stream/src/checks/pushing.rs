@@ -49,11 +49,11 @@ impl Pushes {
         }
         ended.sort_unstable();
         for (end, motor, surplus) in ended {
-            self.pushing.pass(end);
-            self.pushing.end(motor, surplus, surplus);
+            self.pushing.pulses.pass(end);
+            self.pushing.pulses.end(motor, surplus, surplus);
         }
         let (motor, surplus) = (usize::from(step.motor()), u32::from(step.surplus()));
-        self.pushing.pass(step.begin());
+        self.pushing.pulses.pass(step.begin());
         if surplus > 0 && self.pushing.begin(motor, surplus).is_err() {
             let at_s = self.array.rate().ticks_to_seconds(step.begin().0);
             self.found = Some(Overpush { motor: step.motor(), at_s });

@@ -88,8 +88,8 @@ impl Motion {
     fn cut(&mut self, cause: Cause, then: State, now: Tick, player: &mut Player, reporting: &mut Reporting) {
         let at = player.rendered().wire();
         // What is rendered is played, unless an e-stop follows.
-        if player.shifts_at(player.rendered()) {
-            self.pins.take_back();
+        if let Some(shift) = player.shift_at(player.rendered()) {
+            self.pins.take_back(shift);
         }
         let (flushed, outstanding) = player.cut(reporting);
         let return_ticks = Some(player.return_ticks());
@@ -109,10 +109,8 @@ impl Motion {
         if self.state == State::Faulted {
             return false;
         }
-        if player.shifts_at(at) {
-            self.pins.take_back();
-        } else {
-            self.pins.finish_shift();
+        if let Some(shift) = player.shift_at(at) {
+            self.pins.take_back(shift);
         }
         let flushed = player.turn_off(at, reporting);
         if self.pins.seeks() {
@@ -141,9 +139,6 @@ impl Motion {
     /// Books what was played before `now`. A return is over when all pins are still.
     pub(super) fn settle(&mut self, now: Tick, player: &mut Player, reporting: &mut Reporting) {
         player.settle(now, reporting);
-        if !player.shifts_at(now) {
-            self.pins.finish_shift();
-        }
         if self.state == State::Returning && player.is_still(now) {
             self.state = self.then;
             self.pins.finish_seek();
@@ -208,9 +203,6 @@ impl Motion {
         if pulses > 0 {
             player.shift(motor, direction, pulses, pushes)?;
             self.pins.set_travel(motor, travel);
-            if direction == Direction::Up {
-                self.pins.begin_shift(motor, pulses);
-            }
         }
         Ok(())
     }

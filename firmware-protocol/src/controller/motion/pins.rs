@@ -3,6 +3,7 @@
 //! How high a pin is above rest is the player's to know. Invariant: while pins seek the lower stop, their position is unknown.
 
 use crate::array::{CAPACITY, Layout};
+use crate::controller::player::Shifting;
 use crate::limits::Refusal;
 use crate::stroke::Direction;
 
@@ -13,13 +14,10 @@ pub(in crate::controller) struct Pins {
     seeks: bool,
     /// Net pulses by which rest was shifted.
     travel: [i16; CAPACITY],
-    /// The last shift upwards, until it is over: its motor and pulses.
-    shifting: Option<(u8, u16)>,
 }
 
 impl Pins {
-    pub(super) const UNKNOWN: Self =
-        Self { position_known: false, seeks: false, travel: [0; CAPACITY], shifting: None };
+    pub(super) const UNKNOWN: Self = Self { position_known: false, seeks: false, travel: [0; CAPACITY] };
 
     pub(in crate::controller) fn position_known(&self) -> bool {
         self.position_known
@@ -62,20 +60,9 @@ impl Pins {
         layout.least_seek(heights.max().unwrap_or(0))
     }
 
-    /// A shift upwards has begun.
-    pub(super) fn begin_shift(&mut self, motor: u8, pulses: u16) {
-        self.shifting = Some((motor, pulses));
-    }
-
-    pub(super) fn finish_shift(&mut self) {
-        self.shifting = None;
-    }
-
     /// A shift upwards that was under way is driven back, or was not played.
-    pub(super) fn take_back(&mut self) {
-        if let Some((motor, pulses)) = self.shifting.take() {
-            self.travel[usize::from(motor)] -= pulses.cast_signed();
-        }
+    pub(super) fn take_back(&mut self, of: Shifting) {
+        self.travel[usize::from(of.motor)] -= of.pulses.cast_signed();
     }
 
     /// The travel of a pin after a move, and how many of its pulses push. A pin goes no further down than a lower stop.

@@ -45,7 +45,7 @@ impl Player {
         self.lowered = Lowered::NOTHING;
         // The play is over, and so is what its mark says.
         self.set_hold(0);
-        if self.shifts_at(now) {
+        if self.shift_at(now).is_some() {
             self.shifting = None;
         }
         for motor in 0..self.layout.loop_end() {
@@ -71,7 +71,7 @@ impl Player {
     pub(in crate::controller) fn is_still(&self, now: Tick) -> bool {
         self.queues.is_empty()
             && self.still_from <= now
-            && !self.shifts_at(now)
+            && self.shift_at(now).is_none()
             && self.motors[..self.layout.loop_end()].iter().all(super::motor::Motor::is_still)
     }
 
@@ -126,11 +126,11 @@ impl Player {
 
     /// Every pin counts as `pulses` above rest, and comes down against the lower stop.
     pub(in crate::controller) fn seek(&mut self, pulses: u16) -> Result<(), Refusal> {
-        if !self.allowance.allows_pushes(pulses.into()) {
+        if !self.pushing.allows_all(pulses.into()) {
             return Err(Refusal::Pushing);
         }
         for motor in 0..self.layout.motors() {
-            let _ = self.allowance.push(motor, pulses);
+            self.pushing.pulses.end(motor, 0, pulses.into());
             self.motors[motor].place(pulses, pulses);
         }
         self.bring_down();
@@ -147,10 +147,12 @@ impl Player {
         pushes: u16,
     ) -> Result<(), Refusal> {
         let (now, index) = (self.rendered, usize::from(motor));
-        self.allowance.begin(index, pulses.into(), [0; 2], &self.layout)?;
+        self.on_time.begin(index, pulses.into(), [0; 2], &self.layout)?;
         // It counts when it begins.
-        self.allowance.end(index, pulses, 0);
-        self.allowance.may_push(index, pushes)?;
+        self.on_time.pulses.end(index, pulses.into(), 0);
+        if u32::from(pushes) > self.pushing.room(index) {
+            return Err(Refusal::Pushing);
+        }
         match direction {
             Direction::Up => self.shifting = Some(Shifting { motor, pulses, end: None }),
             Direction::Down => {
@@ -221,7 +223,10 @@ impl Player {
             for (direction, lines) in [(Direction::Up, run.lines.up), (Direction::Down, run.lines.down)] {
                 for motor in lines.iter().map(usize::from) {
                     let pushes = self.motors[motor].undo(direction, ticks, begin);
-                    self.allowance.take_back(motor, ticks, pushes);
+                    self.on_time.pulses.take_back(motor, ticks);
+                    if pushes > 0 {
+                        self.pushing.pulses.take_back(motor, pushes);
+                    }
                 }
             }
             let counters = reporting.count();
@@ -257,16 +262,14 @@ impl Player {
         self.recent.without_last((self.rendered - now) as u32, counters)
     }
 
-    /// Whether a shift of rest upwards is not over in the ticks before `now`.
-    pub(in crate::controller) fn shifts_at(&self, now: Tick) -> bool {
-        self.shifting.is_some_and(|of| of.end.is_none_or(|end| end > now))
+    /// The shift of rest upwards that is not over in the ticks before `now`.
+    pub(in crate::controller) fn shift_at(&self, now: Tick) -> Option<Shifting> {
+        self.shifting.filter(|of| of.end.is_none_or(|end| end > now))
     }
 
     /// Reports the marks that lie before `now`, and forgets a shift of rest that is over.
     pub(in crate::controller) fn settle(&mut self, now: Tick, reporting: &mut Reporting) {
-        if !self.shifts_at(now.min(self.rendered)) {
-            self.shifting = None;
-        }
+        self.shifting = self.shift_at(now.min(self.rendered));
         while let Some((tick, counters)) = self.marks.pass(now.min(self.rendered)) {
             reporting.report(crate::message::Report::Onset { tick: tick.wire(), counters });
         }

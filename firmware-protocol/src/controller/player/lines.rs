@@ -54,7 +54,11 @@ impl Player {
     #[inline(never)]
     fn next_block(&mut self, now: u32, reporting: &mut Reporting) {
         self.changes.open(now);
-        self.allowance.next_block(self.rendered);
+        // What counts no longer is dropped here, and not when a move begins: after a rest that would be the pulses of a whole second at
+        // once.
+        self.density.next_block();
+        self.on_time.pulses.pass(self.rendered);
+        self.pushing.pulses.pass(self.rendered);
         if now.wrapping_sub(self.hold_checked) >= HOLD_CHECKS {
             self.hold_checked = now;
             self.end_holds();
@@ -149,9 +153,9 @@ impl Player {
     pub(super) fn end(&mut self, motor: usize) {
         let now = self.rendered;
         let Some((begun, played)) = self.motors[motor].end(now) else { return };
-        self.allowance.end(motor, begun.pulses, played.pulses);
+        self.on_time.pulses.end(motor, begun.pulses.into(), played.pulses.into());
         if begun.pushes > 0 {
-            self.allowance.end_pushes(motor, begun.pushes, played.pushes);
+            self.pushing.pulses.end(motor, begun.pushes.into(), played.pushes.into());
         }
         self.still_from = now;
         if begun.end() != now.0 as u32 {
@@ -182,7 +186,7 @@ impl Player {
         if level == before && surplus == 0 {
             // The pin is there, or on its way.
             reporting.count().played += 1;
-            self.allowance.count_begin();
+            self.density.count();
             return;
         }
         if self.motors[motor].running.is_some() {
@@ -209,7 +213,7 @@ impl Player {
         }
         if level <= height {
             (of.correction, of.surplus) = (correction, surplus);
-            self.allowance.count_begin();
+            self.density.count();
             return;
         }
         let pulses = (level - height).saturating_add_signed(correction);
@@ -222,7 +226,7 @@ impl Player {
     /// What a correction of a way up to fewer pulses may be: those that it leaves for the way down push, and are limited.
     #[inline(never)]
     fn without_pushes(&mut self, motor: usize, correction: i16) -> i16 {
-        let room = self.allowance.room_to_push(motor);
+        let room = self.pushing.room(motor);
         let room = room.saturating_sub(self.motors[motor].left_to_push().into());
         -i16::try_from(room).map_or(-correction, |room| room.min(-correction))
     }
@@ -241,12 +245,12 @@ impl Player {
     /// Whether a burst up to the goal may begin; then it counts. Its way back must fit the on-time limits, too.
     #[inline(always)]
     fn begin_up(&mut self, motor: usize, pulses: u16) -> Result<(), Refusal> {
-        self.allowance.begin_move()?;
+        self.density.begin()?;
         if self.takes_turns {
             self.has_turn(motor)?;
         }
-        let back = if self.allowance.limits_on_time() { self.back(motor) } else { [0; 2] };
-        self.allowance.begin(motor, pulses.into(), back, &self.layout)
+        let back = if self.on_time.is_limited() { self.back(motor) } else { [0; 2] };
+        self.on_time.begin(motor, pulses.into(), back, &self.layout)
     }
 
     /// Whether the limits on motors at once allow a way up.
@@ -331,7 +335,7 @@ impl Player {
         let surplus = core::mem::take(&mut of.surplus);
         if correction == 0 && surplus == 0 && of.left_to_push() == 0 {
             of.begin(now, Direction::Down, distance, 0, goal);
-            self.allowance.count(motor, distance);
+            self.on_time.pulses.count(motor, distance.into());
             return None;
         }
         self.descend_uneven(motor, distance, correction, surplus);
@@ -344,18 +348,20 @@ impl Player {
         let mut pulses = distance.saturating_add_signed(correction.min(0)).max(distance.min(1));
         let mut pushes = if self.has_stop() { self.motors[motor].pushes(pulses) } else { 0 };
         if pushes > 0 {
-            self.allowance.count_pushes(motor, pushes);
+            self.pushing.pulses.count(motor, pushes.into());
             pulses -= pushes;
         }
         if correction > 0 || surplus > 0 {
-            let room =
-                if self.allowance.limits_on_time() { self.room(motor, pulses + pushes) } else { u16::MAX };
+            let room = if self.on_time.is_limited() { self.room(motor, pulses + pushes) } else { u16::MAX };
             let more = correction.max(0).cast_unsigned().min(room);
             pulses += more;
-            pushes += self.allowance.pushes(motor, surplus.min(room - more));
+            // Not more than the surplus.
+            let surplus = u32::from(surplus.min(room - more)).min(self.pushing.room(motor)) as u16;
+            self.pushing.pulses.count(motor, surplus.into());
+            pushes += surplus;
         }
         if pulses + pushes > 0 {
-            self.allowance.count(motor, pulses + pushes);
+            self.on_time.pulses.count(motor, (pulses + pushes).into());
             self.motors[motor].begin(now, Direction::Down, pulses + pushes, pushes, goal);
         }
     }
@@ -364,7 +370,7 @@ impl Player {
     #[inline(never)]
     fn room(&mut self, motor: usize, pulses: u16) -> u16 {
         let back = self.back(motor);
-        let room = self.allowance.room(motor, back, &self.layout).saturating_sub(pulses.into());
+        let room = self.on_time.room(motor, back, &self.layout).saturating_sub(pulses.into());
         u16::try_from(room).unwrap_or(u16::MAX)
     }
 
@@ -379,7 +385,7 @@ impl Player {
         let shifting = self.shifting.as_mut()?;
         let pulses = shifting.pulses;
         shifting.end = Some(now + u64::from(pulses));
-        self.allowance.count(motor, pulses);
+        self.on_time.pulses.count(motor, pulses.into());
         self.motors[motor].begin(now, Direction::Up, pulses, 0, 0);
         None
     }

@@ -11,11 +11,10 @@
 //! | `drivers` | enables the drivers around bursts |
 //! | `marks` | passes marks, and gives the trigger output |
 //! | `cut`, `recent` | bring pins down, turn all off and take back what was not played |
-//! | `allowance`, `density` | keep the limits on what begins |
+//! | `density` | bounds how many moves begin; [`limits`](crate::limits) count their pulses |
 //!
 //! Invariant: what is rendered follows from the queues and the motors, and they change only from the rendered end on.
 
-mod allowance;
 mod changes;
 mod cut;
 mod density;
@@ -29,12 +28,12 @@ mod recent;
 
 use crate::array::{CAPACITY, Layout, MotorSet};
 use crate::controller::reporting::Reporting;
-use crate::limits::PowerLimits;
+use crate::limits::{OnTime, PowerLimits, Pushing};
 use crate::message::Mark;
 use crate::stroke::Lines;
 use crate::tick::Tick;
-use allowance::Allowance;
 use changes::Changes;
+use density::Density;
 pub use drivers::DRIVER_TAIL;
 use drivers::Drivers;
 use marks::Marks;
@@ -48,9 +47,9 @@ pub(super) const NEVER: Tick = Tick(u64::MAX);
 
 /// A burst up that shifts where a pin rests.
 #[derive(Clone, Copy, Debug)]
-struct Shifting {
-    motor: u8,
-    pulses: u16,
+pub(super) struct Shifting {
+    pub(super) motor: u8,
+    pub(super) pulses: u16,
     /// The first tick after its last pulse, once it has begun.
     end: Option<Tick>,
 }
@@ -99,7 +98,9 @@ pub(super) struct Player {
     hold_checked: u32,
     layout: Layout,
     recent: Recent,
-    allowance: Allowance,
+    density: Density,
+    on_time: OnTime,
+    pushing: Pushing,
     queues: Queues,
 }
 
@@ -121,7 +122,9 @@ impl Player {
             hold: None,
             hold_checked: now.0 as u32,
             recent: Recent::NOTHING,
-            allowance: Allowance::new(&layout, now),
+            density: Density::new(&layout),
+            on_time: OnTime::new(&layout, now),
+            pushing: Pushing::new(&layout, now),
             queues: Queues::new(),
             layout,
         }
@@ -151,16 +154,17 @@ impl Player {
     pub(super) fn set_limits(&mut self, limits: PowerLimits, pushes_per_s: u32) {
         let limits = self.layout.no_limits().min(limits);
         self.takes_turns = self.layout.takes_turns(&limits);
-        self.allowance.set_limits(limits, pushes_per_s, &self.layout);
+        self.pushing.set_limit(pushes_per_s);
+        self.on_time.set_limits(limits, &self.layout);
     }
 
     pub(super) fn limits(&self) -> PowerLimits {
-        self.allowance.limits()
+        self.on_time.limits()
     }
 
     /// Whether the pins have a lower stop that they may push against.
     pub(super) fn has_stop(&self) -> bool {
-        self.allowance.has_stop()
+        self.pushing.is_allowed()
     }
 
     /// Whether one more mark may wait.
