@@ -7,8 +7,8 @@ use meissner_array::random;
 use meissner_array::simulated::{SimulatedMotors, SimulatedMotorsConfig};
 use meissner_array::spec::Array;
 use meissner_stream::calibrate::{
-    BurstTravel, Calibration, MAX_BYTES, Plan, PlannedBurst, STROKES_PER_GROUP, fit,
-    travels_by_sensor, travels_by_telemetry,
+    BurstTravel, Calibration, MAX_BYTES, Plan, PlannedBurst, STROKES_PER_GROUP, fit, travels_by_sensor,
+    travels_by_telemetry,
 };
 use meissner_stream::{Settings, simulate_play};
 use meissner_test_support::documents::{assert_changes_refused, in_one_line};
@@ -73,7 +73,7 @@ fn a_motor_that_slowly_changes_gives_the_same_slope() {
 }
 
 /// The true gains of a simulated motor, up and down.
-fn true_gains(config: &SimulatedMotorsConfig, motor: u8) -> [f64; 2] {
+pub(crate) fn true_gains(config: &SimulatedMotorsConfig, motor: u8) -> [f64; 2] {
     let asymmetry = config.asymmetry_sd * random::normal([config.seed, motor.into(), 0, 2]);
     [1.0 + asymmetry / 2.0, 1.0 - asymmetry / 2.0]
 }
