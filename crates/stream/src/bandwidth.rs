@@ -69,19 +69,16 @@ pub struct Bandwidth {
 
 impl Bandwidth {
     /// The larger of both requirements: for the parts of a play whose peaks do not come together.
-    #[must_use]
     pub fn max(self, other: Self) -> Self {
         Self { open: self.open.max(other.open), closed: self.closed.max(other.closed) }
     }
 
     /// The sum of both: for parts of a play that come together.
-    #[must_use]
     pub fn plus(self, other: Self) -> Self {
         Self { open: self.open.plus(other.open), closed: self.closed.plus(other.closed) }
     }
 
     /// The bandwidth of `strokes` with these settings. Takes milliseconds: do not call it in the streamer's thread.
-    #[must_use]
     pub fn of(strokes: &Strokes, settings: &Settings) -> Self {
         Self::of_source(strokes.clone().into(), settings)
     }
@@ -127,7 +124,6 @@ impl Bandwidth {
     }
 
     /// The same with pins that follow levels besides: all of them glide all the time.
-    #[must_use]
     pub fn with_levels(mut self, array: Array) -> Self {
         // A move each 2 ms takes two bytes in a row, or three with its share of the frame.
         let moves_per_s = array.motors() as u32 * 500;
@@ -308,7 +304,6 @@ impl Requirement {
     }
 
     /// How long before its onset a play must be sent over a line of `rate` bytes per second.
-    #[must_use]
     pub fn ahead(&self, rate: u32) -> Duration {
         let sent = |(at, bytes): (u32, &u32)| {
             let sending = Duration::from_secs_f64(f64::from(*bytes) / f64::from(rate.max(1)));

@@ -97,7 +97,6 @@ pub enum LinkReportError {
 
 impl LinkReportError {
     /// What to do.
-    #[must_use]
     pub const fn advice(&self) -> &'static str {
         match self {
             Self::Gone(_) => "plug it in again, and check its cable and power",
@@ -233,7 +232,6 @@ fn wait(device: &Device, time: Duration, what: PollFlags) {
 }
 
 /// The value that so many of 1000 sorted values lie below; not a number if there are none.
-#[must_use]
 pub fn quantile(sorted: &[f64], per_mille: usize) -> f64 {
     let index = (sorted.len() * per_mille / 1000).min(sorted.len().saturating_sub(1));
     sorted.get(index).copied().unwrap_or(f64::NAN)

@@ -58,7 +58,6 @@ impl Default for Direction {
 
 impl Direction {
     /// A line on which nothing is under way.
-    #[must_use]
     pub fn new(line: Line, seed: u64) -> Self {
         let random = ChaCha8Rng::seed_from_u64(seed);
         Self { line, random, busy: HostInstant::default(), frames: Vec::new(), harmed: 0 }
@@ -111,13 +110,11 @@ impl Direction {
     }
 
     /// Frames that it has lost, repeated, damaged, delayed or held back.
-    #[must_use]
     pub fn harmed(&self) -> u64 {
         self.harmed
     }
 
     /// Whether nothing is under way.
-    #[must_use]
     pub fn is_empty(&self) -> bool {
         self.frames.is_empty()
     }
@@ -173,7 +170,6 @@ pub struct DeviceClock {
 
 impl DeviceClock {
     /// A clock of this rate that starts at [`Tick::BOOT`] and runs right.
-    #[must_use]
     pub const fn started(rate: TickRate, at: HostInstant) -> Self {
         Self { rate, at, tick: Tick::BOOT, fast: 0.0, drift_per_s: 0.0 }
     }
@@ -185,7 +181,6 @@ impl DeviceClock {
     }
 
     /// The clock at an instant.
-    #[must_use]
     pub fn tick_at(&self, at: HostInstant) -> Tick {
         let passed = at.since(self.at);
         let seconds = passed.as_secs_f64();

@@ -48,7 +48,6 @@ const SEEK_MARGIN: f64 = 2.0;
 impl LowerStopSettings {
     /// The settings without further configuration: a motor of this array may push for three tenths of its pulses, as long as the
     /// controller allows.
-    #[must_use]
     pub fn of(array: Array) -> Self {
         Self {
             surplus_um: None,
@@ -74,13 +73,11 @@ const LEASE_OVER_LEAD_MS: f64 = 200.0;
 
 impl Settings {
     /// The settings of an array without further configuration: a lead of 100 ms, because stock kernels stall for 25 ms.
-    #[must_use]
     pub fn of(array: Array) -> Self {
         Self::for_lead(array, 100.0)
     }
 
     /// The settings that a lead of `lead_ms` has without further configuration.
-    #[must_use]
     pub fn for_lead(array: Array, lead_ms: f64) -> Self {
         let lease_ms = lead_ms + LEASE_OVER_LEAD_MS;
         Self {
@@ -96,14 +93,12 @@ impl Settings {
     }
 
     /// The surplus of plays on motors with these gains: none without a lower stop.
-    #[must_use]
     pub fn surplus(&self, gains: &PerMotor<Gains>) -> Surplus {
         self.lower_stop.map_or(Surplus::None, |stop| stop.surplus(gains))
     }
 
     /// Pulses that take every pin to the lower stop, from wherever it is. The controller never refuses a seek as too short that
     /// goes as far as moves and a stroke can take a pin.
-    #[must_use]
     pub fn seek_pulses(&self) -> u16 {
         let whole_travel = self.array.layout().whole_travel();
         let wanted = u16::try_from(self.wanted_seek_pulses()).unwrap_or(u16::MAX);
@@ -111,7 +106,6 @@ impl Settings {
     }
 
     /// Pulses of a seek from end stop to rest with the margin, whether or not the array allows so many.
-    #[must_use]
     pub fn wanted_seek_pulses(&self) -> u32 {
         let pulses = SEEK_MARGIN * f64::from(self.end_stop_um) / self.array.motor().um_per_pulse;
         // The cast saturates.
@@ -119,7 +113,6 @@ impl Settings {
     }
 
     /// How long arming takes at most to seek the lower stop: the motors of a rail may have to take turns.
-    #[must_use]
     pub fn seek_time(&self) -> Duration {
         let pulses = self.lower_stop.map_or(0, |_| self.seek_pulses());
         Duration::from_secs_f64(
@@ -136,7 +129,6 @@ impl Settings {
     }
 
     /// The half of the lead that is for stalls of the PC, ms. The other half is for the line.
-    #[must_use]
     pub const fn stall_ms(&self) -> f64 {
         self.lead_ms / 2.0
     }

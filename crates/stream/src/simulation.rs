@@ -136,7 +136,6 @@ impl Simulation {
     }
 
     /// Frames that the line has lost, repeated, damaged, delayed or held back so far.
-    #[must_use]
     pub fn harmed_frames(&self) -> u64 {
         self.to_device.harmed() + self.to_host.harmed()
     }
@@ -180,7 +179,6 @@ impl Simulation {
     }
 
     /// The device's clock at an instant.
-    #[must_use]
     pub fn device_tick_at(&self, at: HostInstant) -> Tick {
         self.clock.tick_at(at)
     }
@@ -200,13 +198,11 @@ impl Simulation {
     }
 
     /// How often the streamer reported that the device contradicts itself.
-    #[must_use]
     pub fn contradictions(&self) -> u64 {
         self.events.contradictions
     }
 
     /// Virtual time.
-    #[must_use]
     pub fn now(&self) -> HostInstant {
         self.now
     }

@@ -21,7 +21,6 @@ impl From<Strokes> for Source {
 
 impl Source {
     /// The array that they are for.
-    #[must_use]
     pub fn array(&self) -> Array {
         match self {
             Self::Compiled(strokes) => strokes.array(),
@@ -54,7 +53,6 @@ impl Source {
     }
 
     /// Ticks from the onset to the end; `None`: without end.
-    #[must_use]
     pub fn end(&self) -> Option<u64> {
         self.compiled()?.end()
     }
@@ -100,7 +98,6 @@ impl Source {
     }
 
     /// Whether this motor may be driven. A live play may drive any motor.
-    #[must_use]
     pub fn drives(&self, motor: u8) -> bool {
         self.compiled().is_none_or(|strokes| strokes.drives(motor))
     }

@@ -47,7 +47,6 @@ pub fn spawn(settings: Settings) -> io::Result<(CommandQueue, EventQueue, Realti
 }
 
 /// Requests SCHED_FIFO for the calling thread and locked memory for the process; returns what the system granted.
-#[must_use]
 pub fn request_realtime() -> Realtime {
     // Pages are locked at their first touch: unused memory costs nothing.
     let mlock = mlockall(MlockAllFlags::CURRENT | MlockAllFlags::FUTURE | MlockAllFlags::ONFAULT).is_ok();
@@ -69,7 +68,6 @@ pub struct Turns {
 
 impl Turns {
     /// The loop of a new streamer, without a device.
-    #[must_use]
     pub fn new(settings: Settings, queues: ThreadQueues) -> Self {
         let streamer = Streamer::new(settings);
         Self { queues, streamer, device: None, frame: [0; MAX_FRAME], unsent: 0..0, stuck_since: None }
@@ -99,7 +97,6 @@ impl Turns {
     }
 
     /// How long until the next turn is due, if no request comes before.
-    #[must_use]
     pub fn wait(&self) -> Duration {
         let now = HostInstant::now();
         // While a frame is unwritten nothing else can be sent: wait for the port, not for what is due.
@@ -108,7 +105,6 @@ impl Turns {
     }
 
     /// Readable when there are requests.
-    #[must_use]
     pub fn wake_fd(&self) -> BorrowedFd<'_> {
         self.queues.wake_fd()
     }

@@ -35,14 +35,12 @@ pub fn set_wall(by: i64) {
 }
 
 /// By how much the virtual wall clock was set since the clock was given, ns.
-#[must_use]
 pub fn wall_set_since() -> i64 {
     let (before, now) = WALL_SET.get();
     now - before
 }
 
 /// Random bytes: the system's, or those of a bench's seed. Returns whether there were any.
-#[must_use]
 pub fn random(bytes: &mut [u8]) -> bool {
     if !is_virtual() {
         return getrandom(&mut *bytes, GetRandomFlags::empty()) == Ok(bytes.len());
@@ -58,7 +56,6 @@ pub fn random(bytes: &mut [u8]) -> bool {
 }
 
 /// Whether this thread has a virtual clock. It then does all work itself, and waits for no other thread.
-#[must_use]
 pub fn is_virtual() -> bool {
     CLOCK.get().is_some()
 }
@@ -69,13 +66,11 @@ pub struct HostInstant(u64);
 
 impl HostInstant {
     /// The instant `ns` nanoseconds after the clock's zero.
-    #[must_use]
     pub const fn from_ns(ns: u64) -> Self {
         Self(ns)
     }
 
     /// Reads the clock. Code that decides does not call this: its caller passes the instant.
-    #[must_use]
     pub fn now() -> Self {
         if let Some(clock) = CLOCK.get() {
             return Self(clock());
@@ -86,7 +81,6 @@ impl HostInstant {
 
     /// Reads this clock and the wall clock (Unix time, ns) at one instant. The wall clock is read between two readings of this one;
     /// of three tries the fastest counts, so an interruption does not come between them.
-    #[must_use]
     pub fn now_with_wall() -> (Self, u64) {
         if is_virtual() {
             let now = Self::now();
@@ -106,19 +100,16 @@ impl HostInstant {
     }
 
     /// Nanoseconds since the clock's zero.
-    #[must_use]
     pub const fn as_ns(self) -> u64 {
         self.0
     }
 
     /// The time since `earlier`; zero if that is later.
-    #[must_use]
     pub const fn since(self, earlier: Self) -> Duration {
         Duration::from_nanos(self.0.saturating_sub(earlier.0))
     }
 
     /// Nanoseconds from `earlier` to this instant, negative if that is later.
-    #[must_use]
     pub const fn ns_since(self, earlier: Self) -> f64 {
         self.0.wrapping_sub(earlier.0).cast_signed() as f64
     }
@@ -132,7 +123,6 @@ impl HostInstant {
     }
 
     /// The instant `by` before this one, not below the clock's zero.
-    #[must_use]
     pub fn before(self, by: Duration) -> Self {
         Self(self.0.saturating_sub(nanoseconds(by)))
     }

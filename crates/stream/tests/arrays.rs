@@ -1,11 +1,11 @@
 //! Other arrays than the paper's: what is for another array is refused, and control and calibration know other motors.
 
+use crate::calibrate::true_gains;
 use firmware_protocol::message::{DeviceHello, DeviceMessage};
 use firmware_protocol::tick::Tick;
 use meissner_array::motor::SquareWave;
 use meissner_array::pattern::Pattern;
 use meissner_array::per_motor::PerMotor;
-use meissner_array::random::normal;
 use meissner_array::simulated::{SimulatedMotors, SimulatedMotorsConfig};
 use meissner_array::spec::Array;
 use meissner_array::strokes::{LiveStrokes, StrokeOptions, Strokes};
@@ -70,11 +70,6 @@ fn a_device_of_another_array_is_refused_at_the_handshake() {
             "{reason:?}"
         );
     }
-}
-
-fn true_gains(config: &SimulatedMotorsConfig, motor: u8) -> [f64; 2] {
-    let asymmetry = config.asymmetry_sd * normal([config.seed, motor.into(), 0, 2]);
-    [1.0 + asymmetry / 2.0, 1.0 - asymmetry / 2.0]
 }
 
 fn assert_near(found: [&Fit; 2], truth: [f64; 2], array: Array) {

@@ -73,7 +73,7 @@ fn a_motor_that_slowly_changes_gives_the_same_slope() {
 }
 
 /// The true gains of a simulated motor, up and down.
-fn true_gains(config: &SimulatedMotorsConfig, motor: u8) -> [f64; 2] {
+pub(crate) fn true_gains(config: &SimulatedMotorsConfig, motor: u8) -> [f64; 2] {
     let asymmetry = config.asymmetry_sd * random::normal([config.seed, motor.into(), 0, 2]);
     [1.0 + asymmetry / 2.0, 1.0 - asymmetry / 2.0]
 }

@@ -1,7 +1,7 @@
 //! The account of a play's moves: planned, late and refused ones as the streamer counts them, the others as the device counts.
 //!
-//! The streamer counts each step ([`Account::plan`], [`Account::late`], [`Account::refused`]) and notes the device's counters at
-//! the onset ([`Account::begin`]). [`Account::bursts`] closes it with the counters after the play.
+//! The streamer counts each step ([`Account::plan`], [`Account::late`], `refused`) and notes the device's counters at the onset
+//! (`begun`). [`Account::bursts`] closes it with the counters after the play.
 //!
 //! Invariant: `planned = played + late + dropped + refused + replaced`. The device reports each late and each refused move, and
 //! counts those played between the play's onset and its end. The rest was dropped.
@@ -25,19 +25,20 @@ pub(super) struct Begun {
 /// See the module.
 #[derive(Debug, Default)]
 pub(super) struct Account {
-    begun: Option<Begun>,
-    board: BoardAccount,
+    pub(super) begun: Option<Begun>,
+    pub(super) board: BoardAccount,
     planned: u64,
     planned_pulses: u64,
     late: u64,
-    refused: u64,
+    /// Moves that the device has refused so far.
+    pub(super) refused: u64,
     /// Steps planned.
     steps: u64,
     /// Steps sent without a verdict.
     pub(super) undecided: u64,
     /// The end of the last step planned.
     pub(super) last_end: Tick,
-    lateness: LateCounts,
+    pub(super) lateness: LateCounts,
     /// Bytes sent to the device before the play.
     wire_from: u64,
 }
@@ -47,19 +48,6 @@ impl Account {
     pub(super) const fn offer(&mut self, onset: Tick, wire: u64) {
         (self.planned, self.steps, self.planned_pulses, self.undecided) = (0, 0, 0, 0);
         (self.last_end, self.wire_from) = (onset, wire);
-    }
-
-    /// The onset has passed.
-    pub(super) const fn begin(&mut self, begun: Begun) {
-        self.begun = Some(begun);
-    }
-
-    pub(super) const fn begun(&self) -> Option<&Begun> {
-        self.begun.as_ref()
-    }
-
-    pub(super) const fn board(&mut self) -> &mut BoardAccount {
-        &mut self.board
     }
 
     /// Counts a step that is `sent`, or too late to be sent.
@@ -89,20 +77,6 @@ impl Account {
         self.lateness.worst_ms = late_ms;
     }
 
-    /// The moves that the device has refused so far.
-    pub(super) const fn refused_so_far(&self) -> u64 {
-        self.refused
-    }
-
-    /// Counts a refused step of so many moves.
-    pub(super) const fn refused(&mut self, moves: u64) {
-        self.refused += moves;
-    }
-
-    pub(super) const fn lateness(&self) -> LateCounts {
-        self.lateness
-    }
-
     /// Bytes sent since the offer, of `wire` so far.
     pub(super) const fn wire_bytes(&self, wire: u64) -> u64 {
         wire.saturating_sub(self.wire_from)
@@ -110,7 +84,7 @@ impl Account {
 
     /// What a counter has counted since the onset; nothing if either end is not known.
     fn since(&self, after: Option<&Counters>, counter: fn(&Counters) -> u64) -> u64 {
-        let counts = after.zip(self.begun());
+        let counts = after.zip(self.begun.as_ref());
         counts.map_or(0, |(after, begun)| counter(after).saturating_sub(counter(&begun.counters)))
     }
 

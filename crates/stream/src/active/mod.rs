@@ -134,7 +134,7 @@ impl Active {
 
     /// What the board's reports say of it.
     pub(super) const fn board(&mut self) -> &mut BoardAccount {
-        self.account.board()
+        &mut self.account.board
     }
 
     /// Whether it waits for an edge of the trigger input.
@@ -446,12 +446,12 @@ impl Active {
 
     /// The moves that the device has refused so far.
     pub(super) const fn refused_so_far(&self) -> u64 {
-        self.account.refused_so_far()
+        self.account.refused
     }
 
     /// Counts a refused step of so many moves that begins at this tick.
     pub(super) fn refused(&mut self, motor: u8, up: Tick, moves: u64) {
-        self.account.refused(moves);
+        self.account.refused += moves;
         if let Some(item) = self.item_at(motor, up) {
             item.refused += 1;
         }
@@ -463,31 +463,31 @@ impl Active {
         let latency_ns = at.since(self.issued_at).as_nanos() as u64;
         let requested = self.requested.unwrap_or(tick);
         let onset = Onset { requested, actual: tick, at, uncertainty_ns, latency_ns };
-        self.account.begin(Begun { onset, counters, rest });
+        self.account.begun = Some(Begun { onset, counters, rest });
         onset
     }
 
     /// The onset, once it has passed.
     pub(super) fn started(&self) -> Option<Onset> {
-        self.account.begun().map(|begun| begun.onset)
+        self.account.begun.as_ref().map(|begun| begun.onset)
     }
 
     /// The device's counters at the onset, once it has passed.
     pub(super) fn counters_at_onset(&self) -> Option<Counters> {
-        self.account.begun().map(|begun| begun.counters)
+        self.account.begun.as_ref().map(|begun| begun.counters)
     }
 
     /// Closes the account with what is known at its end.
     pub(super) fn close(self, ending: Ending) -> (u64, Outcome) {
         let Ending { after, wire, offset, cut, rest, estimated } = ending;
-        let Self { mut play, phase, onset, mut account, cause, started_by, stopped_by, .. } = self;
+        let Self { mut play, phase, onset, account, cause, started_by, stopped_by, .. } = self;
         if let Some(cut) = cut {
             for pin in &mut play.pins {
                 *pin = pin.filter(|[first, _]| *first < cut).map(|[first, end]| [first, end.min(cut)]);
             }
         }
-        let board = account.board().close();
-        let begun = account.begun();
+        let board = account.board.close();
+        let begun = account.begun.as_ref();
         let started = begun.map(|begun| begun.onset);
         let outcome = Outcome {
             end: End::by(cause.as_ref()),
@@ -500,7 +500,7 @@ impl Active {
             bursts: account.bursts(after.as_ref()),
             pulses: account.pulses(after.as_ref()),
             estimated: estimated && phase != Phase::Waiting,
-            lateness: account.lateness(),
+            lateness: account.lateness,
             board,
             wire_bytes: if onset.is_some() { account.wire_bytes(wire) } else { 0 },
             rest_at_onset: begun.map(|begun| begun.rest),
@@ -512,7 +512,6 @@ impl Active {
 }
 
 /// The delay from an edge to the onset, ticks.
-#[expect(clippy::cast_precision_loss, reason = "an hour in ns is exact")]
 pub(super) fn edge_delay(rate: TickRate, delay_ns: u64) -> u64 {
     rate.seconds_to_ticks(delay_ns as f64 / 1e9)
 }

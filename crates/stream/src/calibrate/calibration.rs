@@ -92,7 +92,6 @@ pub struct Calibration {
 
 impl Plan {
     /// The provenance of a calibration by this plan on this device, without a date.
-    #[must_use]
     pub fn provenance(&self, device: &str, firmware: &str, identity: &str, telemetry: &str) -> Provenance {
         Provenance {
             device: device.to_owned(),
@@ -137,31 +136,26 @@ impl Calibration {
     }
 
     /// The array of its motors.
-    #[must_use]
     pub const fn array(&self) -> Array {
         self.array
     }
 
     /// The pin's travel over the model's; 1 if the motor is not calibrated.
-    #[must_use]
     pub fn gain(&self, motor: u8, direction: Direction) -> f64 {
         self.motor(motor).map_or(1.0, |fit| fit.of(direction).gain(self.array.motor()))
     }
 
     /// A motor's fit, if it was calibrated.
-    #[must_use]
     pub fn motor(&self, motor: u8) -> Option<&MotorFit> {
         self.motors.iter().find(|fit| fit.motor == motor)
     }
 
     /// The motors that were calibrated, in order.
-    #[must_use]
     pub fn motors(&self) -> &[MotorFit] {
         &self.motors
     }
 
     /// How it was made.
-    #[must_use]
     pub const fn provenance(&self) -> &Provenance {
         &self.provenance
     }
@@ -172,13 +166,11 @@ impl Calibration {
     }
 
     /// Whether it was made with the array's description as it is now.
-    #[must_use]
     pub fn is_of_description(&self) -> bool {
         self.array_hash == self.array.hash()
     }
 
     /// Whether both are of the same device, with the same description of its array.
-    #[must_use]
     pub fn is_of_same_device(&self, other: &Self) -> bool {
         self.array == other.array
             && self.array_hash == other.array_hash
@@ -186,7 +178,6 @@ impl Calibration {
     }
 
     /// This calibration with the other motors of an older one of the same device. Another device's is left out.
-    #[must_use]
     pub fn with_other_motors(self, old: &Self) -> Self {
         if !self.is_of_same_device(old) {
             return self;
@@ -198,7 +189,6 @@ impl Calibration {
     }
 
     /// The gains for position control; an uncalibrated motor gets the default.
-    #[must_use]
     pub fn gains(&self) -> PerMotor<Gains> {
         let model = self.array.motor();
         PerMotor::from_fn(self.array, |motor| {

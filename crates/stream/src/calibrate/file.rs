@@ -28,8 +28,6 @@ impl Calibration {
     }
 
     /// The text of its file, which [`Self::parse`] reads back as the same calibration.
-    #[must_use]
-    #[expect(clippy::missing_panics_doc, reason = "it does not happen")]
     pub fn to_toml(&self) -> String {
         let has_points =
             self.motors().iter().any(|fit| !fit.up_points.is_empty() || !fit.down_points.is_empty());

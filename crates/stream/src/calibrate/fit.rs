@@ -222,7 +222,6 @@ impl Fit {
     }
 
     /// The gain: the slope over [the model's](MotorSpec::um_per_pulse).
-    #[must_use]
     pub fn gain(&self, motor: &MotorSpec) -> f64 {
         self.slope_um_per_pulse / motor.um_per_pulse
     }
@@ -230,7 +229,6 @@ impl Fit {
 
 impl MotorFit {
     /// The fit of one direction.
-    #[must_use]
     pub const fn of(&self, direction: Direction) -> &Fit {
         match direction {
             Direction::Up => &self.up,

@@ -116,7 +116,6 @@ pub struct PlayedOn {
 impl PlayedPlan {
     /// The document of a plan that was played completely from `onset` on: the bursts of `motor`, also if the plan was for all
     /// motors.
-    #[must_use]
     pub fn new(plan: &Plan, motor: u8, onset: Tick, on: PlayedOn) -> Self {
         let bursts = plan.bursts(onset).filter(|planned| planned.motor == motor).map(PlayedBurst::from);
         Self {
@@ -135,14 +134,12 @@ impl PlayedPlan {
     }
 
     /// The text of the document: a burst on each line.
-    #[must_use]
     pub fn to_json(&self) -> String {
         let whole = serde_json::to_string(self).unwrap_or_default();
         whole.replace("\"bursts\":[", "\"bursts\":[\n").replace("},{", "},\n{") + "\n"
     }
 
     /// How long it is from the first burst to the pin's last rest, s.
-    #[must_use]
     pub fn duration_s(&self) -> f64 {
         let (Some(first), Some(last)) = (self.bursts.first(), self.bursts.last()) else { return 0.0 };
         let rests = last.tick + u64::from(last.pulses) - first.tick;
@@ -150,7 +147,6 @@ impl PlayedPlan {
     }
 
     /// The bursts, in order.
-    #[must_use]
     pub fn bursts(&self) -> &[PlayedBurst] {
         &self.bursts
     }

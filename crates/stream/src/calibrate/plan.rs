@@ -44,7 +44,6 @@ const BURSTS_PER_S: u64 = 2 * FREQUENCY_HZ as u64;
 
 /// Pulses that a burst of a plan of one motor may have on this array: at least those for which a motor's travel per pulse is known, at
 /// most so many that the amplitude is allowed, and 200.
-#[must_use]
 pub fn pulses_range(array: Array) -> RangeInclusive<u16> {
     range_of(array, 1)
 }
@@ -192,7 +191,6 @@ impl Plan {
     }
 
     /// The array that it calibrates.
-    #[must_use]
     pub const fn array(&self) -> Array {
         self.array
     }
@@ -204,25 +202,21 @@ impl Plan {
     }
 
     /// Its numbers of pulses.
-    #[must_use]
     pub fn pulses(&self) -> &[u16] {
         &self.pulses
     }
 
     /// Groups of each number.
-    #[must_use]
     pub const fn repetitions(&self) -> u16 {
         self.repetitions
     }
 
     /// Groups of each motor.
-    #[must_use]
     pub fn groups(&self) -> usize {
         self.pulses.len() * usize::from(self.repetitions)
     }
 
     /// How long it plays, s.
-    #[must_use]
     pub fn duration_s(&self) -> f64 {
         self.groups() as f64 * GROUP_S
     }
@@ -241,8 +235,6 @@ impl Plan {
     }
 
     /// The plan as a pattern, to be played open loop.
-    #[must_use]
-    #[expect(clippy::missing_panics_doc, reason = "it does not happen")]
     pub fn pattern(&self) -> Pattern {
         let groups = self.order().enumerate();
         let (spec, motors) = (self.array.motor(), self.array.motors() as f64);
@@ -264,7 +256,6 @@ impl Plan {
     }
 
     /// Its bursts if it begins at `onset`, in the order of their strokes.
-    #[expect(clippy::missing_panics_doc, reason = "it does not happen")]
     pub fn bursts(&self, onset: Tick) -> impl Iterator<Item = PlannedBurst> + use<> {
         let mut strokes =
             Strokes::new(&self.pattern(), &StrokeOptions::default()).expect("a plan's drives can be played");
@@ -294,7 +285,6 @@ pub struct PlannedBurst {
 
 impl PlannedBurst {
     /// When the pin of this array rests again: the motor's window after the last pulse.
-    #[must_use]
     pub fn rests_at(&self, array: Array) -> Tick {
         self.burst.end() + array.motor().settled_ticks()
     }

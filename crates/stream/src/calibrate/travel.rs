@@ -47,7 +47,6 @@ impl BurstTravel {
 
 /// The travels of a plan's bursts that telemetry measured well enough, if the plan began at `onset`. `travels` may hold other
 /// bursts too.
-#[must_use]
 pub fn travels_by_telemetry(plan: &Plan, onset: Tick, travels: &[MeasuredBurst]) -> Vec<BurstTravel> {
     let ((share, um), um_per_pulse) = (MAX_SD, plan.array().motor().um_per_pulse);
     let is_known = |travel: &&MeasuredBurst| {

@@ -47,7 +47,6 @@ pub struct DryRun {
 }
 
 /// Walks a play.
-#[must_use]
 pub fn dry_run(strokes: &Strokes, settings: &Settings) -> DryRun {
     let array = strokes.array();
     let (mut density, mut holds) = (Density::new(array), Holds::new(array));

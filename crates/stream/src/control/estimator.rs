@@ -79,7 +79,6 @@ impl Gains {
 
     /// How many times as far as ordered the pulses of a play may take a pin, by the model or by these gains, whichever is farther: position
     /// control adds pulses where the gain is low; in open loop a high gain takes the pin farther.
-    #[must_use]
     pub fn reach(&self, open_loop: bool) -> f64 {
         let most = 1.0 + f64::from(correction(1000)) / 1000.0;
         if open_loop { self.mean[0].max(1.0) } else { self.mean[0].recip().clamp(1.0, most) }

@@ -45,7 +45,6 @@ pub enum DeviceError {
 
 impl DeviceError {
     /// What was found, and where.
-    #[must_use]
     pub fn found(&self) -> String {
         let port = |path: &PathBuf, what: &str| format!("serial port {}: {what}", path.display());
         let usb = |place: &String, what: &str| format!("USB device {place}: {what}");
@@ -71,7 +70,6 @@ impl DeviceError {
     }
 
     /// What to do.
-    #[must_use]
     pub fn advice(&self) -> String {
         let (vendor, product) = find::BOARD;
         let look = format!(

@@ -35,7 +35,6 @@ impl Default for BoardQuery {
 
 impl BoardQuery {
     /// The board with this serial number.
-    #[must_use]
     pub fn serial(serial: &str) -> Self {
         Self { ids: BOARD, serial: Some(serial.to_owned()) }
     }
@@ -56,7 +55,6 @@ impl BoardQuery {
     }
 
     /// Whether a device with these descriptors matches.
-    #[must_use]
     pub fn matches(&self, ids: (u16, u16), product: Option<&str>, serial: Option<&str>) -> bool {
         let named = self.ids != BOARD || product == Some(PRODUCT);
         let serial_fits = |wanted: &str| serial.is_some_and(|serial| serial.eq_ignore_ascii_case(wanted));

@@ -34,7 +34,6 @@ pub struct TruePositions {
 
 impl TruePositions {
     /// Where pins came to rest, over all motors.
-    #[must_use]
     pub fn rest(&self) -> RestStats {
         let mut all = RestStats::default();
         for motor in self.rest.lock().unwrap_or_else(PoisonError::into_inner).iter() {
@@ -138,13 +137,11 @@ impl Mock {
     ///
     /// # Panics
     /// If there is no such motor.
-    #[must_use]
     pub fn position_um(&self, motor: u8) -> f64 {
         self.motors.position_um(motor)
     }
 
     /// As [`Self::position_um`], of every pin.
-    #[must_use]
     pub fn positions_um(&self) -> Vec<f64> {
         (0..self.motors.count()).map(|motor| self.position_um(motor)).collect()
     }
@@ -155,25 +152,21 @@ impl Mock {
     }
 
     /// The controller.
-    #[must_use]
     pub fn controller(&self) -> &Controller {
         &self.controller
     }
 
     /// The first tick not played.
-    #[must_use]
     pub fn now(&self) -> Tick {
         self.now
     }
 
     /// Which simulated array it is: see [`SimulatedMotors::identity`].
-    #[must_use]
     pub fn identity(&self) -> String {
         self.motors.identity()
     }
 
     /// The true positions of its pins, for other threads to read.
-    #[must_use]
     pub fn true_positions(&self) -> Arc<TruePositions> {
         Arc::clone(&self.positions)
     }

@@ -117,14 +117,12 @@ fn board() -> Result<Device, DeviceError> {
 }
 
 /// Whether a board's serial port is there, even if another program has it open.
-#[must_use]
 pub fn is_plugged(query: &BoardQuery) -> bool {
     find::port(query, &find::ports()).is_some()
 }
 
 impl Device {
     /// Its name for people: `mock`, `mock:board`, `pty:PATH`, `serial:PATH`, `usb:SERIAL`.
-    #[must_use]
     pub fn kind(&self) -> String {
         match self {
             Self::Mock(mock) if mock.is_like_a_board() => "mock:board".to_owned(),
@@ -136,7 +134,6 @@ impl Device {
     }
 
     /// The nominal rate of its line.
-    #[must_use]
     pub fn rate(&self) -> LineRate {
         match self {
             // As if it were on USB.
@@ -147,7 +144,6 @@ impl Device {
     }
 
     /// A descriptor that is readable when bytes wait; `None` for the mock, which runs only when it is read.
-    #[must_use]
     pub fn wake(&self) -> Option<BorrowedFd<'_>> {
         match self {
             Self::Mock(_) => None,
@@ -157,13 +153,11 @@ impl Device {
     }
 
     /// Whether to poll [`Self::wake`] for writing while bytes wait to be sent. If not, it turns readable when there is room.
-    #[must_use]
     pub fn polls_writable(&self) -> bool {
         !matches!(self, Self::Usb(_))
     }
 
     /// The board's serial number, if it has one.
-    #[must_use]
     pub fn serial_number(&self) -> Option<&str> {
         match self {
             Self::Mock(_) | Self::Pty(..) => None,
@@ -174,7 +168,6 @@ impl Device {
 
     /// Which motors it drives, as far as the host can know: a board's serial number, else its port; for simulated motors
     /// their seed and settings. It stays the same through any port and after any restart.
-    #[must_use]
     pub fn identity(&self) -> String {
         match (self, self.serial_number()) {
             (Self::Mock(mock), _) => mock.identity(),
@@ -244,7 +237,6 @@ impl Device {
     }
 
     /// Where the simulated pins really are; `None` for a board.
-    #[must_use]
     pub fn true_positions(&self) -> Option<Arc<TruePositions>> {
         match self {
             Self::Mock(mock) => Some(mock.true_positions()),

@@ -52,13 +52,11 @@ impl PtyMock {
     }
 
     /// The terminal to open as a serial port.
-    #[must_use]
     pub fn path(&self) -> &Path {
         &self.path
     }
 
     /// Ends the thread and returns the mock in its current state; `None` if the thread panicked.
-    #[must_use]
     pub fn into_mock(mut self) -> Option<WallMock> {
         self.end()
     }
@@ -69,13 +67,11 @@ impl PtyMock {
     }
 
     /// Which simulated array it is: see [`WallMock::identity`].
-    #[must_use]
     pub fn identity(&self) -> &str {
         &self.identity
     }
 
     /// Where its pins really are.
-    #[must_use]
     pub fn true_positions(&self) -> Arc<TruePositions> {
         Arc::clone(&self.positions)
     }

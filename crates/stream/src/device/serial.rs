@@ -83,13 +83,11 @@ impl SerialPort {
     }
 
     /// Its path, as it was opened.
-    #[must_use]
     pub fn path(&self) -> &Path {
         &self.path
     }
 
     /// The serial number of the USB device behind it, if it has one.
-    #[must_use]
     pub fn serial(&self) -> Option<&str> {
         self.serial.as_deref()
     }

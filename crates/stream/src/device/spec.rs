@@ -52,7 +52,6 @@ pub enum SpecError {
 
 impl Spec {
     /// The board to wait for, if it may appear when somebody plugs it in.
-    #[must_use]
     pub fn board(&self) -> Option<BoardQuery> {
         match self {
             Self::Auto | Self::Board => Some(BoardQuery::default()),

@@ -52,13 +52,11 @@ impl Terminal {
     }
 
     /// What a program opens as a serial port.
-    #[must_use]
     pub fn path(&self) -> &Path {
         &self.path
     }
 
     /// Reads what the program has written.
-    #[must_use]
     pub fn read(&self, bytes: &mut [u8]) -> Received {
         match rustix::io::read(&self.master, bytes) {
             Ok(len) if len > 0 => Received::Bytes(len),
@@ -68,7 +66,6 @@ impl Terminal {
     }
 
     /// Writes for the program to read; returns how many bytes had room.
-    #[must_use]
     pub fn write(&self, bytes: &[u8]) -> usize {
         rustix::io::write(&self.master, bytes).unwrap_or(0)
     }

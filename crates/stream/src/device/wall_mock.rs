@@ -118,7 +118,6 @@ impl WallMock {
     }
 
     /// The same mock behind a line that is good until its owner changes that.
-    #[must_use]
     pub fn with_faults(mut self, seed: u64) -> (Self, Arc<Mutex<Faults>>) {
         self.mock.record();
         let line = |seed| Direction::new(Line::default(), seed);
@@ -174,7 +173,6 @@ impl WallMock {
     }
 
     /// Whether it is [`Self::like_a_board`].
-    #[must_use]
     pub fn is_like_a_board(&self) -> bool {
         self.usb.is_some()
     }
@@ -185,13 +183,11 @@ impl WallMock {
     }
 
     /// Which simulated array it is: see [`SimulatedMotorsConfig::identity`].
-    #[must_use]
     pub fn identity(&self) -> String {
         self.mock.identity()
     }
 
     /// Where its pins really are.
-    #[must_use]
     pub fn true_positions(&self) -> Arc<TruePositions> {
         self.mock.true_positions()
     }

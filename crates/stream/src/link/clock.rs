@@ -43,8 +43,6 @@ pub struct ClockEstimate {
     phase: f64,
     /// Ticks per ns.
     rate: f64,
-    /// Whether the rate was fitted, not assumed.
-    measured: bool,
     /// Bound of the error at `at`, ns.
     error_ns: f64,
     /// Bound of the rate's error, relative.
@@ -63,13 +61,11 @@ pub struct Clock {
 
 impl Clock {
     /// A clock of this nominal rate, before the first round trip.
-    #[must_use]
     pub const fn new(rate: TickRate) -> Self {
         Self { rate, samples: [None; SAMPLES], next: 0, fit: None }
     }
 
     /// The nominal rate.
-    #[must_use]
     pub const fn rate(&self) -> TickRate {
         self.rate
     }
@@ -129,50 +125,38 @@ impl Clock {
             .map(|sample| (error_ns + error_at(sample)) / -point(sample).0)
             .fold(by_drift, f64::min);
         let (at, tick) = (origin.at, origin.tick);
-        self.fit = Some(ClockEstimate { at, tick, phase, rate, measured, error_ns, rate_error });
+        self.fit = Some(ClockEstimate { at, tick, phase, rate, error_ns, rate_error });
     }
 
     /// The present estimate; `None` before the first round trip.
-    #[must_use]
     pub const fn estimate(&self) -> Option<ClockEstimate> {
         self.fit
     }
 
     /// The device's tick at a host instant; `None` before the first round trip.
-    #[must_use]
     pub fn tick_at(&self, at: HostInstant) -> Option<Tick> {
         Some(self.fit?.tick_at(at))
-    }
-
-    /// The device's rate against nominal, ppm; `None` until measured.
-    #[must_use]
-    pub fn drift_ppm(&self) -> Option<f64> {
-        self.fit.filter(|fit| fit.measured).map(|fit| (fit.rate / self.nominal() - 1.0) * 1e6)
     }
 }
 
 impl ClockEstimate {
     /// The device's tick at a host instant.
-    #[must_use]
     pub fn tick_at(&self, at: HostInstant) -> Tick {
         self.after(self.ticks_to(at).floor())
     }
 
     /// The tick whose beginning is nearest to a host instant.
-    #[must_use]
     pub fn nearest_tick(&self, at: HostInstant) -> Tick {
         self.after(self.ticks_to(at).round())
     }
 
     /// When a device tick begins on the host's clock.
-    #[must_use]
     pub fn instant_of(&self, tick: Tick) -> HostInstant {
         let ns = (tick.since(self.tick) as f64 - self.phase) / self.rate;
         HostInstant::from_ns(self.at.as_ns().saturating_add_signed(ns.round() as i64))
     }
 
     /// The bound of the estimate's error at a host instant.
-    #[must_use]
     pub fn uncertainty(&self, at: HostInstant) -> Duration {
         let ns = self.error_ns + self.rate_error * at.ns_since(self.at).abs();
         Duration::from_nanos(ns.ceil() as u64)

@@ -146,7 +146,6 @@ fn kilo(bytes: u32) -> f64 {
 }
 
 /// The text of a device's refusal.
-#[must_use]
 pub fn refusal_text(refusal: Refusal) -> &'static str {
     match refusal {
         Refusal::NotArmed => "it is not armed",

@@ -62,7 +62,6 @@ impl EStopSwitch {
     }
 
     /// Orders an emergency stop; returns its number.
-    #[must_use]
     pub fn request(&self) -> u64 {
         let now = HostInstant::now().as_ns();
         // The time comes first: the streamer may answer as soon as there is the number. Of two threads that want the same number, the later
@@ -78,7 +77,6 @@ impl EStopSwitch {
 
     /// The streamer's answer to the emergency stop of this number; none if it is still to come. [`CommandError::Timeout`]: the
     /// device did not confirm it in time. [`CommandError::NoDevice`]: it is latched, but there is no device to tell.
-    #[must_use]
     pub fn answer(&self, number: u64) -> Option<Result<(), CommandError>> {
         let Shared { confirmed, answered, no_device, .. } = &*self.0;
         // Read in the reverse order of `set_answer`: an answer that is seen here is seen with its confirmation.
@@ -93,7 +91,6 @@ impl EStopSwitch {
 
     /// How long after its order the device had confirmed the last emergency stop, with which all lines were off; none if it has confirmed
     /// none. Of several that one answer confirms, the first counts.
-    #[must_use]
     pub fn confirmed_after(&self) -> Option<Duration> {
         Some(self.0.confirmed_after.load(Ordering::Acquire)).filter(|ns| *ns > 0).map(Duration::from_nanos)
     }
@@ -110,7 +107,6 @@ impl EStopSwitch {
     }
 
     /// The newest number requested.
-    #[must_use]
     pub fn newest(&self) -> u64 {
         self.0.requested.load(Ordering::Acquire)
     }

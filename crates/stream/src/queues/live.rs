@@ -60,7 +60,6 @@ pub struct Applied {
 
 impl Applied {
     /// The same for all motors but these, which get their drives later.
-    #[must_use]
     pub(crate) fn without(mut self, motors: MotorSet) -> Self {
         for (from, motor) in self.motors.iter_mut().zip(0..) {
             *from = from.filter(|_| !motors.contains(motor));
@@ -71,7 +70,6 @@ impl Applied {
 
 impl LiveUpdate {
     /// An update for a play on this array that changes nothing.
-    #[must_use]
     pub fn new(array: Array, id: u64, number: u64, received_at: HostInstant) -> Self {
         Self { id, number, received_at, motions: PerMotor::all(array, None), result: LiveResult::Waiting }
     }

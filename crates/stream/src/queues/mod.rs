@@ -62,7 +62,6 @@ impl CommandQueue {
     }
 
     /// The switch for emergency stops.
-    #[must_use]
     pub fn estop_switch(&self) -> EStopSwitch {
         self.estop.clone()
     }
@@ -73,7 +72,6 @@ impl CommandQueue {
     }
 
     /// How often the thread's loop has run. Each [`Self::wake_thread`] makes it run, unless the thread hangs.
-    #[must_use]
     pub fn loop_count(&self) -> u64 {
         self.loops.load(Ordering::Relaxed)
     }
@@ -221,7 +219,6 @@ impl ThreadQueues {
     }
 
     /// Readable when there are requests; [`Self::pop`] makes it unreadable.
-    #[must_use]
     pub fn wake_fd(&self) -> BorrowedFd<'_> {
         self.requests_wake.as_fd()
     }

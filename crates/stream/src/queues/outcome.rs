@@ -100,7 +100,6 @@ pub struct RestErrors {
 
 impl RestErrors {
     /// No error is known.
-    #[must_use]
     pub fn none(array: Array) -> Self {
         Self { um: PerMotor::all(array, 0.0), source: PerMotor::all(array, ErrorSource::None) }
     }

@@ -83,7 +83,6 @@ pub struct Item {
 
 impl Item {
     /// An item with this trigger.
-    #[must_use]
     pub const fn new(trigger: Option<Trigger>) -> Self {
         Self {
             trigger,
@@ -135,7 +134,6 @@ pub const HOLD_ALWAYS: u32 = u32::MAX;
 impl Play {
     /// A play of one item as soon as possible, with corrections: late strokes are dropped, the trigger output gives a pulse, and
     /// the play requires no bandwidth.
-    #[must_use]
     pub fn new(id: u64, strokes: impl Into<Source>) -> Self {
         let strokes = strokes.into();
         Self {

@@ -155,7 +155,7 @@ impl Streamer {
     pub(super) fn takes_plays(&self) -> Result<(), CommandError> {
         self.ready()?;
         match self.state() {
-            _ if self.operations.wants_armed() => Ok(()),
+            _ if self.operations.wants_armed => Ok(()),
             State::Returning => Err(CommandError::Returning),
             _ => Err(CommandError::Disarmed),
         }
@@ -328,7 +328,7 @@ impl Streamer {
 
     fn disarm(&mut self) -> OpResult {
         self.ready()?;
-        self.operations.want_armed(false);
+        self.operations.wants_armed = false;
         self.plays.cut(&EndCause::Disarm);
         Ok(Some(Op::Disarm(Cause::Request)))
     }
@@ -344,7 +344,7 @@ impl Streamer {
         let assume_rest = rest == Rest::Checked || (rest == Rest::Unchecked && !is_known);
         // An operation begins a new epoch: do not send one between a play and its strokes for nothing.
         match self.state() {
-            State::Armed if self.operations.wants_armed() => {
+            State::Armed if self.operations.wants_armed => {
                 if rest != Rest::Known {
                     if !self.plays.is_empty() || self.homing.is_moving() {
                         return Err(CommandError::Playing);
@@ -353,16 +353,16 @@ impl Streamer {
                 }
                 return Ok(None);
             }
-            State::Armed | State::Returning if !self.operations.wants_armed() => {
+            State::Armed | State::Returning if !self.operations.wants_armed => {
                 return Err(CommandError::Returning);
             }
             State::Returning => return Ok(None),
             _ if self.homing.is_resetting() => return Err(CommandError::Returning),
-            _ if self.operations.wants_armed() => return Err(CommandError::Returning),
+            _ if self.operations.wants_armed => return Err(CommandError::Returning),
             _ => {}
         }
         self.take_rest(now, rest)?;
-        self.operations.want_armed(true);
+        self.operations.wants_armed = true;
         self.control.clear_faults();
         let seeks = !is_known || self.homing.needs_seek(now);
         Ok(Some(self.arm_op(assume_rest, seeks)))

@@ -57,7 +57,7 @@ impl Streamer {
             Event::Control(result) => {
                 if let Some(done) = self.operations.answered() {
                     if result.is_err() && !matches!(done.op, Op::Move { .. } | Op::Seek { .. }) {
-                        self.operations.want_armed(false);
+                        self.operations.wants_armed = false;
                         self.plays.cut(&EndCause::CommandRefused);
                     }
                     // The client must see the new state when it gets the answer.
@@ -82,7 +82,7 @@ impl Streamer {
                     if let (true, Some((status, _))) = (self.operations.is_empty(), self.known.status)
                         && !matches!(status.state, State::Armed | State::Returning)
                     {
-                        self.operations.want_armed(false);
+                        self.operations.wants_armed = false;
                         self.plays.cut(&end_cause(status.cause));
                     }
                 }
@@ -209,7 +209,7 @@ impl Streamer {
             session.request_status();
         }
         if !armed && self.operations.is_empty() {
-            self.operations.want_armed(false);
+            self.operations.wants_armed = false;
             self.plays.cut(&end_cause(status.cause));
             self.cut_control(now);
             self.homing.end(Err(CommandError::Disarmed), emit);

@@ -90,7 +90,6 @@ fn settled(array: Array) -> u64 {
 
 /// The longest that homing the pins of an array may take, s: all rounds with the longest moves, or a seek in which all motors take
 /// turns.
-#[must_use]
 pub fn longest_homing_s(array: Array) -> f64 {
     let (motor, rate) = (array.motor(), array.rate());
     let moves = array.motors() as u64 * (u64::from(motor.most_pulses) + settled(array));

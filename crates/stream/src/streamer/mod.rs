@@ -78,7 +78,6 @@ pub struct Streamer {
 
 impl Streamer {
     /// A streamer without a device.
-    #[must_use]
     pub fn new(settings: Settings) -> Self {
         Self {
             settings,
@@ -154,7 +153,6 @@ impl Streamer {
     }
 
     /// Whether the shutdown is complete.
-    #[must_use]
     pub const fn is_closed(&self) -> bool {
         self.operations.is_closed()
     }
@@ -165,7 +163,6 @@ impl Streamer {
     }
 
     /// The device's tick at `now`.
-    #[must_use]
     pub fn tick_at(&self, now: HostInstant) -> Option<Tick> {
         self.session.as_ref().and_then(|session| session.clock().tick_at(now))
     }
@@ -350,13 +347,11 @@ impl Streamer {
     }
 
     /// The epoch of an e-stop that has become due, once. Pass it to [`crate::device::Device::e_stop`]; the frame follows.
-    #[must_use]
     pub fn take_e_stop(&mut self) -> Option<u16> {
         self.session.as_mut()?.take_e_stop()
     }
 
     /// When to call [`Self::step`] next, if nothing happens before.
-    #[must_use]
     pub fn wake_at(&self, now: HostInstant) -> HostInstant {
         let quiet = self.plays.is_empty()
             && self.operations.is_empty()
@@ -375,7 +370,6 @@ impl Streamer {
 }
 
 /// The controller's cause as events, receipts and the API name it.
-#[must_use]
 pub const fn end_cause(cause: Cause) -> EndCause {
     match cause {
         Cause::Boot => EndCause::Boot,

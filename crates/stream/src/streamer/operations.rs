@@ -33,7 +33,7 @@ pub(super) struct Operations {
     /// The first is sent and not answered.
     in_flight: bool,
     /// Whether the device is armed, or will be after these operations.
-    wants_armed: bool,
+    pub(super) wants_armed: bool,
     /// The request for the shutdown, and since when it waits.
     closing: Option<(u64, HostInstant)>,
     closed: bool,
@@ -195,15 +195,6 @@ impl Operations {
         while let Some(waiting) = self.pending.pop_front() {
             answer(waiting.ticket, Err(CommandError::NoDevice), emit);
         }
-    }
-
-    /// From here on the device is to be armed, or off.
-    pub(super) const fn want_armed(&mut self, armed: bool) {
-        self.wants_armed = armed;
-    }
-
-    pub(super) const fn wants_armed(&self) -> bool {
-        self.wants_armed
     }
 
     pub(super) const fn is_in_flight(&self) -> bool {

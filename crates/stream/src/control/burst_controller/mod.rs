@@ -386,7 +386,7 @@ impl BurstController {
 
     /// What the pin did from the first tick to the second, as planned.
     pub(crate) fn movement(&self, span: [Tick; 2], rate: TickRate) -> Movement {
-        self.trail.movement(self.in_device(), self.trail.level(), span, rate)
+        self.trail.movement(self.in_device(), span, rate)
     }
 
     /// Forgets what the pin did: the device's clock may have begun again.

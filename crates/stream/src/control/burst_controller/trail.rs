@@ -109,21 +109,19 @@ impl Trail {
         self.0.clear();
     }
 
-    /// What the pin did from `from` to `now`, with the moves that came after those of the trail, in order. `rest` is its level if there
-    /// is no move.
+    /// What the pin did from `from` to `now`, with the moves that came after those of the trail, in order.
     pub(crate) fn movement(
         &self,
         under_way: impl Iterator<Item = Passed>,
-        rest: u16,
         [from, now]: [Tick; 2],
         rate: TickRate,
     ) -> Movement {
         // The one that began last before `from` may be under way then.
         let first = self.0.partition_point(|passed| passed.burst.start < from).saturating_sub(1);
         let moves = self.0.range(first..).copied().chain(under_way);
-        let mut moves = moves.filter(|passed| passed.from != passed.to);
-        let mut moves = moves.by_ref().take_while(|passed| passed.burst.start < now).peekable();
-        let mut level = moves.peek().map_or(rest, |first| first.from);
+        let moves = moves.filter(|passed| passed.from != passed.to);
+        let mut moves = moves.take_while(|passed| passed.burst.start < now).peekable();
+        let mut level = moves.peek().map_or(self.level(), |first| first.from);
         let (mut range, mut turns, mut before) = (None, Turns::default(), None);
         for passed in moves {
             let direction = Some(passed.direction());

@@ -63,7 +63,6 @@ impl UsbPort {
     }
 
     /// Its serial number; empty if it has none.
-    #[must_use]
     pub fn serial(&self) -> &str {
         &self.serial
     }

@@ -54,7 +54,6 @@ impl Contradiction {
     ];
 
     /// Its name in metrics.
-    #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
             Self::Hello => "hello",
@@ -78,13 +77,11 @@ pub struct Contradictions([u64; Contradiction::ALL.len()]);
 
 impl Contradictions {
     /// How many of one kind.
-    #[must_use]
     pub fn of(&self, kind: Contradiction) -> u64 {
         self.0[kind as usize]
     }
 
     /// How many of all kinds.
-    #[must_use]
     pub fn total(&self) -> u64 {
         self.0.iter().sum()
     }

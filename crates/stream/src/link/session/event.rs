@@ -129,7 +129,6 @@ macro_rules! contradicts {
 
 impl LostReason {
     /// What was found and what to do, on one line.
-    #[must_use]
     pub fn text(self) -> Cow<'static, str> {
         match self {
             Self::WrongArray(_) => format!("{}: {}", self.found(), self.advice()).into(),
@@ -138,7 +137,6 @@ impl LostReason {
     }
 
     /// What was found.
-    #[must_use]
     pub fn found(self) -> Cow<'static, str> {
         match self {
             Self::WrongArray(arrays) => arrays.to_string().into(),
@@ -147,7 +145,6 @@ impl LostReason {
     }
 
     /// What to do.
-    #[must_use]
     pub const fn advice(self) -> &'static str {
         self.texts().2
     }

@@ -143,7 +143,7 @@ impl Session {
             return Ok(());
         }
         self.known.status(status, tick, sent.epoch);
-        self.line.heard(status.counters.bad_frames);
+        self.line.quality.heard(status.counters.bad_frames);
         self.reports.announce(status.reports);
         let mut answered = None;
         if status.epoch == sent.epoch {

@@ -24,11 +24,12 @@ pub(super) struct Line {
     /// Its rate as its transport knows it, and as the probe measured it.
     nominal: LineRate,
     measured: Option<MeasuredLine>,
-    window_bytes: usize,
-    probe: Probe,
+    /// Bytes that may be unacknowledged.
+    pub(super) window_bytes: usize,
+    pub(super) probe: Probe,
     /// When the last probe was over.
     probed_at: HostInstant,
-    quality: Quality,
+    pub(super) quality: Quality,
 }
 
 impl Line {
@@ -47,15 +48,6 @@ impl Line {
     /// Probes it again. What was measured holds until the probe is over.
     pub(super) fn probe(&mut self, budget: Budget) {
         self.probe = Probe::new(budget, self.nominal);
-    }
-
-    pub(super) fn is_probed(&self) -> bool {
-        self.probe.is_over()
-    }
-
-    /// Whether a round of the probe is under way: the session sends no ping of its own.
-    pub(super) fn is_probing(&self) -> bool {
-        self.probe.is_busy()
     }
 
     /// What the probe sends next; the caller sends it and says so.
@@ -81,21 +73,6 @@ impl Line {
         self.probe.is_over() && self.measured.is_none() && now.since(self.probed_at) >= PROBE_AGAIN
     }
 
-    /// When [`Self::next_step`] has something, if no answer comes before. `quiet_by`: when an open line counts as quiet.
-    pub(super) fn step_due(&self, now: HostInstant, quiet_by: Option<HostInstant>) -> Option<HostInstant> {
-        self.probe.due(now, quiet_by)
-    }
-
-    /// A filler of the probe left.
-    pub(super) fn sent_filler(&mut self, len: usize) {
-        self.probe.sent_filler(len);
-    }
-
-    /// The probe's ping left.
-    pub(super) fn sent_ping(&mut self, now: HostInstant, len: usize, token: u16) {
-        self.probe.sent_ping(now, len, token);
-    }
-
     /// The device answered the ping of this token; `true` if it was the probe's, which waits behind other bytes and so measures
     /// neither the clock nor an idle round trip. `idle` is an idle round trip.
     pub(super) fn answered(&mut self, now: HostInstant, token: u16, idle: Duration) -> bool {
@@ -115,37 +92,17 @@ impl Line {
         }
     }
 
-    /// A frame of so many bytes leaves.
-    pub(super) fn sent(&mut self, len: usize) {
-        self.quality.sent(len);
-    }
-
-    /// The device's count of frames that it could not read since its start.
-    pub(super) fn heard(&mut self, bad_frames: u64) {
-        self.quality.heard(bad_frames);
-    }
-
-    /// Bytes that may be unacknowledged.
-    pub(super) const fn window_bytes(&self) -> usize {
-        self.window_bytes
-    }
-
-    /// Most bytes of a frame of strokes.
-    pub(super) const fn frame_bytes(&self) -> usize {
-        self.quality.frame_bytes()
-    }
-
     /// See [`Session::capacity`](super::Session::capacity).
     pub(super) fn capacity(&self) -> Option<u32> {
         let MeasuredLine { rate, ack_wait } = self.measured?;
         let under_way = (self.frames_under_way() * MAX_FRAME) as f64;
         let waiting = under_way / (ack_wait + rate.time(MAX_FRAME)).as_secs_f64();
-        Some((waiting.min(rate.0.into()) * self.quality.share()) as u32)
+        Some((waiting.min(rate.0.into()) * self.quality.share) as u32)
     }
 
     /// See [`Session::rate_beside`](super::Session::rate_beside).
     pub(super) fn rate_beside(&self, frames_per_s: u32) -> Option<(u32, f64)> {
-        let share = self.quality.share();
+        let share = self.quality.share;
         let waiting = f64::from(frames_per_s) * self.ack_wait()?.as_secs_f64() / share;
         Some(((f64::from(self.measured?.rate.0) * share) as u32, waiting))
     }

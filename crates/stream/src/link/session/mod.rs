@@ -99,7 +99,6 @@ pub struct Session {
 
 impl Session {
     /// A session with a device of this array, over a line of this rate; `id` is a random number. It begins with the handshake.
-    #[must_use]
     pub fn new(array: Array, id: u32, rate: LineRate, now: HostInstant) -> Self {
         Self {
             phase: Phase::Opening,
@@ -119,13 +118,11 @@ impl Session {
     }
 
     /// The device's clock.
-    #[must_use]
     pub fn clock(&self) -> &Clock {
         self.pinger.clock()
     }
 
     /// Bytes and frames so far.
-    #[must_use]
     pub fn traffic(&self) -> Traffic {
         self.wire.traffic()
     }
@@ -136,14 +133,12 @@ impl Session {
     }
 
     /// Whether the link probe is over; before that, the line's rate is unknown.
-    #[must_use]
     pub fn is_probed(&self) -> bool {
-        self.line.is_probed()
+        self.line.probe.is_over()
     }
 
     /// Whether the link probe has measured nothing, and it is time to probe again: the host stood still, or the device did not answer.
     /// Until something is measured, the line counts as what its transport says, and no play is refused because of it.
-    #[must_use]
     pub fn wants_probe(&self, now: HostInstant) -> bool {
         self.line.wants_probe(now)
     }
@@ -155,56 +150,47 @@ impl Session {
 
     /// Bytes per second of full frames that the device acknowledges: the line's rate, or less where the host waits for
     /// acknowledgements because few bytes may be unacknowledged. `None` until measured.
-    #[must_use]
     pub fn capacity(&self) -> Option<u32> {
         self.line.capacity()
     }
 
     /// Bytes per second that the line carries while nothing waits, and the part of its time in which so many frames a second,
     /// however short, wait for acknowledgements: more than 1 if it does not carry them. `None` until measured.
-    #[must_use]
     pub fn rate_beside(&self, frames_per_s: u32) -> Option<(u32, f64)> {
         self.line.rate_beside(frames_per_s)
     }
 
     /// How long a frame that is sent now takes to the device, with those that are not acknowledged before it.
-    #[must_use]
     pub fn delivery(&self) -> Duration {
         self.line.delivery(self.outbox.bytes_under_way(), self.pinger.shortest())
     }
 
     /// How long a frame waits, besides its bytes' time, until the device has acknowledged the frames before it.
-    #[must_use]
     pub fn ack_wait(&self) -> Option<Duration> {
         self.line.ack_wait()
     }
 
     /// Whether the session takes plays: the handshake is done, the clock is set and the session is not over.
-    #[must_use]
     pub fn is_open(&self) -> bool {
         self.phase == Phase::Open && self.pinger.is_set()
     }
 
     /// Whether the device answered every command, and the session read every report.
-    #[must_use]
     pub fn is_answered(&self) -> bool {
         !self.commands.is_waiting() && self.reports.are_complete()
     }
 
     /// The session knows which of the accepted strokes before this tick the device has refused as they began.
-    #[must_use]
     pub fn known_to(&self) -> Tick {
         self.reports.concluded().tick
     }
 
     /// Whether the session takes commands: the handshake is done and the session is not over.
-    #[must_use]
     pub fn can_command(&self) -> bool {
         self.phase == Phase::Open
     }
 
     /// When an e-stop first left for the device, if the device has not answered it.
-    #[must_use]
     pub fn e_stopped_at(&self) -> Option<HostInstant> {
         self.commands.e_stopped_at()
     }
@@ -248,7 +234,6 @@ impl Session {
 
     /// The epoch of an e-stop that has become due, once: for a device that takes it past the bytes that wait
     /// ([`crate::device::Device::e_stop`]). Its frame is sent as well.
-    #[must_use]
     pub fn take_e_stop(&mut self) -> Option<u16> {
         match self.phase {
             Phase::Opening | Phase::Over => None,
@@ -277,13 +262,11 @@ impl Session {
     }
 
     /// Moves that the device's credits still allow.
-    #[must_use]
     pub fn credits(&self) -> usize {
         self.outbox.credits()
     }
 
     /// Whether a frame may be begun: the window has room, and neither a command nor an onset waits for its answer.
-    #[must_use]
     pub fn has_room(&self) -> bool {
         self.phase == Phase::Open && !self.commands.is_waiting() && self.outbox.has_room()
     }
@@ -291,7 +274,7 @@ impl Session {
     /// Takes a step that does not begin before the last one; `false` if it must wait for credits, the window or an
     /// onset's verdict.
     pub fn push(&mut self, step: &Step) -> bool {
-        self.has_room() && self.outbox.push(step, self.line.frame_bytes())
+        self.has_room() && self.outbox.push(step, self.line.quality.frame_bytes)
     }
 
     /// Ends the open frame, so that it can be sent. While it waits, it takes more strokes, unless it has a mark.

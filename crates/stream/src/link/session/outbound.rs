@@ -36,7 +36,7 @@ impl Session {
         };
         if len > 0 {
             self.wire.sent(len);
-            self.line.sent(len);
+            self.line.quality.sent(len);
         }
         len
     }
@@ -89,7 +89,7 @@ impl Session {
                 let (base, items) = (packed.base().wire(), packed.bytes());
                 return encoded(&HostMessage::Amend { epoch, generation, base, items }, out);
             }
-            let window_bytes = self.line.window_bytes();
+            let window_bytes = self.line.window_bytes;
             if let Some(written) = self.outbox.write_next(now, Head { epoch, seen }, retry, window_bytes, out)
             {
                 self.wire.repeated(written.retransmitted);
@@ -103,7 +103,7 @@ impl Session {
             return encoded(&question, out);
         }
         match self.next_probe(now, out) {
-            0 if now >= self.pinger.due() && !self.line.is_probing() => self.ping(now, out).1,
+            0 if now >= self.pinger.due() && !self.line.probe.is_busy() => self.ping(now, out).1,
             len => len,
         }
     }
@@ -117,12 +117,12 @@ impl Session {
         match self.line.next_step(now, quiet) {
             Step::Filler => {
                 let len = self.filler(out);
-                self.line.sent_filler(len);
+                self.line.probe.sent_filler(len);
                 len
             }
             Step::Ping => {
                 let (token, len) = self.ping(now, out);
-                self.line.sent_ping(now, len, token);
+                self.line.probe.sent_ping(now, len, token);
                 len
             }
             Step::Nothing => 0,
@@ -158,7 +158,6 @@ impl Session {
     }
 
     /// When [`Self::transmit`] may have something next, if nothing happens before.
-    #[must_use]
     pub fn wake_at(&self, now: HostInstant) -> HostInstant {
         let retry = self.retry_after();
         match self.phase {
@@ -170,9 +169,9 @@ impl Session {
                     self.commands.due(now, retry),
                     self.outbox.due(now, retry),
                     // While the probe's ping is under way, the session sends no other.
-                    (!self.line.is_probing()).then(|| self.pinger.due()),
+                    (!self.line.probe.is_busy()).then(|| self.pinger.due()),
                     self.may_ask().then(|| self.asking.due(now, retry)),
-                    self.line.step_due(now, self.is_open().then(|| self.pinger.quiet_by())),
+                    self.line.probe.due(now, self.is_open().then(|| self.pinger.quiet_by())),
                 ];
                 due.into_iter().flatten().min().unwrap_or(now)
             }
@@ -181,7 +180,7 @@ impl Session {
 
     /// Whether the line is free for requests: the probe is over, and no command waits for its answer.
     fn may_ask(&self) -> bool {
-        self.is_open() && self.line.is_probed() && !self.commands.is_waiting()
+        self.is_open() && self.line.probe.is_over() && !self.commands.is_waiting()
     }
 
     /// How long the session waits for an acknowledgement before it sends again.

@@ -23,8 +23,10 @@ pub(super) struct Quality {
     damaged: u64,
     /// The device's count when it was last heard.
     counted: Option<u64>,
-    frame_bytes: usize,
-    share: f64,
+    /// Most bytes of a frame of strokes.
+    pub(super) frame_bytes: usize,
+    /// What such frames carry, of what full frames carry on a good line.
+    pub(super) share: f64,
 }
 
 impl Default for Quality {
@@ -34,16 +36,6 @@ impl Default for Quality {
 }
 
 impl Quality {
-    /// Most bytes of a frame of strokes.
-    pub(super) const fn frame_bytes(&self) -> usize {
-        self.frame_bytes
-    }
-
-    /// What such frames carry, of what full frames carry on a good line.
-    pub(super) const fn share(&self) -> f64 {
-        self.share
-    }
-
     /// A frame of so many bytes leaves.
     pub(super) fn sent(&mut self, len: usize) {
         (self.frames, self.bytes) = (self.frames.saturating_add(1), self.bytes.saturating_add(len));

@@ -20,7 +20,6 @@ impl LineRate {
     }
 
     /// How long `bytes` occupy the line.
-    #[must_use]
     pub fn time(self, bytes: usize) -> Duration {
         Duration::from_secs_f64(bytes as f64 / f64::from(self.0.max(1)))
     }
