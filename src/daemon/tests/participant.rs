@@ -139,6 +139,28 @@ fn a_kill_after_a_full_disk_leaves_no_smaller_sum() {
     assert!(before_s > 0.3 && after_s >= before_s - 1e-6, "{before_s} s were {after_s} s");
 }
 
+#[test]
+fn a_kill_in_the_middle_of_a_play_leaves_no_smaller_sum() {
+    let mut daemon = Bench::with("[participant]\nmax_continuous_s = 20\npause_s = 600\nmax_day_s = 30\n");
+    let mut kills = 0;
+    loop {
+        let used = daemon.client().get::<Status>("/v1/status").unwrap().participant.day_used_s;
+        // What comes before the next play may count, too.
+        let most = f64::from(kills) * 9.0 + 1e-6;
+        assert!((f64::from(kills) * 8.0 - 1e-6..=most).contains(&used), "after {kills} kills: {used}");
+        let play = json!({"pattern": "pin-60", "seconds": 8.0});
+        let answer = daemon.armed().post::<Value>("/v1/play", &play);
+        if answer.is_err() {
+            assert_eq!(problem(answer).code, "participant-limit");
+            break;
+        }
+        kills += 1;
+        daemon = daemon.again();
+    }
+    // The stretch without a pause also survives a kill.
+    assert_eq!(kills, 2);
+}
+
 /// Plays a little shorter than the limit, each at a fixed time a moment after the one before was stopped.
 #[test]
 fn plays_at_times_of_their_own_pass_no_limit_by() {

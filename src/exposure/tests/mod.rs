@@ -1,5 +1,7 @@
 //! Tests of the exposure account: the counted vibration, the remaining time, and restarts.
 
+mod random;
+
 use super::*;
 use jiff::civil::date;
 use meissner_stream::{Hold, Settings};
@@ -100,16 +102,6 @@ fn plays_that_wait_have_their_time_kept() {
     }
     account.forget(first);
     assert_eq!(check_next(&mut account, at(0.0), &six), Ok(()));
-}
-
-/// It may begin less than half a second after the vibration before it, and is one with it then.
-#[test]
-fn a_play_that_follows_at_once_keeps_the_time_before_it() {
-    let mut account = account();
-    assert_eq!(run(&mut account, 1, play(Some(9.0)), 0.0, 9.0), None);
-    for (vibrates_s, fits) in [(0.45, true), (0.8, false)] {
-        assert_eq!(check_next(&mut account, at(9.0), &play(Some(vibrates_s))).is_ok(), fits, "{vibrates_s}");
-    }
 }
 
 /// A loop that once evaded the limit: plays a little shorter than the limit, each at a fixed time a moment later.
