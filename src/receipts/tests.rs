@@ -8,7 +8,8 @@ use firmware_protocol::message::Cause;
 use meissner_api::{
     DurationRecord, EdgeRecord, EndCause, ErrorSource, FollowedMotion, InstantRecord, ItemRecord, ItemState,
     LateCause, LatenessRecord, LiveRecord, LoweredReason, LoweredRecord, MAX_DRIVES_LISTED,
-    MAX_WARNINGS_LISTED, OnsetRecord, PlayCounts, PlayReach, ReachedDrive, Terms, TriggerRecord, UpdateTimes,
+    MAX_WARNINGS_LISTED, OnsetRecord, OrderedCounts, PlayCounts, PlayReach, ReachedDrive, Terms,
+    TriggerRecord, UpdateTimes,
 };
 use meissner_array::pattern::Pattern;
 use meissner_array::per_motor::PerMotor;
@@ -314,7 +315,7 @@ pub(crate) fn longest() -> Receipt {
         },
         items: Some([longest_item()].into()),
         counts: PlayCounts {
-            ordered: Some(OrderedCounts { bursts: most, pulses: Some(most) }),
+            ordered: Some(OrderedCounts { bursts: most, pulses: most }),
             bursts: Some(BurstCounts {
                 planned: most,
                 played: most,
