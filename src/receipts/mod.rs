@@ -18,15 +18,15 @@ pub use convert::{
     board_status, calibration_plan, device_info, end_text, fit, outputs, refusal, reset_name, state_name,
 };
 pub use items::{BLANK, PlannedItem};
-pub use outline::{Outline, counts, counts_until, largest_um, motions, motions_of_items, too_slow};
+pub use outline::{Outline, largest_um, motions, motions_of_items, too_slow};
 
 use firmware_protocol::message::{DeviceHello, State};
 use firmware_protocol::tick::Tick;
 use live::LiveAccount;
 use meissner_api::{
     BurstCounts, DeviceInfo, EdgeEffect, Event, LateCounts, LateStroke, LinkTraffic, LoweredPin,
-    LoweredReason, MAX_LISTED, MotorRestError, MovedPin, NO_DEVICE, OrderedCounts, PlayDevice, PlayEdges,
-    PlayPins, PlayState, PulseCounts, Receipt, RefusedStroke, RunningPlay,
+    LoweredReason, MAX_LISTED, MotorRestError, MovedPin, NO_DEVICE, PlayDevice, PlayEdges, PlayPins,
+    PlayState, PulseCounts, Receipt, RefusedStroke, RunningPlay,
 };
 use meissner_array::spec::Array;
 use meissner_array::units::TickRate;
@@ -247,13 +247,6 @@ impl Receipts {
         }
         self.finished.push_back(receipt);
         Some(event)
-    }
-
-    /// Sets the ordered counts of an endless play at its end.
-    pub fn set_ordered(&mut self, id: u64, counts: Option<OrderedCounts>) {
-        if let Some(receipt) = self.live_mut(id) {
-            receipt.counts.ordered = counts;
-        }
     }
 
     /// The receipt of a play.

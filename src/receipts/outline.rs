@@ -85,6 +85,7 @@ pub fn largest_um(drives: &[ReachedDrive]) -> [f64; 2] {
     [most(|drive| drive.ordered_um), most(|drive| drive.reached_um)]
 }
 
+<<<<<<< HEAD
 /// The most strokes of saturated drives that are counted one by one when a play begins: the paper's motors at 300 Hz for two minutes, in 30
 /// ms.
 const WALKED: u64 = 1 << 20;
@@ -112,6 +113,8 @@ fn counted(pattern: &Pattern, options: &StrokeOptions, walked: u64) -> Option<Or
     Some(OrderedCounts { bursts: 2 * ordered.strokes, pulses: ordered.pulses })
 }
 
+=======
+>>>>>>> t5
 /// The highest level of the motions that move their pin, µm.
 fn motions_um(pattern: &Pattern) -> f64 {
     let array = pattern.array();

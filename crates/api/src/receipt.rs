@@ -91,13 +91,13 @@ pub struct EdgeRecord {
     pub uncertainty_ns: u64,
 }
 
-/// What pattern and order say for the whole play, without corrections. Of an endless play that has ended: up to its end.
+/// What pattern and order say for the whole play, without corrections.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 pub struct OrderedCounts {
     /// Number of bursts; a stroke has two.
     pub bursts: u64,
-    /// Number of their pulses; null if it would take too long to count: over two minutes of 24 saturated drives at 300 Hz.
-    pub pulses: Option<u64>,
+    /// Number of their pulses.
+    pub pulses: u64,
 }
 
 /// Durations of a play, ms. A drive plays whole strokes, so a play lasts a little shorter or longer than ordered.
@@ -350,7 +350,7 @@ pub struct PlayEdges {
 /// What was ordered, and what became of it, counted.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct PlayCounts {
-    /// What pattern and order say; null for an endless play that is not over.
+    /// What pattern and order say; null for an endless play, and for one of more than 2 million strokes and moves.
     pub ordered: Option<OrderedCounts>,
     /// What happened to the bursts; null until the play is over.
     pub bursts: Option<BurstCounts>,

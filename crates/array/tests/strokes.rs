@@ -9,8 +9,7 @@ use meissner_array::reflected_walk::Spread;
 use meissner_array::spec::Array;
 use meissner_array::strokes::Stroke;
 use meissner_array::strokes::{
-    AutoSurplus, Fit, Ordered, Sequence, Start, StrokeOptions, Strokes, StrokesError, Surplus, ordered,
-    reached,
+    AutoSurplus, Fit, Sequence, Start, StrokeOptions, Strokes, StrokesError, Surplus, reached,
 };
 use meissner_test_support::paper::UM_PER_PULSE;
 use meissner_test_support::patterns::{self, drive};
@@ -165,9 +164,6 @@ proptest! {
             let last = strokes.iter().filter(|stroke| stroke.motor == motor).map(|stroke| stroke.end().0).max();
             prop_assert_eq!(over, last);
         }
-        let pulses = strokes.iter().map(|stroke| u64::from(stroke.pulses())).sum();
-        let counted = Ordered { strokes: strokes.len() as u64, pulses: Some(pulses) };
-        prop_assert_eq!(ordered(&pattern, &options, 1 << 20).unwrap(), Some(counted));
     }
 
     #[test]
@@ -213,19 +209,12 @@ fn a_rare_repeat_that_is_long_enough_is_found_at_once() {
 }
 
 #[test]
-fn a_play_of_years_is_counted_at_once_unless_it_is_saturated() {
-    let counted =
-        |pattern: &Pattern, seconds| ordered(pattern, &StrokeOptions::lasting(seconds), 1 << 20).unwrap();
-    let steady = pattern(Some(0.5), (0..24).map(|motor| drive(motor, 60.0, 80.0)).collect());
-    let strokes = 24 * 60 * 100_000_000;
-    assert_eq!(counted(&steady, Some(1e8)), Some(Ordered { strokes, pulses: Some(strokes * 2 * 589) }));
-    assert_eq!(counted(&pattern(None, vec![drive(0, 60.0, 80.0)]), None), None);
-    let saturated = pattern(None, vec![drive(0, 300.0, 80.0)]);
-    // 141 pulses fit into half of every period, and one more into some.
-    let minute = counted(&saturated, Some(60.0)).unwrap();
-    let pulses = minute.pulses.unwrap();
-    assert!(minute.strokes == 18_000 && pulses > 18_000 * 2 * 141 && pulses < 18_000 * 2 * 142, "{minute:?}");
-    assert_eq!(counted(&saturated, Some(1e6)), Some(Ordered { strokes: 300_000_000, pulses: None }));
+fn the_strokes_of_years_are_counted_at_once() {
+    let steady = pattern(Some(0.5), vec![drive(0, 60.0, 80.0)]);
+    let strokes = |seconds| reached(&steady, &StrokeOptions::lasting(seconds)).unwrap()[0].strokes;
+    assert_eq!(strokes(Some(1e8)), Some(60 * 100_000_000));
+    let endless = pattern(None, vec![drive(0, 60.0, 80.0)]);
+    assert_eq!(reached(&endless, &StrokeOptions::default()).unwrap()[0].strokes, None);
 }
 
 #[test]

@@ -167,8 +167,7 @@ fn burst_counts(ordered: Option<&OrderedCounts>, bursts: &BurstCounts) -> String
 }
 
 fn pulse_counts(ordered: Option<&OrderedCounts>, pulses: &PulseCounts) -> String {
-    let ordered = ordered.and_then(|ordered| ordered.pulses);
-    let ordered = ordered.map_or_else(String::new, |ordered| format!("{ordered} ordered, "));
+    let ordered = ordered.map_or_else(String::new, |ordered| format!("{} ordered, ", ordered.pulses));
     format!("{ordered}{} planned, {} played", pulses.planned, pulses.played)
 }
 

@@ -9,7 +9,6 @@ use crate::daemon::core::engine::Engine;
 use crate::daemon::core::log_lines;
 use crate::daemon::core::service::StatusReporter;
 use crate::exposure::{Account, Now};
-use crate::receipts::counts_until;
 use meissner_api::Event;
 use meissner_stream::queues::{EventQueue, StreamEvent};
 use meissner_stream::time::HostInstant;
@@ -73,7 +72,6 @@ impl Engine {
                 if matches!(streamed, StreamEvent::ThreadEnded) {
                     return Ok(());
                 }
-                self.count_endless(&streamed);
                 let (event, is_new) = self.lock().apply(streamed);
                 match &event {
                     // Until the clock is known, the status does not show the device as connected.
@@ -124,14 +122,6 @@ impl Engine {
         *told = (problem.clone(), lost, Instant::now() + LOSSES_APART);
         state.publish(&Event::RecordProblem { problem, lost });
         stalls
-    }
-
-    /// Counts the ordered strokes of an endless play up to its end, outside the lock.
-    fn count_endless(&self, streamed: &StreamEvent) {
-        let StreamEvent::PlayEnded { id, outcome } = streamed else { return };
-        let Some((pattern, options)) = self.lock().plays.endless(*id) else { return };
-        let counts = counts_until(&pattern, &options, outcome.cut_after.unwrap_or(0));
-        self.lock().plays.receipts.set_ordered(*id, counts);
     }
 }
 

@@ -89,7 +89,7 @@ pub(in crate::daemon) async fn start_live(
         reach,
         memory: Vec::new(),
         largest: (live.largest_um(&reach), "the live play".to_owned()),
-        new: NewPlay { receipt, items: [item].into(), endless: None, client: by.peer() },
+        new: NewPlay { receipt, items: [item].into(), client: by.peer() },
         texts: Vec::new(),
     };
     let path = format!("/v1/live/{}", live.key());

@@ -12,7 +12,7 @@ use crate::daemon::plays::begin::{Basis, Compiled};
 use crate::daemon::plays::state::{NewPlay, check_samples};
 use crate::daemon::sessions::caller::Asker;
 use crate::exposure::Vibration;
-use crate::receipts::{Outline, PlannedItem, counts, fit, motions, motions_of_items, too_slow};
+use crate::receipts::{Outline, PlannedItem, fit, motions, motions_of_items, too_slow};
 use crate::record::Peer;
 use crate::store::{Stored, hash};
 use firmware_protocol::message::Trigger;
@@ -29,7 +29,7 @@ use meissner_array::strokes::{
 };
 use meissner_array::units::TickRate;
 use meissner_stream::queues::{HOLD_ALWAYS, Item as Played, Play};
-use meissner_stream::{Bandwidth, DryRun, Hold, Settings, dry_run};
+use meissner_stream::{Bandwidth, Hold, Settings, dry_run};
 use std::collections::hash_map::Entry;
 use std::collections::{HashMap, HashSet};
 use std::future::Future;
@@ -67,18 +67,12 @@ struct OfScale {
     motions: Arc<[FollowedMotion]>,
 }
 
-/// The one pattern of a play whose receipt lists no items.
-struct One {
-    pattern: Arc<Pattern>,
-    options: StrokeOptions,
-    outline: Outline,
-}
-
 /// The state of an order while it is prepared.
 struct Preparing {
     settings: Settings,
     sequence: Sequence,
-    one: Option<One>,
+    /// Of the one pattern of a play whose receipt lists no items.
+    one: Option<Outline>,
     is_one: bool,
     warnings: Vec<String>,
     /// A line for each motor that is too slow.
@@ -216,10 +210,9 @@ impl Compiled {
             let length_ms = strokes.end().map(|end| rate.ticks_to_ms(end));
             Outline { ordered_ms: length_ms, compiled_ms: length_ms, ..Outline::default() }
         };
-        let outline = prepared.as_ref().map_or_else(whole, |one| one.outline.clone());
+        let outline = prepared.unwrap_or_else(whole);
         Outline { warnings, ..outline }.enter(&mut receipt, counts);
         receipt.reach.warnings.splice(0..0, unchecked.into_iter().chain(slow.into_iter().take(MAX_LINES)));
-        let endless = prepared.filter(|_| strokes.end().is_none()).map(|one| (one.pattern, one.options));
         Ok(Self {
             play: Play { items, bandwidth, hold, ..begin::ordered(strokes, terms) },
             settings,
@@ -228,7 +221,7 @@ impl Compiled {
             reach,
             largest,
             memory,
-            new: NewPlay { receipt, items: planned.into(), endless, client },
+            new: NewPlay { receipt, items: planned.into(), client },
             texts,
         })
     }
@@ -271,7 +264,7 @@ impl Preparing {
                 self.warnings.extend(lines.iter().map(|line| format!("{prefix}{line}")));
                 new.insert(OfScale { compiled, amplitude_um, motions });
                 if self.is_one {
-                    self.one = Some(One { pattern: Arc::clone(&stored.pattern), options, outline });
+                    self.one = Some(outline);
                 }
             }
         }
@@ -324,10 +317,7 @@ impl Preparing {
         check_limits(&found, &settings).map_err(whole)?;
         let (hold, unchecked, vibration) = hold(hold_ms, &strokes, &found.hold, &settings).map_err(whole)?;
         let bandwidth = Bandwidth::of(&strokes, &settings).max(peak(spans.iter().copied().zip(required)));
-        let counts = match &self.one {
-            Some(one) if one.pattern.motions().is_empty() => counts(&one.pattern, &one.options),
-            _ => walked(&found),
-        };
+        let counts = found.counts.map(|(bursts, pulses)| OrderedCounts { bursts, pulses });
         Ok(Placed { strokes, items, spans, bandwidth, hold, unchecked, vibration, counts })
     }
 }
@@ -440,11 +430,6 @@ fn hold(
         return Err(Problem::new(Code::BadRequest, detail));
     }
     Ok((asked, unchecked, vibration))
-}
-
-/// The bursts and pulses of a play, counted one by one; `None` if it has no end, or would take too long to count.
-fn walked(found: &DryRun) -> Option<OrderedCounts> {
-    found.counts.map(|(bursts, pulses)| OrderedCounts { bursts, pulses: Some(pulses) })
 }
 
 /// The key by which the texts of items differ; `None` for a blank item.

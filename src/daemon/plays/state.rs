@@ -1,13 +1,11 @@
 //! Plays: their receipts and clients.
 //!
-//! Bounds: those of [`Receipts`]; patterns and clients are kept only while a play is not over.
+//! Bounds: those of [`Receipts`]; clients are kept only while a play is not over.
 
 use crate::receipts::{PlannedItem, Receipts};
 use crate::record::Peer;
 use meissner_api::{Code, Event, Problem, Receipt};
-use meissner_array::pattern::Pattern;
 use meissner_array::spec::Array;
-use meissner_array::strokes::StrokeOptions;
 use std::collections::HashMap;
 use std::sync::Arc;
 
@@ -17,8 +15,6 @@ pub(in crate::daemon) struct NewPlay {
     /// Its receipt, which gets its id here.
     pub(in crate::daemon) receipt: Receipt,
     pub(in crate::daemon) items: Arc<[PlannedItem]>,
-    /// The pattern of an endless play, whose strokes are counted at its end, and how the play differs from it.
-    pub(in crate::daemon) endless: Option<(Arc<Pattern>, StrokeOptions)>,
     pub(in crate::daemon) client: Peer,
 }
 
@@ -26,8 +22,6 @@ pub(in crate::daemon) struct NewPlay {
 #[derive(Debug)]
 pub(in crate::daemon) struct Plays {
     pub(in crate::daemon) receipts: Receipts,
-    /// Endless plays that are not over: their patterns and options.
-    endless: HashMap<u64, (Arc<Pattern>, StrokeOptions)>,
     /// The clients of the plays that are not over.
     clients: HashMap<u64, Peer>,
     /// What the samples of plays that are not over take: the SHA-256 of their patterns, and bytes.
@@ -51,24 +45,15 @@ pub(in crate::daemon) fn check_samples(bytes: usize) -> Result<(), Problem> {
 impl Plays {
     /// None yet, on this array.
     pub(in crate::daemon) fn new(array: Array) -> Self {
-        Self {
-            receipts: Receipts::new(array),
-            endless: HashMap::new(),
-            clients: HashMap::new(),
-            memory: HashMap::new(),
-            last_id: 0,
-        }
+        Self { receipts: Receipts::new(array), clients: HashMap::new(), memory: HashMap::new(), last_id: 0 }
     }
 
     /// Gives a play an id, and adds its receipt.
     pub(in crate::daemon) fn add(&mut self, play: NewPlay) -> u64 {
-        let NewPlay { receipt, items, endless, client } = play;
+        let NewPlay { receipt, items, client } = play;
         self.last_id += 1;
         let id = self.last_id;
         self.receipts.add(Receipt { id, ..receipt }, items);
-        if let Some(endless) = endless {
-            self.endless.insert(id, endless);
-        }
         self.clients.insert(id, client);
         id
     }
@@ -114,7 +99,6 @@ impl Plays {
     pub(in crate::daemon) fn forget(&mut self, id: u64) {
         self.memory.remove(&id);
         self.receipts.settle(id, false);
-        self.endless.remove(&id);
         self.clients.remove(&id);
     }
 
@@ -126,13 +110,7 @@ impl Plays {
     /// Takes the client of a play, at its end.
     pub(in crate::daemon) fn take_client(&mut self, id: u64) -> Option<Peer> {
         self.memory.remove(&id);
-        self.endless.remove(&id);
         self.clients.remove(&id)
-    }
-
-    /// An endless play that is not over: its pattern and options.
-    pub(in crate::daemon) fn endless(&self, id: u64) -> Option<(Arc<Pattern>, StrokeOptions)> {
-        self.endless.get(&id).cloned()
     }
 }
 

@@ -90,17 +90,6 @@ impl DriveStrokes {
         Excursion { up, down, pulses, surplus }
     }
 
-    /// Pulses of the first `strokes` strokes. For a saturated drive this iterates over them, as far as the budget of strokes
-    /// allows.
-    pub(super) fn pulses_of(&self, strokes: u64, budget: &mut u64) -> Option<u64> {
-        let pulses = |stroke: Excursion| 2 * u64::from(stroke.pulses) + u64::from(stroke.surplus);
-        if self.wave.pulses() == self.wave.wanted_pulses() {
-            return Some(strokes * pulses(self.number(0)));
-        }
-        *budget = budget.checked_sub(strokes)?;
-        Some((0..strokes).map(|number| pulses(self.number(number))).sum())
-    }
-
     /// How many of the strokes begin before this tick. Takes some 100 steps.
     pub(super) fn begun_before(&self, before: u64) -> u64 {
         let is_one = |number| {

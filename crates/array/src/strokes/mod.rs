@@ -32,7 +32,7 @@ pub use live::{LiveMotion, LiveStrokes};
 #[cfg(test)]
 pub(crate) use motion_lane::{choose, moves};
 pub use options::{AutoSurplus, Fit, StrokeOptions, Surplus};
-pub use reached::{Ordered, Reached, motions_over, ordered, reached};
+pub use reached::{Reached, motions_over, reached};
 pub use sequence::{
     CompiledItem, MAX_ITEMS, MAX_SEQUENCE_DRIVES, MIN_ITEM_INTERVAL_MS, Sequence, SequenceError, Start,
 };

@@ -1,8 +1,6 @@
-//! What each drive of a pattern reaches in a play: its amplitude, surplus, number of strokes and end; and the strokes and pulses of
-//! the whole play.
+//! What each drive of a pattern reaches in a play: its amplitude, surplus, number of strokes and end.
 //!
-//! Strokes are counted by their numbers, so the time does not depend on how long the play is. The pulses of a saturated drive
-//! differ from stroke to stroke, so [`ordered`] iterates over its strokes, up to a limit.
+//! Strokes are counted by their numbers, so the time does not depend on how long the play is.
 //!
 //! Invariant: the counts are those of the strokes that [`Strokes`](super::Strokes) returns.
 
@@ -42,38 +40,6 @@ pub struct Reached {
     pub strokes: Option<u64>,
     /// When the last of them has ended, ticks from the onset; `None`: without end, or without strokes.
     pub over: Option<u64>,
-}
-
-/// The number of strokes and pulses of a play.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Ordered {
-    /// Strokes of all drives.
-    pub strokes: u64,
-    /// Pulses of their bursts; `None` if counting them would take too many strokes.
-    pub pulses: Option<u64>,
-}
-
-/// The number of strokes and pulses of a play; `None` if it has no end. Iterates over at most `walked` strokes of saturated drives,
-/// all drives together: a million takes 30 ms.
-///
-/// # Errors
-/// If an option is outside its range.
-pub fn ordered(
-    pattern: &Pattern,
-    options: &StrokeOptions,
-    walked: u64,
-) -> Result<Option<Ordered>, StrokesError> {
-    let mut ordered = Ordered { strokes: 0, pulses: Some(0) };
-    let mut budget = walked;
-    for played in played(pattern, options)? {
-        let Some(parts) = played.parts else { return Ok(None) };
-        for Part { repeats, strokes, .. } in parts {
-            ordered.strokes += repeats * strokes;
-            let pulses = if repeats == 0 { Some(0) } else { played.strokes.pulses_of(strokes, &mut budget) };
-            ordered.pulses = ordered.pulses.zip(pulses).map(|(sum, pulses)| sum + repeats * pulses);
-        }
-    }
-    Ok(Some(ordered))
 }
 
 /// The strokes of a drive in a play.
