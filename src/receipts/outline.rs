@@ -85,36 +85,6 @@ pub fn largest_um(drives: &[ReachedDrive]) -> [f64; 2] {
     [most(|drive| drive.ordered_um), most(|drive| drive.reached_um)]
 }
 
-<<<<<<< HEAD
-/// The most strokes of saturated drives that are counted one by one when a play begins: the paper's motors at 300 Hz for two minutes, in 30
-/// ms.
-const WALKED: u64 = 1 << 20;
-/// The same when an endless play ends, where other clients wait for the event loop.
-const WALKED_AT_END: u64 = 1 << 14;
-
-/// The bursts and pulses of a play of a pattern without motions; `None` if it has no end. May take 30 ms.
-pub fn counts(pattern: &Pattern, options: &StrokeOptions) -> Option<OrderedCounts> {
-    counted(pattern, options, WALKED)
-}
-
-/// The bursts and pulses of the strokes of an endless play that begin in its first `ticks`.
-pub fn counts_until(pattern: &Pattern, options: &StrokeOptions, ticks: u64) -> Option<OrderedCounts> {
-    let seconds = Some(pattern.array().rate().ticks_to_seconds(ticks));
-    let options = StrokeOptions { seconds, fit: strokes::Fit::Cover, ..options.clone() };
-    counted(pattern, &options, WALKED_AT_END)
-}
-
-fn counted(pattern: &Pattern, options: &StrokeOptions, walked: u64) -> Option<OrderedCounts> {
-    // The moves of motions have no numbers by which they could be counted.
-    if !pattern.motions().is_empty() {
-        return None;
-    }
-    let ordered = strokes::ordered(pattern, options, walked).ok()??;
-    Some(OrderedCounts { bursts: 2 * ordered.strokes, pulses: ordered.pulses })
-}
-
-=======
->>>>>>> t5
 /// The highest level of the motions that move their pin, µm.
 fn motions_um(pattern: &Pattern) -> f64 {
     let array = pattern.array();
