@@ -106,7 +106,6 @@ pub(crate) fn beginning(
 pub(super) struct MotionLane {
     array: Array,
     rule: Rule,
-    motor: u8,
     /// As high as it is played.
     waveform: Waveform,
     tried_s: f64,
@@ -154,7 +153,6 @@ impl MotionLane {
         Self {
             array,
             rule,
-            motor,
             is_silent: waveform.extremes_um()[1] < rule.kept_um(0)[1],
             over: waveform.span_ns().map_or(0, |(_, until)| tick_of(until, array.rate())),
             waveform,
@@ -177,7 +175,7 @@ impl MotionLane {
     }
 
     pub(super) const fn motor(&self) -> u8 {
-        self.motor
+        self.next.0.motor
     }
 
     /// The grid of its moves.
@@ -257,10 +255,10 @@ impl MotionLane {
         let mut surplus = 0;
         if goal == 0 && self.level > 0 {
             let most = correction(self.array.layout().max_up_pulses());
-            surplus = self.surplus.pulses_after(self.array, self.motor, &self.bursts, most);
+            surplus = self.surplus.pulses_after(self.array, self.motor(), &self.bursts, most);
             self.bursts = Bursts::default();
         }
-        let of = Move { motor: self.motor, tick: Tick(start), level: goal, surplus };
+        let of = Move { motor: self.motor(), tick: Tick(start), level: goal, surplus };
         self.next = (of, std::mem::replace(&mut self.level, goal));
     }
 
