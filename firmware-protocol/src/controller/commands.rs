@@ -15,7 +15,7 @@ impl Controller {
             return;
         }
         if !self.session.is_open() {
-            self.reporting.send_no_session();
+            self.reporting.pending.no_session = true;
             return;
         }
         if let HostMessage::Moves { epoch, seq, seen, mark, withdraw, base, batch } = message {
@@ -25,17 +25,17 @@ impl Controller {
             stream.receive(head, Some((epoch, seen)), batch, &mut parts);
             return;
         }
-        self.session.heard(self.now);
+        self.session.last_heard = self.now;
         // These two have an answer of their own.
         if !matches!(message, HostMessage::Board { .. } | HostMessage::SelfTest { .. }) {
-            self.reporting.send_status();
+            self.reporting.pending.status = true;
         }
         match message {
             HostMessage::Hello { .. } | HostMessage::Moves { .. } => {}
             HostMessage::Board { window } => self.board.ask(window),
             HostMessage::SelfTest { run } => self.board.ask_test(run, self.motion.state() == State::Disarmed),
             HostMessage::Ping { token, seen } => {
-                self.session.ping(token);
+                self.session.token = token;
                 self.reporting.seen(seen, self.now);
             }
             HostMessage::Control { epoch, seen, op } => {
@@ -52,9 +52,9 @@ impl Controller {
 
     /// Opens a session, unless it is open already.
     pub(super) fn open(&mut self, session: u32) {
-        self.reporting.send_hello();
-        self.session.heard(self.now);
-        if self.session.id() == Some(session) {
+        self.reporting.pending.hello = true;
+        self.session.last_heard = self.now;
+        if self.session.id == Some(session) {
             return;
         }
         self.disarm(Cause::NewHost);
@@ -70,8 +70,7 @@ impl Controller {
         if self.session.begin(epoch) {
             self.stream.begin();
             self.board.end_test();
-            let refusal = self.perform(op).err();
-            self.session.carried_out(refusal);
+            self.session.refusal = self.perform(op).err();
         }
     }
 
@@ -80,7 +79,7 @@ impl Controller {
         match op {
             Op::Arm { assume_rest, host_timeout, limits, lower_stop } => {
                 motion.arm(assume_rest, limits, lower_stop, player, reporting)?;
-                self.session.set_host_timeout(host_timeout);
+                self.session.host_timeout = host_timeout.min(player.layout().max_host_timeout());
             }
             Op::Disarm(cause) => self.disarm(cause),
             Op::Stop => motion.stop(self.now, player, reporting),

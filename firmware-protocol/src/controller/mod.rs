@@ -45,7 +45,7 @@ use motion::Motion;
 use player::Player;
 pub use player::{DRIVER_TAIL, POOL};
 pub use reporting::REPORTS;
-use reporting::{Due, Reporting};
+use reporting::{Due, Pending, Reporting};
 use session::Session;
 pub use stream::REORDER_WINDOW;
 use stream::{Parts, Stream};
@@ -236,7 +236,7 @@ impl Controller {
         match self.inbox.decode(bytes) {
             None => return false,
             Some(Ok(())) => {}
-            Some(Err(FrameError::Version(_))) => self.reporting.send_hello(),
+            Some(Err(FrameError::Version(_))) => self.reporting.pending.hello = true,
             Some(Err(_)) => self.reporting.count().bad_frames += 1,
         }
         true
@@ -278,8 +278,8 @@ impl Controller {
     pub fn link_lost(&mut self, now: Tick) {
         self.pass(now);
         self.disarm(Cause::LinkLost);
-        self.session.close();
-        self.reporting.forget_answers();
+        self.session.id = None;
+        self.reporting.pending = Pending::NONE;
         self.board.forget_requests();
         self.inbox.reset();
     }
@@ -347,7 +347,7 @@ impl Controller {
     /// Writes the next frame to send into `out` and returns its length, or 0 if there is none.
     pub fn transmit(&mut self, now: Tick, out: &mut [u8; MAX_FRAME]) -> usize {
         self.now = self.now.max(now);
-        if self.reporting.is_status_due() {
+        if self.reporting.pending.status {
             // Moves may have ended since the last pass: the status has this tick, so it counts them.
             self.settle();
         }
@@ -365,7 +365,7 @@ impl Controller {
     fn hello(&self) -> DeviceHello {
         let layout = self.layout();
         DeviceHello {
-            session: self.session.id().unwrap_or(0),
+            session: self.session.id.unwrap_or(0),
             firmware: self.identity.firmware,
             build: self.identity.build,
             boot: self.identity.boot,
@@ -378,17 +378,17 @@ impl Controller {
             tick: self.now.0,
             epoch: self.session.epoch(),
             reports: self.reporting.reports().read(),
-            last_cut: self.reporting.last_cut(),
+            last_cut: self.reporting.last_cut,
         }
     }
 
     fn status(&mut self) -> Status {
         let pins = self.motion.pins();
         Status {
-            token: self.session.take_token(),
+            token: core::mem::take(&mut self.session.token),
             tick: self.now.wire(),
             epoch: self.session.epoch(),
-            refusal: self.session.refusal(),
+            refusal: self.session.refusal,
             next_seq: self.stream.next_seq(),
             out_of_order: self.stream.out_of_order(),
             credits: self.player.credits(&self.reporting),

@@ -142,7 +142,7 @@ impl Motion {
         if self.state == State::Returning && player.is_still(now) {
             self.state = self.then;
             self.pins.finish_seek();
-            reporting.send_status();
+            reporting.pending.status = true;
         }
     }
 

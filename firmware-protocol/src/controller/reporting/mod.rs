@@ -18,17 +18,17 @@ use reports::Reports;
 #[derive(Clone, Debug)]
 pub(super) struct Reporting {
     counters: Counters,
-    pending: Pending,
-    last_cut: Option<Cut>,
+    pub(super) pending: Pending,
+    pub(super) last_cut: Option<Cut>,
     reports: Reports,
 }
 
 /// What is to be sent besides reports.
 #[derive(Clone, Debug)]
-struct Pending {
-    hello: bool,
-    no_session: bool,
-    status: bool,
+pub(super) struct Pending {
+    pub(super) hello: bool,
+    pub(super) no_session: bool,
+    pub(super) status: bool,
     telemetry: Option<Telemetry>,
 }
 
@@ -41,7 +41,7 @@ struct Telemetry {
 }
 
 impl Pending {
-    const NONE: Self = Self { hello: false, no_session: false, status: false, telemetry: None };
+    pub(super) const NONE: Self = Self { hello: false, no_session: false, status: false, telemetry: None };
 }
 
 /// What is to be sent next. The controller writes the first two, because they tell of all its parts.
@@ -83,11 +83,7 @@ impl Reporting {
     pub(super) fn report_cut(&mut self, cut: Cut) {
         self.last_cut = Some(cut);
         self.report(Report::Cut(cut));
-        self.send_status();
-    }
-
-    pub(super) fn last_cut(&self) -> Option<Cut> {
-        self.last_cut
+        self.pending.status = true;
     }
 
     pub(super) fn reports(&self) -> &Reports {
@@ -99,18 +95,6 @@ impl Reporting {
         self.reports.seen(seen, now);
     }
 
-    pub(super) fn send_hello(&mut self) {
-        self.pending.hello = true;
-    }
-
-    pub(super) fn send_no_session(&mut self) {
-        self.pending.no_session = true;
-    }
-
-    pub(super) fn send_status(&mut self) {
-        self.pending.status = true;
-    }
-
     /// Replaces a sample of which nothing is sent yet. Of one that is sent in parts, the parts left go first.
     pub(super) fn send_telemetry(&mut self, tick: Tick, y: &[i32]) {
         if self.pending.telemetry.as_ref().is_some_and(|sample| sample.first > 0) {
@@ -120,18 +104,9 @@ impl Reporting {
         self.pending.telemetry = Some(Telemetry { tick: tick.wire(), first: 0, y });
     }
 
-    pub(super) fn is_status_due(&self) -> bool {
-        self.pending.status
-    }
-
     /// Forgets the reports, for a new session.
     pub(super) fn forget_reports(&mut self) {
         self.reports.clear();
-    }
-
-    /// Forgets what is due besides reports, because nobody listens.
-    pub(super) fn forget_answers(&mut self) {
-        self.pending = Pending::NONE;
     }
 
     /// The message to send next. Without a session there are only two.

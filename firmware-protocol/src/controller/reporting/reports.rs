@@ -57,12 +57,9 @@ impl Reports {
         }
     }
 
-    /// Adds a report. Returns `false` if it is lost.
+    /// Adds a report, not of a refused move. Returns `false` if it is lost.
     #[must_use]
     pub(super) fn push(&mut self, report: Report) -> bool {
-        if let Report::Refused { motor, tick, reason } = report {
-            return self.push_refused(motor, tick, reason);
-        }
         let number = self.made.wrapping_add(1);
         let kept = self.ring.push_back((number, report)).is_ok();
         if kept {

@@ -93,8 +93,8 @@ impl Stream {
             Ok(None) => {}
             Ok(Some(Packed { head, received: None, .. })) => self.taking.next = Some(head),
             Ok(Some(Packed { head, received: Some((epoch, seen)), .. })) => {
-                parts.session.heard(parts.now);
-                parts.reporting.send_status();
+                parts.session.last_heard = parts.now;
+                parts.reporting.pending.status = true;
                 parts.reporting.seen(seen, parts.now);
                 if epoch == parts.session.epoch() {
                     self.order(head, parts);
@@ -118,7 +118,7 @@ impl Stream {
         let Some(frame) = self.reorder.take(self.next_seq) else { return false };
         // Without room the frame is forgotten; the host sends it again.
         if parts.has_room(&frame.head) {
-            parts.reporting.send_status();
+            parts.reporting.pending.status = true;
             self.receive(frame.head, None, &frame.batch, parts);
         }
         true
