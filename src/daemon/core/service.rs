@@ -63,7 +63,7 @@ impl Manager {
 fn complain(error: io::Error) {
     static ONCE: Once = Once::new();
     ONCE.call_once(|| {
-        warn!("the service manager cannot be notified: {error}; see NotifyAccess= in the unit")
+        warn!("the service manager cannot be notified: {error}; see NotifyAccess= in the unit");
     });
 }
 
