@@ -65,16 +65,6 @@ fn the_amplitude_is_the_model_s_and_simulated_motors_scatter_around_it() {
     assert!((number(&null.unwrap()["frequency_hz"]) - 233.3).abs() < 1.0, "{null:?}");
 }
 
-/// An array with fewer pins than there are amplitudes in the figure.
-#[test]
-fn motors_of_another_array_are_measured_too() {
-    let array = Array::named("tula35-2x3").unwrap();
-    let found = document(offline().args(["motor", "--simulated", "--array", "tula35-2x3", "--json"]));
-    assert_eq!((rows(&found["amplitude"]["measured"]).len(), &found["pulses"]["motor"]), (6 * 23, &1.into()));
-    let um = number(&found["pulses"]["all"]["slope_um_per_pulse"]);
-    assert!((um / array.motor().um_per_pulse - 1.0).abs() < 0.02, "{um}");
-}
-
 #[test]
 fn a_search_tells_its_start_and_its_way() {
     let asked = ["optimise", "dot", "--setting", "always_on", "--budget", "60", "--json"];

@@ -78,26 +78,6 @@ fn a_search_is_compared_with_the_naive_rules() {
 }
 
 #[test]
-fn the_same_command_makes_the_same_bytes_on_any_number_of_threads() {
-    let dir = tempfile::tempdir().unwrap();
-    let file = dir.path().join("made.toml");
-    let make = |threads: usize, arguments: &[&str]| {
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        pool.install(|| {
-            printed(offline().args(["optimise", "two-dots", "-o"]).arg(&file).args(arguments));
-        });
-        fs::read_to_string(&file).unwrap()
-    };
-    let once = make(1, &["--budget", "300", "--setting", "always_on", "--seed", "7"]);
-    assert!(once == make(2, &["--budget", "300", "--setting", "always_on", "--seed", "7"]));
-    assert!(once != make(2, &["--budget", "300", "--setting", "always_on", "--seed", "8"]));
-    assert_eq!(parsed(&file).drives().len(), 24);
-    let timed = make(2, &["--budget", "0.3s"]);
-    let reached = evaluations(&parsed(&file));
-    assert!(timed == make(1, &["--budget", &reached]), "{reached} evaluations");
-}
-
-#[test]
 fn a_resumed_pattern_is_no_worse_and_holds_its_start() {
     let dir = tempfile::tempdir().unwrap();
     let (first, second) = (dir.path().join("first.toml"), dir.path().join("second.toml"));

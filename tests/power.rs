@@ -1,15 +1,23 @@
-//! Full disks and read-only directories; text of others in the log and the session record.
+//! Kills at any moment, full disks and read-only directories; the session record of a session.
 
-use crate::harness::{Daemon, PATIENT, PROGRAM, complaint, directory, ended, meissner, problem};
-use meissner_client::Client;
+use crate::harness::{Daemon, PATIENT, PROGRAM, complaint, directory, ended, meissner, problem, wait_until};
+use meissner::store::Store;
+use meissner_api::{ImportedPattern, SessionList};
+use meissner_client::{Client, ClientError};
 use meissner_input::message::is_plain;
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::{Rng, SeedableRng};
+use rustix::process::Signal;
 use serde_json::{Value, json};
+use std::collections::{BTreeMap, HashSet};
 use std::fs::{self, File};
 use std::io;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::thread;
+use std::time::Duration;
 use tempfile::TempDir;
 
 /// Starts a daemon with a session record through a shell that may set limits first. Its log goes through a pipe, so that limits on
@@ -68,6 +76,112 @@ fn text(name: &str, version: u32, padding: usize) -> String {
     let padding = "x".repeat(padding);
     let drive = "[[drive]]\nmotor = 9\nfrequency_hz = 60.0\namplitude_um = 40.0\n";
     format!("format = 1\nname = \"{name}\"\nduration_s = 1.0\n{drive}# version {version}\n# {padding}\n")
+}
+
+/// Uploads until the daemon is killed, `rounds` times, and checks the files each time. Returns the number of acknowledged uploads,
+/// and how many of them had to be in the session record, because the daemon has read the record to its end since then.
+fn kill_again_and_again(seed: u64, rounds: u32) -> (usize, usize) {
+    let mut random = ChaCha8Rng::seed_from_u64(seed);
+    let dir = directory();
+    let (patterns, logbook) = (dir.path().join("patterns"), dir.path().join("logbook"));
+    let mut stored: BTreeMap<String, String> = BTreeMap::new();
+    let (mut version, mut all, mut all_recorded) = (0, 0, 0);
+    for round in 0..rounds {
+        let daemon = start(&dir, "");
+        // Kill it mostly while it starts or has just started, and once so late that the session record must have entries.
+        let late = round == 0;
+        let after = random.next_u64() % if late { 500 } else { 150 };
+        let mut acknowledged: Vec<String> = Vec::new();
+        let recorded = AtomicUsize::new(0);
+        let mut on_its_way: Option<(String, String)> = None;
+        thread::scope(|scope| {
+            let killer = scope.spawn(|| {
+                wait_until(|| !late || recorded.load(Ordering::Relaxed) > 0);
+                thread::sleep(Duration::from_millis(after));
+                daemon.signal(Signal::KILL);
+            });
+            let mut client = daemon.client();
+            while !killer.is_finished() {
+                version += 1;
+                let name = format!("p{}", random.next_u64() % 4);
+                let text = text(&name, version, (random.next_u64() % 20_000) as usize);
+                on_its_way = Some((name.clone(), text.clone()));
+                match client
+                    .put::<ImportedPattern>(&format!("/v1/patterns/{name}?replace=true"), text.clone())
+                {
+                    Ok(imported) => {
+                        acknowledged.push(imported.sha256);
+                        stored.insert(name, text);
+                        on_its_way = None;
+                        if late && random.next_u64() % 4 == 0 && is_recorded(&mut client) {
+                            recorded.store(acknowledged.len(), Ordering::Relaxed);
+                        }
+                    }
+                    Err(ClientError::NoDaemon { .. }) => {
+                        on_its_way = None;
+                        thread::sleep(Duration::from_millis(2));
+                    }
+                    Err(ClientError::HungUp { .. }) => break,
+                    Err(other) => panic!("{other:?}"),
+                }
+            }
+            killer.join().unwrap();
+        });
+        drop(daemon);
+        all += acknowledged.len();
+        all_recorded += recorded.load(Ordering::Relaxed);
+
+        let list = Store::new(Some(patterns.clone()), false).unwrap().list();
+        assert_eq!(list.errors, Vec::<String>::new(), "round {round}");
+        if let Some((name, new)) = on_its_way {
+            let found = fs::read_to_string(patterns.join(format!("{name}.toml"))).unwrap_or_default();
+            let old = stored.get(&name).cloned().unwrap_or_default();
+            assert!(found == old || found == new, "round {round}: {name} is neither");
+            if found == new {
+                stored.insert(name, new);
+            }
+        }
+        for (name, text) in &stored {
+            let found = fs::read_to_string(patterns.join(format!("{name}.toml"))).unwrap();
+            assert!(found == *text, "round {round}: {name} is not what was acknowledged");
+        }
+        let lines = lines(&logbook);
+        let written: HashSet<&str> =
+            lines.iter().filter_map(|line| line["asked"]["sha256"].as_str()).collect();
+        for sha256 in &acknowledged[..recorded.into_inner()] {
+            assert!(written.contains(&**sha256), "round {round}: an upload is not in the session record");
+        }
+    }
+    (all, all_recorded)
+}
+
+/// Whether the daemon says that the session record has all that has happened.
+fn is_recorded(client: &mut Client) -> bool {
+    client
+        .get::<SessionList>("/v1/sessions")
+        .is_ok_and(|list| !list.problems.iter().any(|problem| problem.contains("the disk has not taken")))
+}
+
+#[test]
+fn a_kill_at_any_moment_leaves_whole_patterns_and_whole_lines() {
+    let (mut all, mut recorded) = (0, 0);
+    // On a busy machine a kill leaves time for few uploads, so more rounds are needed.
+    for more in 0..4 {
+        // Eight at a time: they mostly sleep.
+        let seeds = 8 * more..8 * (more + 1);
+        let lanes: Vec<_> = seeds.map(|seed| thread::spawn(move || kill_again_and_again(seed, 5))).collect();
+        for lane in lanes {
+            let counts = lane.join().unwrap();
+            (all, recorded) = (all + counts.0, recorded + counts.1);
+        }
+        if all > 50 && recorded > 8 {
+            break;
+        }
+    }
+    eprintln!(
+        "{all} uploads were acknowledged, {recorded} of them were in the session record before the kill"
+    );
+    assert!(all > 50 && recorded > 8, "too few to tell: {all}, {recorded}");
 }
 
 /// A play is played to its end, an upload is refused in one line, and one log line says that the session record is not written.

@@ -45,7 +45,7 @@ mod network;
 mod openapi;
 /// `optimise`: files and documents, budgets, interruptions, mistakes.
 mod optimise;
-/// Full disks and read-only directories; text of others in the log.
+/// Kills at any moment, full disks and read-only directories; the session record.
 mod power;
 /// A whole session through a pseudo-terminal and the serial transport; the daemon ended and killed in mid-play.
 mod pty;

@@ -120,12 +120,12 @@ impl Write for Stderr {
 pub(crate) mod kept;
 
 #[cfg(test)]
-pub(crate) mod tests {
+mod tests {
     use super::kept::Kept;
     use super::*;
 
     /// The text that is logged while `work` runs.
-    pub(crate) fn logged(work: impl FnOnce()) -> String {
+    fn logged(work: impl FnOnce()) -> String {
         let (kept, _guard) = Kept::begin();
         work();
         kept.text()

@@ -19,25 +19,6 @@ fn rest(um: f32, source: ErrorSource) -> RestErrors {
     RestErrors { um: PerMotor::all(Array::paper(), um), source: PerMotor::all(Array::paper(), source) }
 }
 
-fn hello() -> DeviceHello {
-    DeviceHello {
-        session: 1,
-        firmware: [0, 1, 2],
-        build: [0xde, 0xad, 0xbe, 0xef],
-        boot: 7,
-        array: *Array::paper().layout().id(),
-        pool: 1024,
-        horizon: 64,
-        max_up_pulses: 3000,
-        limits: Array::paper().layout().no_limits(),
-        features: DeviceHello::SIMULATED,
-        tick: Tick::BOOT.0,
-        epoch: 0,
-        reports: 0,
-        last_cut: None,
-    }
-}
-
 fn snapshot(connected: bool, state: State, play: Option<(u64, f64)>) -> Snapshot {
     let (at, mut clock) = (HostInstant::from_ns(1_000_000_000), Clock::new(Array::paper().rate()));
     clock.round_trip(at, Tick(1000), at);
@@ -109,11 +90,6 @@ fn ended(id: u64, end: End) -> StreamEvent {
         play: Box::new(play),
     };
     StreamEvent::PlayEnded { id, outcome }
-}
-
-fn standing(receipts: &Receipts) -> (&str, String, &str) {
-    let DeviceState { state, cause, position } = receipts.device_state();
-    (state, cause, position)
 }
 
 fn take(receipts: &mut Receipts, id: u64) {
@@ -199,36 +175,4 @@ fn receipts_and_lists_are_bounded() {
     assert_eq!(receipts.finished.len(), KEPT);
     assert!(receipts.receipt(5).is_none());
     assert_eq!(receipts.receipt(6).unwrap().counts.lateness.strokes.len(), MAX_LISTED);
-}
-
-#[test]
-fn the_state_without_a_device_says_so_but_an_estop_is_latched() {
-    let mut receipts = Receipts::new(Array::paper());
-    assert_eq!(standing(&receipts), ("no-device", "no-device".to_owned(), "unknown"));
-    receipts.apply(&StreamEvent::Snapshot(snapshot(false, State::Disarmed, None)));
-    assert_eq!(standing(&receipts).0, "no-device");
-    receipts.apply(&StreamEvent::Snapshot(snapshot(false, State::Faulted, None)));
-    assert_eq!(standing(&receipts), ("faulted", "request".to_owned(), "unknown"));
-    receipts.set_device_kind("mock".to_owned());
-    let event = receipts.apply(&StreamEvent::Connected(hello())).unwrap();
-    let json = serde_json::to_value(&event).unwrap();
-    assert_eq!((&json["event"], &json["device"]["kind"]), (&"connected".into(), &"mock".into()));
-    assert_eq!(
-        (&json["device"]["firmware"], &json["device"]["build"]),
-        (&"0.1.2".into(), &"deadbeef".into())
-    );
-    receipts.apply(&StreamEvent::Disconnected { reason: EndCause::Unplugged, device: None });
-    assert!(receipts.device().is_none());
-}
-
-#[test]
-fn the_clock_is_carried_on_between_snapshots() {
-    let mut receipts = Receipts::new(Array::paper());
-    receipts.apply(&StreamEvent::Snapshot(snapshot(true, State::Armed, None)));
-    let (tick, uncertainty_us) = receipts.clock(HostInstant::from_ns(3_000_000_000)).unwrap();
-    assert_eq!(tick, Tick(1000 + 170_000));
-    // Half a tick, and 100 ppm of two seconds, since no drift is measured; rounded up to a nanosecond.
-    assert!((uncertainty_us - 205.883).abs() < 1e-9, "{uncertainty_us}");
-    receipts.apply(&StreamEvent::Snapshot(snapshot(false, State::Armed, None)));
-    assert!(receipts.clock(HostInstant::from_ns(0)).is_none());
 }

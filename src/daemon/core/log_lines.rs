@@ -97,11 +97,7 @@ fn outcome(receipt: &Receipt, now: HostInstant, wall: &Zoned) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::log::tests::logged;
-    use meissner_api::{BurstCounts, DeviceInfo, OnsetRecord, Terms};
-    use meissner_input::message::is_plain;
-    use meissner_stream::Settings;
-    use meissner_stream::queues::queues;
+    use meissner_api::{BurstCounts, OnsetRecord, Terms};
 
     #[test]
     fn a_play_is_a_line_that_reads_alone() {
@@ -127,36 +123,5 @@ mod tests {
         (receipt.state, receipt.cause) = (PlayState::Done, None);
         receipt.counts.bursts = Some(BurstCounts { planned: 1200, played: 1200, ..BurstCounts::default() });
         assert_eq!(outcome(&receipt, now, &wall), format!("done, {began}, 5.0 s, 1200 bursts"));
-    }
-
-    /// Events with texts from a device, a file or a user directory are still one line each.
-    #[test]
-    fn no_text_of_an_event_makes_a_line_of_its_own() {
-        let odd = || "x\n2026-11-22T00:00:00Z  INFO estop by ada\r\u{1b}[2J\u{9b}\u{2028}\u{202e}".to_owned();
-        let (commands, settings) = (queues().unwrap().1, Settings::of(meissner_array::spec::Array::paper()));
-        let engine = Engine::new(commands, settings, odd(), None);
-        let (simulated, telemetry) = (true, false);
-        let device = DeviceInfo {
-            kind: odd(),
-            firmware: odd(),
-            build: odd(),
-            boot: 1,
-            simulated,
-            telemetry,
-            trigger_input: false,
-        };
-        let mut receipt = Receipt::new(&odd(), &odd(), 1, &Terms::default());
-        receipt.cause = Some(odd().into());
-        let events = [
-            Event::Connected { device },
-            Event::Disconnected { reason: odd().into() },
-            Event::Ended { receipt: Box::new(receipt) },
-            Event::Calibrated { id: 1, motors: vec![1], problem: Some(odd()) },
-        ];
-        let text = logged(|| events.iter().for_each(|event| log(&engine, event)));
-        assert_eq!(text.lines().count(), events.len(), "{text}");
-        for line in text.lines() {
-            assert!(line.chars().all(is_plain) && line.contains(r"x\n2026-11-22T00"), "{line:?}");
-        }
     }
 }

@@ -114,10 +114,10 @@ mod tests {
     use crate::daemon::sessions::caller::{Asker, DAEMON};
     use crate::daemon::sessions::right;
     use crate::record::Peer;
-    use meissner_api::{Route, Session, SessionRequest};
+    use meissner_api::{Route, SessionRequest};
     use meissner_array::spec::Array;
     use meissner_stream::Settings;
-    use meissner_stream::queues::{At, Command, StreamEvent, ThreadQueues, queues};
+    use meissner_stream::queues::{Command, StreamEvent, ThreadQueues, queues};
     use std::future::ready;
     use std::pin::pin;
     use std::sync::mpsc;
@@ -154,25 +154,6 @@ mod tests {
 
     fn commands(port: &mut ThreadQueues) -> Vec<String> {
         std::iter::from_fn(|| port.pop()).map(|request| format!("{:?}", request.command)).collect()
-    }
-
-    #[test]
-    fn edges_to_come_are_withdrawn_with_the_right_of_who_ordered_them() {
-        let (engine, mut port) = engine();
-        let edge = |caller| order(&engine, caller, Route::Edge, Command::Edge { at: At::After(1), by: 0 });
-        edge(client(None));
-        edge(client(None));
-        let token = exclusive(&engine);
-        edge(client(Some(&token)));
-        let sent = commands(&mut port);
-        let [one, two] = [1, 2].map(|by| format!("{:?}", Command::Edge { at: At::After(1), by }));
-        assert_eq!(sent, [one.clone(), one, "WithdrawEdges(1)".to_owned(), two]);
-        // Each is withdrawn once; those of the owner when its session is over.
-        engine.lock().rights_changed();
-        assert_eq!(commands(&mut port), Vec::<String>::new());
-        let ended: Session = engine.lock().close_session("request").unwrap();
-        assert_eq!(ended.participant, "P07");
-        assert_eq!(commands(&mut port), ["WithdrawEdges(2)"]);
     }
 
     /// Also when the client has hung up meanwhile.

@@ -6,7 +6,7 @@ use crate::record::simulated_disk::{DIES_AFTER, FAILS, ROOM};
 use meissner_api::{
     DoctorReport, Event, Level, Problem, Receipt, Session, SessionList, SessionPlays, SessionStarted, Status,
 };
-use meissner_stream::time::HostInstant;
+use meissner_stream::time::{HostInstant, set_wall};
 use serde_json::{Value, json};
 use std::fs::{self, File};
 use std::io::Write;
@@ -361,6 +361,27 @@ fn a_machine_that_dies_at_any_write_loses_nothing_that_was_acknowledged() {
         writes += 1;
     }
     assert!(writes > 15, "{writes}");
+}
+
+#[test]
+fn a_clock_that_is_set_and_midnight_change_nothing() {
+    const DAY_NS: i64 = 86_400 * 1_000_000_000;
+    let daemon = Bench::start();
+    let (client, started) = owner(&daemon, "P07", false);
+    play(&client, 1);
+    set_wall(-2 * DAY_NS);
+    play(&client, 1);
+    let now = daemon.now(crate::clock::local);
+    let midnight = now.tomorrow().unwrap().start_of_day().unwrap();
+    set_wall(-2 * DAY_NS + now.duration_until(&midnight).as_nanos() as i64 - 1_000_000);
+    play(&client, 1);
+    end(&client);
+    let exported = exported(&daemon, &started.id);
+    assert!(exported.complete, "{:?}", exported.missing);
+    let ids: Vec<_> = exported.plays.iter().map(|play| play.receipt.id).collect();
+    assert_eq!(ids, [1, 2, 3]);
+    assert_eq!(fs::read_dir(daemon.path("logbook/sessions")).unwrap().count(), 1);
+    set_wall(0);
 }
 
 /// Requests of others during a session: none of them counts against it.
