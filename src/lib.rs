@@ -5,7 +5,7 @@
 //! # The data path
 //!
 //! 1. **Object** (`library/objects/*.toml`, a shape on the skin) → [`meissner_paper`]: `search` and `make` find the pattern for it with the
-//!    skin model; `judge` scores the result. Command: `cli/optimise.rs`.
+//!    skin model; its `judge` scores the result. Command: `cli/optimise.rs`.
 //! 2. **Pattern** (`library/patterns/*.toml`: which pins vibrate, at which frequency, amplitude and phase, when) →
 //!    [`meissner_array::pattern`] reads and checks it. [`store`] holds the shipped patterns and a site's own.
 //! 3. **Request** → `meissner play NAME` ([`cli`]) goes through [`meissner_client`] to the [`daemon`]: the routes are rows in `crates/api/src/route.rs`,
