@@ -180,7 +180,7 @@ def answered(daemon: meissner.Daemon) -> list[dict[str, Any]]:
 def test_sweep_computes_what_the_table_lacks(tmp_path: Path) -> None:
     for package in ("pandas", "submitit"):
         pytest.importorskip(package, reason=f"{package} is not installed")
-    # Two of its cells: a cell takes seconds.
+    # Two of the cells of "sweep.py": a cell takes seconds.
     two = "import sweep, sys; sweep.GRID = {'width_mm': [0.8, 2.0], 'angle_deg': [45.0], 'depth_um': [300.0]}; sys.exit(sweep.main())"
     command = [sys.executable, "-c", two, "results.csv"]
     here = {"PYTHONPATH": os.pathsep.join([str(EXAMPLES), *filter(None, [os.environ.get("PYTHONPATH")])])}
