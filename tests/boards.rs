@@ -62,7 +62,9 @@ fn the_doctor_measures_a_device() {
         assert!(number("/throughput_bytes_per_s") > 0.0 && number("/drift/seconds") > 0.0, "{report}");
         assert!(number("/drift/ppm").is_finite() && number("/drift/uncertainty_ppm").is_finite(), "{report}");
         assert!(measured["protocol"] == PROTOCOL && number("/pool") >= 1024.0, "{report}");
-        for what in ["timers", "daemon", "device", "round trip", "line", "drift", "board"] {
+        for what in
+            ["SCHED_FIFO", "mlockall", "timers", "daemon", "device", "round trip", "line", "drift", "board"]
+        {
             let finding = finding(&report, what);
             assert_eq!(finding["level"] == "ok", finding["advice"] == "", "{finding}");
         }

@@ -6,7 +6,10 @@ use serde_json::{Value, json};
 use std::fs;
 use std::io::{Read, Write};
 use std::net::{TcpListener, TcpStream};
+use std::panic::catch_unwind;
 use std::path::Path;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread;
 
 /// A daemon that listens on a free port of this machine.
 fn listening(more: &str) -> Daemon {
@@ -106,6 +109,7 @@ fn without_the_key_nothing_listens() {
     assert!(problem.contains(&format!("port {port}, for emergency stops: ")), "{problem}");
     assert_eq!(tcp_listeners(status.daemon.pid), 0);
     this_machine_does_everything_over_tcp_and_the_record_says_who(&listens);
+    clients_of_the_network_leave_places_to_those_of_the_socket_and_to_emergency_stops(&listens);
 }
 
 fn this_machine_does_everything_over_tcp_and_the_record_says_who(daemon: &Daemon) {
@@ -173,6 +177,57 @@ fn commands_with_a_token_reach_a_daemon_over_the_network() {
     daemon.end();
     let line = complaint(meissner().args(["status", "--connect", &url]));
     assert!(line.contains(&format!("no daemon answers at {url}: start one there")), "{line}");
+}
+
+fn clients_of_the_network_leave_places_to_those_of_the_socket_and_to_emergency_stops(daemon: &Daemon) {
+    let address = address(daemon);
+    let before = daemon.client().get::<Status>("/v1/status").unwrap().estop.orders;
+    let status = format!("GET /v1/status HTTP/1.1\r\nhost: {address}\r\n\r\n");
+    let held: Vec<TcpStream> = (0..2 * MAX_CLIENTS)
+        .map(|_| {
+            let mut stream = connect(&address);
+            let _ = stream.write_all(status.as_bytes());
+            stream
+        })
+        .collect();
+    let mut local: Vec<_> = (0..MAX_CLIENTS / 4 - 1).map(|_| daemon.client()).collect();
+    for client in &mut local {
+        client.get::<Value>("/v1/status").unwrap();
+    }
+    // Connections that say nothing, and headers that never end.
+    let silent: Vec<_> = (0..150).map(|_| connect(&beside(&address))).collect();
+    let slow: Vec<_> = (0..50)
+        .map(|_| {
+            let mut stream = connect(&beside(&address));
+            stream.write_all(b"POST /v1/estop HTTP/1.1\r\nx: ").unwrap();
+            stream
+        })
+        .collect();
+    drop(local);
+    let over = AtomicBool::new(false);
+    let result = thread::scope(|scope| {
+        for _ in 0..2 {
+            scope.spawn(|| {
+                while !over.load(Ordering::Relaxed) {
+                    let _ = TcpStream::connect(&address);
+                    let _ = TcpStream::connect(beside(&address));
+                }
+            });
+        }
+        // A panic here must end the flood, too.
+        let result = catch_unwind(|| {
+            for _ in 0..20 {
+                assert_answers(&ask(&beside(&address), "POST /v1/estop", ""), 200, "");
+                // Use a new client of the socket each time.
+                daemon.client().get::<Value>("/v1/status").unwrap();
+            }
+        });
+        over.store(true, Ordering::Relaxed);
+        result
+    });
+    result.unwrap();
+    drop((held, silent, slow));
+    assert_eq!(daemon.client().get::<Status>("/v1/status").unwrap().estop.orders - before, 20);
 }
 
 fn clients_without_a_token_are_displaced_first(daemon: &Daemon) {

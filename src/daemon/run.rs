@@ -152,7 +152,8 @@ impl Daemon {
         tokio::spawn(async move { look_for_losses(&looking, RECORD_TIMEOUT).await });
         let server = Server::new(Arc::clone(&engine), router, bounds, counts);
         let server = tokio::spawn(server.serve(unix, tcp, asked, closing));
-        tokio::spawn(service::ready(manager.clone()));
+        let ready = manager.clone();
+        tokio::spawn(async move { service::told(&ready, &NotifyState::Ready).await });
         let result = tokio::select! {
             () = signals.end() => Ok(()),
             _ = &mut streamer => Err(DaemonError::Streamer),

@@ -3,12 +3,16 @@
 //! [`start`] sets it up; all modules log with `tracing`. Levels: error, a bug of the program; warn, a fault of device, system or
 //! configuration; info, for the lab's notes; debug, for finding faults. `$RUST_LOG` chooses the level.
 //!
-//! The journal bounds the number of lines.
+//! Lines of one kind are bounded in number, and omitted lines are counted (`rate`), so that a client or a device cannot fill the
+//! disk. Errors and lines with the field `always`, such as e-stops, are always written.
 //!
 //! Invariants: nothing waits for the log's reader, so that an emergency stop always works; a line that cannot be written at once is
 //! lost. All messages are escaped here, so no text of a client, a file or a device can add a line.
 
+mod rate;
+
 use meissner_input::message::Escaping;
+use rate::Limited;
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::fs::fstat;
 use std::env;
@@ -33,7 +37,7 @@ pub fn start(level: Level) {
     let filter = filter.and_then(Result::ok).unwrap_or_else(|| Targets::new().with_default(level));
     let journal = is_journal(&env::var("JOURNAL_STREAM").unwrap_or_default());
     let lines = lines(ToStderr { journal }, io::stderr().is_terminal(), journal);
-    tracing_subscriber::registry().with(filter).with(lines).init();
+    tracing_subscriber::registry().with(filter).with(Limited::new(lines)).init();
     if refused {
         warn!("RUST_LOG is not a valid filter, using `{level}`: write for example RUST_LOG=debug");
     }

@@ -5,7 +5,12 @@ use firmware_protocol::array::MotorSet;
 use firmware_protocol::board::Counts;
 use firmware_protocol::limits::Refusal;
 use firmware_protocol::message::Cause;
-use meissner_api::{EndCause, ErrorSource, LateCause, LoweredReason, Terms};
+use meissner_api::{
+    DurationRecord, EdgeRecord, EndCause, ErrorSource, FollowedMotion, InstantRecord, ItemRecord, ItemState,
+    LateCause, LatenessRecord, LiveRecord, LoweredReason, LoweredRecord, MAX_DRIVES_LISTED,
+    MAX_WARNINGS_LISTED, OnsetRecord, OrderedCounts, PlayCounts, PlayReach, ReachedDrive, Terms,
+    TriggerRecord, UpdateTimes,
+};
 use meissner_array::pattern::Pattern;
 use meissner_array::per_motor::PerMotor;
 use meissner_array::spec::Array;
@@ -175,4 +180,133 @@ fn receipts_and_lists_are_bounded() {
     assert_eq!(receipts.finished.len(), KEPT);
     assert!(receipts.receipt(5).is_none());
     assert_eq!(receipts.receipt(6).unwrap().counts.lateness.strokes.len(), MAX_LISTED);
+}
+
+/// A receipt of the most text.
+pub(crate) fn longest() -> Receipt {
+    let (most, number, motor) = (u64::MAX, -123.456_789_012_345_67, 23);
+    let times = Some(UpdateTimes { p50_ms: number, p99_ms: number, longest_ms: number });
+    let instant = InstantRecord { tick: most, monotonic_ns: most, uncertainty_ns: most };
+    let edge = EdgeRecord { number: u32::MAX, tick: most, monotonic_ns: most, uncertainty_ns: most };
+    let late = LateStroke { motor, tick: most, late_ms: number, cause: LateCause::Device };
+    let reason = "the motor's on-time limit: fewer pulses per second, please".to_owned();
+    let error = MotorRestError {
+        motor,
+        onset_um: Some(number as f32),
+        onset_source: Some(ErrorSource::DeadReckoning),
+        offset_um: number as f32,
+        offset_source: ErrorSource::DeadReckoning,
+    };
+    let drive = ReachedDrive {
+        drive: 4096,
+        motor,
+        ordered_um: 399.999,
+        reached_um: 399.999,
+        surplus_um: 119.999,
+        strokes: Some(most),
+    };
+    let motion = FollowedMotion {
+        motor,
+        highest_um: 399.999,
+        error_um: 399.999,
+        error_share: 10.123,
+        step_error_um: 399.999,
+        too_slow_from_s: Some(99_999_999.999),
+        moves_per_s: 999.999,
+        measured_s: 239.999,
+    };
+    Receipt {
+        id: most,
+        state: PlayState::Stopped,
+        cause: Some("x".repeat(64).into()),
+        edges: PlayEdges { start: Some(edge), stop: Some(edge) },
+        onset: Some(OnsetRecord {
+            requested_tick: most,
+            actual_tick: most,
+            monotonic_ns: most,
+            uncertainty_ns: most,
+            latency_ms: number,
+        }),
+        offset: Some(instant),
+        duration_ms: DurationRecord {
+            ordered: Some(number),
+            compiled: Some(number),
+            played: Some(number),
+            cut_after: Some(number),
+        },
+        items: Some([longest_item()].into()),
+        counts: PlayCounts {
+            ordered: Some(OrderedCounts { bursts: most, pulses: most }),
+            bursts: Some(BurstCounts {
+                planned: most,
+                played: most,
+                late: most,
+                dropped: most,
+                refused: most,
+                replaced: most,
+                amended: most,
+                shortened: most,
+            }),
+            pulses: Some(PulseCounts { planned: most, played: most }),
+            estimated: false,
+            lateness: LatenessRecord {
+                counts: LateCounts { host: most, link: most, device: most, worst_ms: number },
+                strokes: vec![late; MAX_LISTED],
+            },
+            refusals: vec![RefusedStroke { motor, tick: most, reason }; MAX_LISTED],
+            lowered: LoweredRecord {
+                count: most,
+                pins: vec![
+                    LoweredPin { motor, tick: most, reason: LoweredReason::Late };
+                    LoweredRecord::MAX_PINS
+                ],
+            },
+        },
+        reach: PlayReach {
+            drives: vec![drive; MAX_DRIVES_LISTED],
+            motions: vec![motion; 24],
+            warnings: vec!["x".repeat(160); MAX_WARNINGS_LISTED + 2],
+        },
+        live: Some(LiveRecord {
+            updates: most,
+            applied: most,
+            merged: most,
+            repeats: most,
+            decided: times,
+            first_motor: times,
+            last_motor: times,
+        }),
+        pins: Some(PlayPins {
+            rest_error_um: vec![number as f32; 24],
+            rest_errors: vec![error; 24],
+            moved: vec![MovedPin { motor, first_pulse_tick: most, offset_tick: most }; 24],
+        }),
+        device: PlayDevice {
+            wire: Some(LinkTraffic { bytes_to_device: most, bytes_per_burst: Some(number) }),
+            ..PlayDevice::default()
+        },
+        ..Receipt::new(&"x".repeat(64), &"0".repeat(64), 4096, &Terms::default())
+    }
+}
+
+/// An item of the most text.
+fn longest_item() -> ItemRecord {
+    let instant = Some(InstantRecord { tick: u64::MAX, monotonic_ns: u64::MAX, uncertainty_ns: u64::MAX });
+    ItemRecord {
+        item: 4095,
+        pattern: "x".repeat(64).into(),
+        pattern_sha256: "0".repeat(64).into(),
+        scale: 0.123_456_789_012_345_6,
+        ordered_um: Some(399.999),
+        reached_um: Some(399.999),
+        planned_onset_ticks: u64::MAX,
+        ordered_ms: Some(12_345_678_901.234_56),
+        state: ItemState::Incomplete,
+        onset: instant,
+        first_pulse_tick: Some(u64::MAX),
+        offset: instant,
+        trigger: Some(TriggerRecord { tick: u64::MAX, width_ms: 123.456_789_012_345_6, code: Some(255) }),
+        late_strokes: u32::MAX,
+        refused_strokes: u32::MAX,
+    }
 }

@@ -299,7 +299,7 @@ play journal 1
 sleep 1
 journalctl -u meissner.service --since "@${from%.*}" -o json --no-pager >journal.json
 id=$(json receipt .id)
-jq -c --arg id "$id" 'select(.PLAY_ID == $id and (.MESSAGE | test("done")))' <journal.json >plays.json
+jq -c --arg id "$id" 'select((.MESSAGE | type == "string" and startswith("play \($id) ")) and (.MESSAGE | test("done")))' <journal.json >plays.json
 [ "$(wc -l <plays.json)" = 1 ] &&
     ok "journal: $(jq -r '"\(.MESSAGE) [\([keys[] | select(test("^[A-Z]") and (startswith("SYSLOG") | not))] | join(" "))]"' plays.json)" ||
     wrong "journal: $(wc -l <plays.json) lines for play $id"

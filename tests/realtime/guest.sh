@@ -101,7 +101,7 @@ first() {
     book | jq -es --argjson id "$id" 'map(select(.event == "ended" and .receipt.id == $id)) | length == 1' >/dev/null ||
         fail "logbook: play $id is not there once"
     ok "logbook: $(($(book | wc -l) - lines)) more lines, in the order of the monotonic clock; files $(cd /var/lib/meissner/logbook && echo *)"
-    journalctl -u meissner.service -o json --no-pager | jq -es --arg id "$id" 'map(select(.PLAY_ID == $id)) | length > 0' >/dev/null ||
+    journalctl -u meissner.service -o json --no-pager | jq -es --arg id "$id" 'map(select(.MESSAGE | type == "string" and startswith("play \($id) "))) | length > 0' >/dev/null ||
         fail "journal: play $id is not there"
     ok "journal: $(journalctl -u meissner.service -o cat --no-pager -n 1)"
 

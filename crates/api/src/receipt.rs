@@ -350,7 +350,8 @@ pub struct PlayEdges {
 /// What was ordered, and what became of it, counted.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct PlayCounts {
-    /// What pattern and order say; null for an endless play, and for one of more than 2 million strokes and moves.
+    /// What pattern and order say; null for an endless play, and for one that takes too long to count, such as more than 2 million
+    /// strokes and moves.
     pub ordered: Option<OrderedCounts>,
     /// What happened to the bursts; null until the play is over.
     pub bursts: Option<BurstCounts>,

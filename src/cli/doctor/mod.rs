@@ -8,6 +8,7 @@
 //! Invariant: every finding that is not `ok` says what to do; the verdict is `go` only if no finding says `FAIL`.
 
 mod board;
+mod rights;
 mod self_test;
 mod timers;
 mod unreachable;
@@ -47,10 +48,12 @@ pub(super) fn run(
     options: &ClientOptions,
 ) -> Result<ExitCode> {
     let root = Path::new("/");
-    let wake_up = timers::measure(time);
+    let (realtime, wake_up) = timers::measure(time);
     let status: Result<Status, ClientError> = options.client()?.get("/v1/status");
+    let granted = status.as_ref().ok().map(|status| status.daemon.realtime);
     let units = service::units(root);
-    let mut findings = vec![timers::finding(&wake_up)];
+    let mut findings = Vec::from(rights::of_user(realtime, granted, units.is_installed()));
+    findings.push(timers::finding(&wake_up));
     findings.extend(machine(root, &units));
     let daemons = match status {
         Ok(status) => {

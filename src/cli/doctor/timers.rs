@@ -4,7 +4,7 @@
 //!
 //! Invariant: the real-time rights that [`measure`] requests end with its thread.
 
-use meissner_api::Finding;
+use meissner_api::{Finding, Realtime};
 use meissner_stream::diagnostics::quantile;
 use meissner_stream::time::HostInstant;
 use serde::Serialize;
@@ -30,12 +30,12 @@ pub(super) struct WakeUp {
 }
 
 /// Requests real-time rights on a separate thread; returns those granted, and how late timers then wake that thread.
-pub(super) fn measure(time: Duration) -> WakeUp {
+pub(super) fn measure(time: Duration) -> (Realtime, WakeUp) {
     let measured = thread::spawn(move || {
         let realtime = meissner_stream::request_realtime();
-        WakeUp::of(lateness_us(time), realtime.fifo)
+        (realtime, WakeUp::of(lateness_us(time), realtime.fifo))
     });
-    measured.join().unwrap_or_else(|_| WakeUp::of(Vec::new(), false))
+    measured.join().unwrap_or_else(|_| (Realtime::default(), WakeUp::of(Vec::new(), false)))
 }
 
 fn lateness_us(time: Duration) -> Vec<f64> {
@@ -93,7 +93,7 @@ mod tests {
         let line = |fifo| fake::line(&finding(&WakeUp::of(vec![10.0, 60_000.0], fifo)));
         assert!(line(true).starts_with("Warn timers") && line(true).contains("-> raise lead_ms"));
         assert!(line(false).contains("without SCHED_FIFO -> run `sudo meissner doctor`"));
-        let measured = measure(Duration::from_millis(20));
+        let (_, measured) = measure(Duration::from_millis(20));
         assert!(measured.count == 20 && measured.p50_us <= measured.max_us, "{measured:?}");
         assert!(WakeUp::of(Vec::new(), false).max_us.is_nan());
     }

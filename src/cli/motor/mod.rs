@@ -81,6 +81,7 @@ fn steady(array: Array, frequency_hz: f64, amplitude_um: f64, hours: f64, json: 
     give(json, &report, || {
         text::pairs(&[
             ("peak to peak", format!("{:.2} um (ideal)", steady.peak_to_peak_um)),
+            ("as played", format!("{:.2} um", steady.played_peak_to_peak_um)),
             ("pulses", format!("{} each way{saturated}", steady.pulses)),
             ("acceleration", format!("{weighted:.2} m/s2, weighted as of a tool (ISO 5349-1)")),
             ("A(8)", format!("{daily:.2} m/s2 for {hours} h a day; see docs/safety.md")),

@@ -199,7 +199,53 @@ mod tests {
     use meissner_stream::Settings;
     use meissner_stream::calibrate::{Fit, MotorFit};
     use meissner_stream::queues::queues;
+    use std::fs;
     use std::future::ready;
+    use std::thread;
+
+    /// Each import adds a motor; none is lost in the file or in use.
+    #[test]
+    fn imports_at_once_do_not_mix() {
+        const MOTORS: u8 = 8;
+        let dir = tempfile::tempdir().unwrap();
+        let file = dir.path().join("calibration.toml");
+        let (mut port, commands, _events) = queues().unwrap();
+        let engine = Engine::new(
+            commands,
+            Settings::of(meissner_array::spec::Array::paper()),
+            "mock".to_owned(),
+            Some(file.clone()),
+        );
+        let array = meissner_array::spec::Array::paper();
+        let of = |motor| {
+            let provenance = meissner_stream::calibrate::laser_plan(array, motor, None, None)
+                .unwrap()
+                .provenance("mock", "1", "", "laser");
+            let fit = Fit {
+                slope_um_per_pulse: 0.14,
+                slope_se_um_per_pulse: 0.001,
+                offset_um: 0.0,
+                relative_sd: 0.05,
+                bursts: 70,
+            };
+            let fit = MotorFit { motor, up: fit, down: fit, up_points: vec![], down_points: vec![] };
+            Calibration::new(array, vec![fit], provenance).unwrap()
+        };
+        thread::scope(|scope| {
+            for motor in 0..MOTORS {
+                let (engine, new) = (&engine, of(motor));
+                scope.spawn(move || add_calibration(engine, new, |_| Ok(())).unwrap());
+            }
+        });
+        let motors =
+            |calibration: &Calibration| calibration.motors().iter().map(|fit| fit.motor).collect::<Vec<_>>();
+        let all: Vec<u8> = (0..MOTORS).collect();
+        let used = engine.lock().calibration.stored.clone().unwrap().calibration;
+        assert_eq!(motors(&used), all);
+        let kept = Calibration::parse(&fs::read_to_string(file).unwrap(), "file").unwrap();
+        assert_eq!(motors(&kept), all);
+        assert_eq!(std::iter::from_fn(|| port.pop()).count(), usize::from(MOTORS), "gains were set");
+    }
 
     /// A low gain adds pulses, 30 % at most; in open loop a high gain takes pins farther. What was ordered before is stopped.
     #[test]

@@ -61,7 +61,7 @@ fn log_play(engine: &Engine, receipt: &Receipt) {
     let wall = clock::now().1.to_zoned(engine.names.zone.clone());
     let outcome = outcome(receipt, HostInstant::now(), &wall);
     // Plays take time on the device, which bounds the number of their lines.
-    info!("play {id} {pattern} by {user}: {outcome}");
+    info!(always = true, "play {id} {pattern} by {user}: {outcome}");
 }
 
 /// The outcome of a play that has just ended, in words.

@@ -78,4 +78,11 @@ mod tests {
         assert_eq!(&*first, b"event: lost\ndata: {\"event\":\"lost\",\"notices\":3}\n\n");
         assert_eq!(first.as_ptr(), second.as_ptr());
     }
+
+    #[test]
+    fn the_longest_event_is_bounded() {
+        let receipt = crate::receipts::tests::longest();
+        let frame = frame(&Event::Ended { receipt: Box::new(receipt) });
+        assert!((34 << 10..41 << 10).contains(&frame.len()), "{} bytes", frame.len());
+    }
 }

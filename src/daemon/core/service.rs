@@ -1,8 +1,8 @@
 //! Notifications to the service manager (systemd's sd_notify), if one started the daemon: ready, status, watchdog, stopping.
 //!
 //! A watchdog notification means that the streamer's loop has run since the last one. The runtime's thread sends it, so the service
-//! manager also restarts a daemon whose runtime hangs; a slow client, disk or log delays neither. Nothing waits for the service
-//! manager: what it does not take at once is dropped, so that it never delays an emergency stop.
+//! manager also restarts a daemon whose runtime hangs; a slow client, disk or log delays neither. Nothing else waits for
+//! the service manager: a status that it does not take at once is dropped, so that it never delays an emergency stop.
 //!
 //! Invariant: no watchdog notification without a new run of the streamer's loop.
 
@@ -20,7 +20,7 @@ use tracing::warn;
 
 /// Checks per watchdog interval. More than one, because a run may be seen one check late, and a notification may be dropped.
 const CHECKS: u32 = 4;
-/// How long to wait before the service manager is told again that the daemon is ready.
+/// How long to wait before the service manager is told again.
 const AGAIN: Duration = Duration::from_millis(50);
 
 /// The service manager, if there is one, and its address.
@@ -67,9 +67,9 @@ fn complain(error: io::Error) {
     });
 }
 
-/// Notifies the service manager that the daemon is ready, until it takes that.
-pub(in crate::daemon) async fn ready(manager: Manager) {
-    while !manager.notify(&NotifyState::Ready) {
+/// Notifies the service manager, again and again until it takes that.
+pub(in crate::daemon) async fn told(manager: &Manager, state: &NotifyState<'_>) {
+    while !manager.notify(state) {
         tokio::time::sleep(AGAIN).await;
     }
 }
@@ -115,7 +115,7 @@ async fn watch(manager: Manager, engine: Arc<Engine>, every: Duration) {
         tokio::time::sleep(every).await;
         let count = engine.lock().commands.loop_count();
         if std::mem::replace(&mut seen, count) != count {
-            manager.notify(&NotifyState::Watchdog);
+            told(&manager, &NotifyState::Watchdog).await;
         }
     }
 }

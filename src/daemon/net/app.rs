@@ -6,6 +6,7 @@ use crate::daemon::core::engine::Engine;
 use crate::daemon::net::bounds::Bounds;
 use crate::daemon::net::server::Counts;
 use crate::daemon::sessions::caller::Asker;
+use crate::daemon::status::doctor::Doctor;
 use crate::record::Peer;
 use crate::store::Store;
 use axum::extract::rejection::ExtensionRejection;
@@ -13,15 +14,14 @@ use axum::extract::{Extension, FromRequestParts};
 use axum::http::request::Parts;
 use meissner_api::{Code, Problem};
 use std::sync::Arc;
-use tokio::sync::{Mutex, OwnedSemaphorePermit, Semaphore, TryAcquireError};
+use tokio::sync::{OwnedSemaphorePermit, Semaphore, TryAcquireError};
 
 /// See the module.
 #[derive(Clone, Debug)]
 pub(in crate::daemon) struct App {
     pub(in crate::daemon) engine: Arc<Engine>,
     pub(in crate::daemon) store: Arc<Store>,
-    /// Held while the doctor checks.
-    pub(in crate::daemon) doctor: Arc<Mutex<()>>,
+    pub(in crate::daemon) doctor: Arc<Doctor>,
     pub(in crate::daemon) counts: Arc<Counts>,
     /// A permit for each event stream, and for each request that waits for the end of a play.
     waiting: Arc<Semaphore>,

@@ -79,9 +79,15 @@ impl Drop for LoggedRequest {
             (None, _) => "the client hung up before the answer".to_owned(),
         };
         // A play has a line at its end, and refused plays may come by the thousand.
-        match self.entry.command {
-            "play" | "answer" => debug!("{title} by {client}: {answer}"),
-            _ => info!("{title} by {client}: {answer}"),
+        let kind = self.entry.command;
+        match (kind, &*self.entry.answer) {
+            ("play" | "answer", _) => {
+                debug!("{title} by {client}: {answer}");
+            }
+            ("estop", _) => info!(always = true, "{title} by {client}: {answer}"),
+            // Refusals are bounded separately, so that they do not displace lines about carried-out commands.
+            (_, "ok") => info!(kind, "{title} by {client}: {answer}"),
+            _ => info!(kind, "{title} by {client}: {answer}"),
         }
         let state = self.engine.lock();
         self.entry.is_of_owner = state.sessions.is_owner(self.token.as_deref());

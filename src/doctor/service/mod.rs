@@ -43,6 +43,10 @@ impl Units {
         Self { installed: is_installed(root), reported }
     }
 
+    pub(crate) const fn is_installed(&self) -> bool {
+        self.installed
+    }
+
     /// Whether this process is the service.
     pub(super) fn runs(&self, pid: u32) -> bool {
         self.of(SERVICE, "MainPID") == pid.to_string()

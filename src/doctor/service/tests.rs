@@ -55,7 +55,7 @@ fn good_units_give_two_findings() {
     assert_eq!(idle.len(), 2);
     let dir = installed();
     let units = Units::new(dir.path(), Some(GOOD.to_owned()));
-    assert!(units.runs(812) && !units.runs(81));
+    assert!(units.runs(812) && !units.runs(81) && units.is_installed());
 }
 
 #[test]

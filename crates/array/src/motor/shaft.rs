@@ -112,6 +112,12 @@ impl Shaft {
         Self { base_um: 0.0, ramps: VecDeque::with_capacity(most_ramps(window)), window }
     }
 
+    /// Returns to rest at 0. Keeps the memory.
+    pub fn reset(&mut self) {
+        self.base_um = 0.0;
+        self.ramps.clear();
+    }
+
     /// Adds the next ramp, which must not begin before the end of the last. A ramp that begins where the last ended and has
     /// the same speed prolongs it. From now on, ask about no instant before its start.
     pub fn push(&mut self, ramp: Ramp) {
@@ -149,6 +155,15 @@ impl Shaft {
         self.ramps
             .iter()
             .fold(self.base_um, |sum, ramp| sum + ramp.share_after(at.since(ramp.start.into()), self.window))
+    }
+
+    /// dy/dt, (r(t) - r(t - W)) / W, µm per tick. Linear between the starts and ends of ramps and W after each.
+    pub fn velocity_um_per_tick(&self, at: HalfTick) -> f64 {
+        let change = self.ramps.iter().fold(0.0, |sum, ramp| {
+            let after = at.since(ramp.start.into());
+            sum + ramp.um_per_tick * (ramp.done(after) - ramp.done(after - self.window)) as f64
+        });
+        change / self.window as f64
     }
 }
 
@@ -218,6 +233,7 @@ mod tests {
         assert_eq!(shaft.position_um(HalfTick(401)), travel);
         shaft.push(down(1000, 100));
         assert_eq!(shaft.displacement_um(HalfTick(2200 + WINDOW_HALF_TICKS)), 0.0);
+        assert_eq!(shaft.velocity_um_per_tick(HalfTick(2200 + WINDOW_HALF_TICKS)), 0.0);
         // 100 years on.
         assert_eq!(shaft.displacement_um(HalfTick(2 * 85_000 * 3_155_760_000)), 0.0);
     }
