@@ -310,5 +310,19 @@ mod tests {
             let changed = u16::from_le_bytes([other[2], other[3]]);
             prop_assert_eq!(e_stop_requested(other), matches!(at, 2 | 3).then_some(changed));
         }
+
+        #[test]
+        fn nothing_else_is_urgent(batch in prop::collection::vec(any::<u8>(), 0..60), token: u16, at: usize) {
+            let mut watch = Watch::new();
+            let ordinary = [strokes(&batch), bytes(&HostMessage::Ping { token, seen: 0 }),
+                bytes(&HostMessage::Control { epoch: token, seen: 0, op: Op::Stop })];
+            for frame in ordinary {
+                prop_assert_eq!(watch.look(&frame), None);
+            }
+            let mut damaged = bytes(&HostMessage::Control { epoch: token, seen: 0, op: Op::EStop });
+            let at = at % (damaged.len() - 1);
+            damaged[at] ^= 0x10;
+            prop_assert_eq!(watch.look(&damaged), None);
+        }
     }
 }

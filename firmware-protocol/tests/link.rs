@@ -368,3 +368,15 @@ fn bad_frames_are_counted_and_change_nothing() {
     bench.bytes(&frames[0]);
     assert_eq!((bench.status().next_seq, bench.status().credits), (1, POOL as u16 - 2));
 }
+
+#[test]
+fn the_numbers_of_reports_wrap() {
+    let mut bench = Bench::armed(FIRMWARE);
+    let bad = stroke(24, bench.soon(), 7, 6, 7);
+    for round in 1..65_536u32 + 40 {
+        bench.strokes(&[bad]);
+        assert_eq!((u32::from(bench.seen), bench.status().reports), (round % 65_536, bench.seen));
+        bench.inbox.drain(..bench.inbox.len() - 2);
+    }
+    assert_eq!(bench.device.counters().reports_lost, 0);
+}

@@ -185,6 +185,10 @@ fn a_seek_that_may_not_reach_the_stop_is_refused_and_changes_nothing() {
         bench.control(arm(false, stop(MAX_PUSHES_PER_S, WHOLE_TRAVEL)));
         assert_eq!(bench.status().refusal, None);
         bench.settle();
+        for pulses in [0, MAX_SEEK + 1] {
+            bench.control(Op::Seek { pulses });
+            assert_eq!(bench.status().refusal, Some(Refusal::Travel));
+        }
 
         // As far as moves have raised a pin, and half as far again.
         bench.control(Op::Move { motor: 5, direction: Up, pulses: 400 });

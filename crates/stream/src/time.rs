@@ -41,6 +41,7 @@ pub fn wall_set_since() -> i64 {
 }
 
 /// Random bytes: the system's, or those of a bench's seed. Returns whether there were any.
+#[must_use]
 pub fn random(bytes: &mut [u8]) -> bool {
     if !is_virtual() {
         return getrandom(&mut *bytes, GetRandomFlags::empty()) == Ok(bytes.len());

@@ -10,11 +10,12 @@ use meissner_array::simulated::{SimulatedMotors, SimulatedMotorsConfig};
 use meissner_array::spec::Array;
 use meissner_array::strokes::{LiveStrokes, StrokeOptions, Strokes};
 use meissner_stream::calibrate::{Calibration, Fit, Plan, fit, pulses_range, travels_by_sensor};
-use meissner_stream::queues::{Command, CommandError, Play, StreamEvent};
+use meissner_stream::queues::{Command, CommandError, LiveResult, LiveUpdate, Play, StreamEvent};
 use meissner_stream::{Bandwidth, Gains, Line, Settings, SimulationError, Source, simulate_play};
 use meissner_test_support::arrays::{array, other};
 use meissner_test_support::patterns::drive;
 use meissner_test_support::rig::{OFF, Rig, answer};
+use std::time::Duration;
 
 fn pattern(array: Array) -> Pattern {
     let drives = vec![drive(1, 60.0, 40.0)];
@@ -157,4 +158,27 @@ fn a_live_play_of_short_strokes_needs_bandwidth_too() {
     let needs = Bandwidth::of_live(100.0, 0.0, &Settings::of(array)).unwrap();
     // At least three bytes for each of 6400 strokes a second.
     assert!(needs.open.rate > 19_200 && needs.closed.rate > needs.open.rate, "{needs:?}");
+}
+
+#[test]
+fn an_update_for_another_array_changes_nothing() {
+    let found = Array::named("tula35-2x3").unwrap();
+    let wave = |array| SquareWave::new(array, 60.0, 40.0, 0.0).unwrap();
+    let mut rig = Rig::armed(Line::default(), 2);
+    let id = rig.start_live(PerMotor::all(Array::paper(), wave(Array::paper())), Duration::from_secs(5));
+    rig.run_ms(100);
+    let of_few = PerMotor::all(found, Some(wave(found)));
+    let of_another = PerMotor::all(Array::paper(), Some(wave(found)));
+    for (waves, number) in [(of_few, 1), (of_another, 2)] {
+        let update = LiveUpdate {
+            motions: waves.map(|wave| wave.map(Into::into)),
+            ..LiveUpdate::new(Array::paper(), id, number, rig.now())
+        };
+        rig.send(Command::UpdateLive(Box::new(update)));
+        let over = |event: &StreamEvent| {
+            matches!(event, StreamEvent::LiveUpdated(update)
+                if update.number == number && update.result == LiveResult::Over)
+        };
+        assert!(rig.take_events().iter().any(over), "update {number}");
+    }
 }

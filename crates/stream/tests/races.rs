@@ -2,9 +2,11 @@
 //!
 //! Each test sends commands at an awkward moment and counts the plays that start and end.
 
+use firmware_protocol::limits::PowerLimits;
 use firmware_protocol::message::State;
-use meissner_stream::Line;
+use meissner_array::spec::Array;
 use meissner_stream::queues::{At, Command, CommandError, End, StreamEvent};
+use meissner_stream::{Line, Settings};
 use meissner_test_support::rig::{self, Rig};
 use std::time::Duration;
 
@@ -76,4 +78,20 @@ fn a_play_whose_onset_falls_into_the_play_before_it_is_aborted() {
     let ends: Vec<_> = outcomes.iter().map(|outcome| (outcome.play.id, outcome.end)).collect();
     assert_eq!(ends, [(1, End::Done), (2, End::Aborted), (3, End::Done)]);
     outcomes.iter().for_each(rig::assert_closed);
+}
+
+#[test]
+fn tens_of_thousands_of_reports_later_verdicts_still_count() {
+    let settings = Settings {
+        limits: PowerLimits { motor: 300, ..Array::paper().layout().no_limits() },
+        ..Settings::of(Array::paper())
+    };
+    let mut rig = Rig::with(settings, Line { delay: 5 * MS, ..Line::default() }, 24);
+    rig.arm();
+    for round in 0..10 {
+        send_play(&mut rig, "all-in-phase", Some(6.0), At::Next);
+        rig.run_ms(7000);
+        rig.mock.take_trace();
+        assert_eq!(started_and_ended(&rig.take_events()), (1, 1), "round {round}");
+    }
 }

@@ -225,7 +225,7 @@ impl Active {
         Some(self.onset? + self.play.strokes.end()?)
     }
 
-    /// The end of the play, by which position control knows its strokes; the last tick of all if it has no end.
+    /// The end of the play, the last tick of all if it has no end.
     pub(super) fn until(&self) -> Tick {
         self.end().unwrap_or(Tick(u64::MAX))
     }

@@ -46,7 +46,7 @@ pub(crate) struct Cutting {
     pub(crate) returned: Option<Tick>,
 }
 
-/// Too many bursts began between the cut and the report of it.
+/// Too many moves have begun since to know.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Forgotten;
 

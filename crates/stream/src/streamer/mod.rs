@@ -347,6 +347,7 @@ impl Streamer {
     }
 
     /// The epoch of an e-stop that has become due, once. Pass it to [`crate::device::Device::e_stop`]; the frame follows.
+    #[must_use]
     pub fn take_e_stop(&mut self) -> Option<u16> {
         self.session.as_mut()?.take_e_stop()
     }

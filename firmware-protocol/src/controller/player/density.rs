@@ -2,11 +2,13 @@
 //!
 //! Invariant: `room` and the moves begun in the last 10 ms, those of the present block included, sum up to [`Layout::max_dense`].
 
-use crate::array::Layout;
+use crate::array::{CAPACITY, Layout};
 use crate::limits::Refusal;
 
 /// Room for the blocks in which moves count, with the present one.
 const BLOCKS: usize = Layout::MAX_DENSE_BLOCKS;
+// Each motor may begin two moves in a block.
+const _: () = assert!(2 * CAPACITY <= u8::MAX as usize);
 
 #[derive(Clone, Debug)]
 pub(super) struct Density {

@@ -173,7 +173,10 @@ impl BurstController {
 
     /// The device will not play the step that begins at this tick.
     pub(crate) fn withdrawn(&mut self, begin: Tick) {
-        self.last_cut.withdrawn(begin);
+        if let Some(moves) = self.last_cut.moves_at(begin) {
+            self.last_cut.withdrawn(begin);
+            self.trail.withdrawn(begin, moves);
+        }
         let Some((at, bursts)) = self.find(begin) else { return };
         if self.begun > at {
             // The estimator took it as played: the position is unknown until the next sample.

@@ -251,6 +251,39 @@ mod tests {
         assert!(said_um >= more_um, "{said_um} um, and {more_um} um may be lost");
     }
 
+    /// The device says that it cuts before it says what it has refused.
+    #[test]
+    fn what_was_refused_before_a_cut_was_not_played_although_the_report_comes_after_it() {
+        let tick = |n: u64| Tick(85_000 + n);
+        for (cut, refused, over) in [
+            (2_000, [true, true], None),
+            (2_000, [false, true], Some(500)),
+            (1_100, [false, true], Some(500)),
+        ] {
+            let mut pin = BurstController::new(Array::paper(), &Gains::default());
+            pin.assume_rest();
+            let moves = [(0, 0, 500), (1_000, 500, 900)];
+            for (start, from, level) in moves {
+                let of = Move { motor: 0, tick: tick(start), level, surplus: 0 };
+                pin.sent(&Step::Move { of, from }, false, tick(90_000));
+                pin.accepted(of.tick);
+            }
+            pin.remember(tick(cut));
+            pin.cut(tick(cut));
+            for ((start, ..), _) in moves.into_iter().zip(refused).rev().filter(|(_, refused)| *refused) {
+                pin.withdrawn(tick(start));
+            }
+            assert_eq!(
+                pin.over_at(tick(0), tick(90_000), None),
+                Ok(over.map(tick)),
+                "cut after {cut}, {refused:?}"
+            );
+            let levels =
+                pin.trail().movement([].into_iter(), [tick(0), tick(cut + 1_500)], Array::paper().rate());
+            assert_eq!(levels.high, if over.is_some() { 500 } else { 0 }, "cut after {cut}, {refused:?}");
+        }
+    }
+
     #[test]
     fn a_move_down_ends_at_the_lower_stop() {
         let second = |n: u64| Tick(n * 85_000);

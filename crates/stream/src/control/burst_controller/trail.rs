@@ -13,8 +13,8 @@ use meissner_array::strokes::Burst;
 use meissner_array::units::TickRate;
 use std::collections::VecDeque;
 
-/// Moves that are kept: those of strokes at 300 Hz in 1.7 s. A play is closed so long after its end.
-const KEPT: usize = 1024;
+/// Moves that are kept: those of strokes at 300 Hz in 6.8 s. A play is closed 5 s after its end at the latest, if reports are missing.
+const KEPT: usize = 4096;
 
 /// A move from level to level, pulses above rest, one pulse in each tick.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -79,6 +79,17 @@ impl Trail {
         if last.to > 0 {
             let from = last.to;
             self.passed(Passed::way_down(tick, from));
+        }
+    }
+
+    /// The device has not played so many moves from the one that begins at this tick.
+    pub(crate) fn withdrawn(&mut self, begin: Tick, moves: usize) {
+        let Some(at) = self.0.iter().rposition(|passed| passed.burst.start == begin) else { return };
+        let gone = self.0.range(at..).take(moves).take_while(|passed| passed.burst.pulses > 0).count();
+        let level = self.0[at].from;
+        self.0.drain(at..at + gone);
+        if let Some(next) = self.0.get_mut(at) {
+            next.from = level;
         }
     }
 

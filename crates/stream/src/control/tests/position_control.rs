@@ -50,9 +50,8 @@ impl Result {
 
 /// The rest error of the bursts that no sample in time for a correction shows whole, root mean square, µm: their corrections scatter, too.
 fn rest_bound_um(motor_run: &MotorRun, travel_um: f64) -> f64 {
-    let (motor, rate) = (motor_run.array.motor(), motor_run.array.rate());
-    let window_ms = rate.ticks_to_ms(motor.window_half_ticks) / 2.0;
-    let unseen = 1.0 + (motor_run.delay_ms() + window_ms) * motor_run.frequency_hz / 500.0;
+    let motor = motor_run.array.motor();
+    let unseen = 1.0 + (motor_run.delay_ms() * motor_run.frequency_hz / 500.0).floor();
     let share = motor_run.scatter * motor_run.scatter / (1.0 - motor_run.scatter * motor_run.scatter);
     (share * travel_um * travel_um * unseen + motor.um_per_pulse * motor.um_per_pulse / 12.0).sqrt()
 }
@@ -272,5 +271,38 @@ fn a_slow_motor_is_played_open_loop_where_its_bursts_overlap() {
         assert!(!played(299.0, 20.0)[20..].iter().any(corrected), "{name}");
         let rest_um = played(4.0, 80.0).iter().map(|period| period.rest_um.abs()).fold(0.0, f64::max);
         assert!(rest_um < 60.0, "{name}: {rest_um} um");
+    }
+}
+
+#[test]
+fn an_initial_offset_is_corrected_without_overshoot() {
+    for frequency_hz in [1.0, 10.0, 60.0, 300.0] {
+        for amplitude_um in [2.0, 10.0, 80.0] {
+            for offset_um in [100.0, -100.0] {
+                let motor_run = MotorRun {
+                    frequency_hz,
+                    amplitude_um,
+                    scatter: 0.0,
+                    asymmetry: 0.0,
+                    offset_um,
+                    age_ms: 5.0,
+                    ..MotorRun::of(Array::paper())
+                };
+                let mut rests = Vec::new();
+                let mut planned = 0.0;
+                // A stroke corrects at most 30 % of both its bursts; without room to lengthen, of one.
+                let seconds = 6.0 + 100.0 / (0.25 * amplitude_um) / frequency_hz * 1.5;
+                let tell = |period: &Period| {
+                    rests.push(period.rest_um * offset_um.signum());
+                    planned = period.planned_um;
+                };
+                motor_run.run(seconds, |_, y| Some(y), tell).unwrap();
+                let name = format!("{frequency_hz} Hz, {amplitude_um} um, from {offset_um}");
+                let beyond = rests.iter().fold(0.0, |most: f64, um| most.max(-um));
+                assert!(beyond <= planned, "{name}: {beyond} um too far");
+                let last = rests[rests.len() - 1].abs();
+                assert!(last <= 2.0 * UM_PER_PULSE, "{name}: {last} um left after {} periods", rests.len());
+            }
+        }
     }
 }

@@ -234,6 +234,7 @@ impl Session {
 
     /// The epoch of an e-stop that has become due, once: for a device that takes it past the bytes that wait
     /// ([`crate::device::Device::e_stop`]). Its frame is sent as well.
+    #[must_use]
     pub fn take_e_stop(&mut self) -> Option<u16> {
         match self.phase {
             Phase::Opening | Phase::Over => None,
