@@ -225,8 +225,8 @@ fn measure(place: &Place, board: &Board, rounds: usize) -> [String; 5] {
                 Some(took) => columns[way].push(took.as_secs_f64() * 1e3),
                 None => failures[way] += 1,
             }
-            if way < 3 && took.is_none_or(|took| took > SLOW) {
-                let told = done.map(|done| done - begun);
+            if took.is_none_or(|took| way < 3 && took > SLOW) {
+                let told = done.filter(|_| way < 3).map(|done| done - begun);
                 eprintln!(
                     "order {round}: at the board after {told:.1?}; answer after {:.1?}: {answered:?}",
                     begun.elapsed()

@@ -17,6 +17,9 @@ use tokio::time::Instant;
 
 /// How long a request's line and headers may take.
 const HEAD: Duration = Duration::from_secs(5);
+/// How long the body of a request may take if others need the place: a turn of the runtime under many clients, in which what has come is
+/// read.
+const ARRIVING: Duration = Duration::from_millis(5);
 /// How long a client may be idle between two requests: as long as a break between two blocks of an experiment. Then, how long if
 /// others need its place: its answer is written until then.
 const KEPT: Duration = Duration::from_secs(600);
@@ -87,7 +90,7 @@ impl Client {
         match (blocked, waits) {
             (Some(since), _) => Some((since, BLOCKED, UNREAD)),
             (None, Waits::Head) => Some((since, Duration::ZERO, HEAD)),
-            (None, Waits::Body) => Some((since, Duration::ZERO, Duration::MAX)),
+            (None, Waits::Body) => Some((since, ARRIVING, Duration::MAX)),
             (None, Waits::Next) => Some((since, idle, KEPT)),
             (None, Waits::Nothing) => None,
         }
