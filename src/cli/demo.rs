@@ -1,9 +1,9 @@
 //! `demo`: runs a daemon with simulated motors in this process and plays a shipped edge as a client of its socket.
 //!
-//! The play takes the whole data path: socket, store, streamer, link, controller, motors. The true pin positions come from the
+//! The play takes the whole data path: socket, streamer, link, controller, motors. The true pin positions come from the
 //! simulation. It vibrates, so that position control has something to do. Then the same edge as a press is played, rendered from
-//! the real thing, and a simulated finger tells which of the two is more like the thing. With `--open-loop` pins are not corrected; with `--sensorless` the array has a lower stop but no telemetry, as a
-//! real board may.
+//! the real thing, and a simulated finger tells which of the two is more like the thing. With `--open-loop` pins are not
+//! corrected; with `--sensorless` the array has a lower stop but no telemetry, as a real board may.
 //!
 //! With `--page` its daemon serves the page, too, and goes on until a signal.
 //!

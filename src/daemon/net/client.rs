@@ -17,8 +17,8 @@ use tokio::time::Instant;
 
 /// How long a request's line and headers may take.
 const HEAD: Duration = Duration::from_secs(5);
-/// How long the body of a request may take if others need the place: a turn of the runtime under many clients, in which what has come is
-/// read.
+/// How long the body of a request may take if others need the place: for a turn of the runtime, in
+/// which what has come is read.
 const ARRIVING: Duration = Duration::from_millis(5);
 /// How long a client may be idle between two requests: as long as a break between two blocks of an experiment. Then, how long if
 /// others need its place: its answer is written until then.

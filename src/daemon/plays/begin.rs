@@ -221,7 +221,7 @@ fn send(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::daemon::core::runtime::STORED;
+    use crate::daemon::core::runtime::{CHECKS, OTHERS, PLAYS, STORED};
     use crate::daemon::plays::order;
     use crate::daemon::runtime;
     use crate::daemon::sessions::caller::DAEMON;
@@ -268,5 +268,33 @@ mod tests {
         let played = order::play(&engine, &by, &order, &STORED, find);
         assert_eq!(runtime().unwrap().block_on(played).unwrap_err().code, "busy");
         assert!(matches!(port.pop().unwrap().command, Command::Stop) && port.pop().is_none());
+    }
+
+    /// Readers, and plays of other sorts, compute without an end, in every place that there is.
+    #[test]
+    fn a_play_of_a_stored_pattern_waits_for_nobody_elses_computation() {
+        let (mut port, commands, _events) = queues().unwrap();
+        let settings = Settings::of(meissner_array::spec::Array::paper());
+        let engine = Engine::new(commands, settings, "mock".to_owned(), None);
+        runtime().unwrap().block_on(async {
+            let (end, ended) = crossbeam_channel::bounded::<()>(0);
+            let mut others = tokio::task::JoinSet::new();
+            for lane in [&CHECKS, &PLAYS, &OTHERS] {
+                for _ in 0..30 {
+                    let ended = ended.clone();
+                    others.spawn(lane.computing(move || assert!(ended.recv().is_err())));
+                }
+            }
+            tokio::task::yield_now().await;
+            let order = pin(None);
+            let by = Asker::operator();
+            let played = order::play(&engine, &by, &order, &STORED, find);
+            // It reaches the streamer, of which there is none here.
+            assert_eq!(played.await.unwrap_err().code, "timeout");
+            assert!(matches!(port.pop().unwrap().command, Command::Play(_)));
+            assert!(others.try_join_next().is_none(), "they compute");
+            drop(end);
+            while others.join_next().await.is_some() {}
+        });
     }
 }

@@ -269,12 +269,14 @@ impl Waveform {
         Ok(Self::new(vec![Piece::Knots(knots.into())]))
     }
 
-    /// The sum of waveforms that are not scaled. Where they overlap it has a knot wherever one of them has one; the rest stays as it is. Takes time in
-    /// proportion to the knots and to the number of waveforms at once.
+    /// The sum of waveforms that are not scaled. Where they overlap it has a knot wherever one of them
+    /// has one; the rest stays as it is. Takes time in proportion to the knots and to the number of
+    /// waveforms at once.
     ///
     /// # Errors
     /// More than [`MAX_KNOTS`] knots in a part that overlaps.
     pub fn sum(parts: &[Self]) -> Result<Self, MotionError> {
+        debug_assert!(parts.iter().all(|part| part.pieces.is_empty() || part.scale == 1.0));
         let mut pieces: Vec<&Piece> = parts.iter().flat_map(|part| &*part.pieces).collect();
         pieces.sort_by_key(|piece| piece.span_ns());
         let mut sum = Vec::new();
