@@ -13,7 +13,7 @@ use std::io::{Read, Write};
 use std::os::unix::net::UnixStream;
 use std::path::{Path, PathBuf};
 use std::process::{self, Child, ExitStatus, Output, Stdio};
-use std::sync::Arc;
+use std::sync::{Arc, Once};
 use std::thread;
 use std::time::{Duration, Instant};
 use tempfile::TempDir;
@@ -101,6 +101,7 @@ impl Daemon {
         stderr: impl Into<Stdio>,
         mut command: process::Command,
     ) -> Self {
+        enter_session();
         fs::create_dir_all(dir.path().join("patterns")).unwrap();
         write_config(dir.path(), config);
         let child = command
@@ -253,6 +254,17 @@ pub(crate) fn meissner() -> Command {
     // A daemon that a test starts by mistake writes nowhere.
     command.env("XDG_STATE_HOME", "/nonexistent").env_remove("MEISSNER_SESSION_TOKEN");
     command
+}
+
+/// Starts a process session if this process has none that its container knows, as under some CI services: the daemon takes commands
+/// without one for those of several terminals.
+fn enter_session() {
+    static ENTERED: Once = Once::new();
+    ENTERED.call_once(|| {
+        if nix::unistd::getsid(None).unwrap().as_raw() == 0 {
+            nix::unistd::setsid().unwrap();
+        }
+    });
 }
 
 /// A command line that runs in this process: for commands that need neither a daemon nor an environment.
