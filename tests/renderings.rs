@@ -330,7 +330,11 @@ fn the_ninth_preview_that_would_wait_is_refused_and_those_of_clients_that_hang_u
         stream
     };
     let first = ask();
-    wait_until(|| !children(daemon).is_empty());
+    // A process that is stopped before it runs its program would keep the daemon's thread waiting in `spawn`.
+    let begun = |pid: i32| {
+        fs::read(format!("/proc/{pid}/cmdline")).is_ok_and(|line| line.starts_with(b"meissner-render"))
+    };
+    wait_until(|| children(daemon).first().is_some_and(|&pid| begun(pid)));
     let process = Pid::from_raw(children(daemon)[0]).unwrap();
     // It stands still, so eight may wait for it and no more; it can end now only if it is killed.
     kill_process(process, Signal::STOP).unwrap();

@@ -11,7 +11,7 @@ mod truth;
 use super::bench::{Bench, Client, Events, Live, Machine, record_files};
 use crate::daemon::tests::seeds::faults::Trouble;
 use crate::daemon::tests::seeds::truth::Truth;
-use meissner_api::{Event, LiveAccepted, PlayAccepted, Problem, SessionStarted, Status};
+use meissner_api::{EndCause, Event, LiveAccepted, PlayAccepted, Problem, SessionStarted, Status};
 use meissner_stream::time::HostInstant;
 use meissner_test_support::random::Random;
 use serde::de::DeserializeOwned;
@@ -77,6 +77,8 @@ struct Life {
     ended: BTreeMap<u64, f64>,
     /// Answers that the daemon has acknowledged.
     answered: BTreeSet<u64>,
+    /// Whether the daemon itself has stopped the array, which had contradicted itself: pins stand until somebody arms.
+    stands: bool,
     /// When an emergency stop was acknowledged, s, until somebody asks for its reset.
     estopped_s: Option<f64>,
     /// Since when the motors have been off by the status, s.
@@ -281,6 +283,9 @@ impl World {
             let now_s = self.now_s();
             match serde_json::from_str(data).unwrap() {
                 Event::Began { id, .. } => assert!(self.life.began.insert(id), "play {id} begins twice"),
+                Event::Disconnected { reason: EndCause::Other(why) } => {
+                    self.life.stands |= why.contains("contradicts itself");
+                }
                 Event::RecordProblem { problem, .. } => self.life.disk_says |= problem.is_some(),
                 Event::Ended { receipt } => {
                     let before = self.life.ended.insert(receipt.id, now_s);
@@ -568,8 +573,13 @@ impl World {
         let _: Status = self.asked(&client, "/v1/estop", &json!({})).unwrap();
         client.set_token(self.life.session.as_ref().map(|session| session.token.clone()));
         self.life.estopped_s = None;
-        let _: Status = self.asked(&client, "/v1/reset", &json!({"force": true})).unwrap();
+        let reset: Status = self.asked(&client, "/v1/reset", &json!({"force": true})).unwrap();
         self.pass(Duration::from_secs(3));
+        if reset.state == "no-device" {
+            // The device that has come since may still have the emergency stop.
+            let _: Status = self.asked(&client, "/v1/reset", &json!({"force": true})).unwrap();
+            self.pass(Duration::from_secs(1));
+        }
         if let Some(session) = &self.life.session {
             let path = format!("/v1/sessions/{}/end", session.id);
             let ended = self.asked::<Value>(&client, &path, &json!({}));

@@ -25,6 +25,8 @@ const DEVIATIONS: f64 = 2.0;
 const RETURN_S: f64 = 0.2;
 /// Reports that do not come within this time close the link, and with it the plays, s.
 const REPORTED_S: f64 = 5.0;
+/// The device answers an `arm` within this time, s.
+const ARMED_S: f64 = 0.1;
 /// What waits for the disk is written within this time, s: the writer pauses for a millisecond, and the runtime ends pauses at whole ones.
 const WRITTEN_S: f64 = 0.002;
 
@@ -92,6 +94,7 @@ pub(super) fn hold(world: &mut World) {
     world.state.clone_from(&status.state);
     let returning_s = world.life.returning_s.unwrap_or(now_s);
     world.life.returning_s = (status.state == "returning").then_some(returning_s);
+    world.life.stands &= !["armed", "returning"].contains(&&*status.state);
     world.truth.person = status.session.as_ref().map(|session| session.participant.clone());
     nothing_plays_unarmed(world, &status, now_s);
     silence_disarms(world, &status, now_s);
@@ -111,7 +114,12 @@ fn nothing_plays_unarmed(world: &mut World, status: &Status, now_s: f64) {
     }
     let since_s = *world.life.unarmed_s.get_or_insert(now_s);
     let may_end = !world.trouble.array_is_good(now_s) && now_s < since_s + REPORTED_S;
-    assert!(may_end || status.play.is_none() && status.queued.is_empty(), "nothing plays: {status:?}");
+    // A play that follows an `arm` waits for the device's answer, also if the client of the `arm` is gone.
+    let may_wait = now_s < world.life.unanswered_s + ARMED_S;
+    assert!(
+        may_end || may_wait || status.play.is_none() && status.queued.is_empty(),
+        "nothing plays: {status:?}"
+    );
 }
 
 /// Motors do not stay armed when all clients are silent.
@@ -143,7 +151,7 @@ fn no_pin_stays_up(world: &World, status: &Status, now_s: f64) {
     let cut = ["estop", "output", "panic", "watchdog"].contains(&&*status.cause);
     // A pin that stood while its place was not known comes down after the next `arm`.
     let returns = world.life.returning_s.is_some_and(|since_s| now_s < since_s + RETURN_S);
-    let may_stand = status.state == "faulted" && cut || returns;
+    let may_stand = status.state == "faulted" && cut || returns || world.life.stands;
     for motor in 0..status.motors.len() {
         let rests_s = now_s - world.truth.pulsed_s[motor].max(world.life.began_s);
         let is_due = rests_s > longest_s && status.position == "known" && !may_stand;
