@@ -64,20 +64,17 @@ impl Board {
     }
 
     /// The terminal to open as a serial port.
-    #[must_use]
     pub const fn path(&self) -> &PathBuf {
         &self.path
     }
 
     /// When a tick of the board begins, by the host's `CLOCK_MONOTONIC`, ns.
-    #[must_use]
     pub fn begin_of_ns(&self, tick: Tick) -> u64 {
         let passed = tick.since(Tick::BOOT) as f64 / self.clock.hz;
         self.clock.booted_ns + (passed * 1e9) as u64
     }
 
     /// When the board received each emergency stop: those since the last call, and later ones.
-    #[must_use]
     pub const fn estops(&self) -> &crossbeam_channel::Receiver<(u16, Instant)> {
         &self.estops
     }

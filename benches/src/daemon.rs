@@ -55,7 +55,6 @@ impl Daemon {
     }
 
     /// Its socket.
-    #[must_use]
     pub fn socket(&self) -> PathBuf {
         self.dir.path().join("m.sock")
     }

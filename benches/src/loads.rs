@@ -63,7 +63,6 @@ pub struct Place {
 
 impl Place {
     /// A command of the program.
-    #[must_use]
     pub fn command(&self) -> Command {
         let mut command = Command::new(&self.program);
         command.env(CHILD, "1").env("MEISSNER_SOCKET", &self.socket).env_remove("RUST_LOG");

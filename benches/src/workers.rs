@@ -22,7 +22,6 @@ pub struct Workers {
 impl Workers {
     /// Raises the priority of the present workers and of later ones. Returns none if the user is not root, or without the command
     /// `chrt`.
-    #[must_use]
     pub fn raise() -> Option<Self> {
         if !geteuid().is_root() || !chrt(&["--version"]) {
             return None;

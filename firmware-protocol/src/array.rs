@@ -56,19 +56,16 @@ impl MotorSet {
     pub const EMPTY: Self = Self(0);
 
     /// The set with these bits. A build with room for fewer motors leaves out the others: it has no array with them.
-    #[must_use]
     pub const fn from_bits(bits: u64) -> Self {
         Self(narrow(bits))
     }
 
     /// Bit m: motor m.
-    #[must_use]
     pub const fn bits(self) -> u64 {
         widen(self.0)
     }
 
     /// The motors from 0 on, so many.
-    #[must_use]
     pub const fn first(motors: usize) -> Self {
         if motors == 0 { Self::EMPTY } else { Self(Bits::MAX >> (Bits::BITS as usize - motors)) }
     }
@@ -80,19 +77,16 @@ impl MotorSet {
     }
 
     /// Whether no motor is in it.
-    #[must_use]
     pub const fn is_empty(self) -> bool {
         self.0 == 0
     }
 
     /// Number of motors.
-    #[must_use]
     pub const fn len(self) -> u32 {
         self.0.count_ones()
     }
 
     /// Whether `motor`, any number, is in it.
-    #[must_use]
     #[inline(always)]
     pub const fn contains(self, motor: u8) -> bool {
         (motor as u32) < Bits::BITS && self.0.wrapping_shr(motor as u32) & 1 == 1
@@ -122,14 +116,12 @@ impl MotorSet {
     }
 
     /// The motors that are not in `other`.
-    #[must_use]
     #[inline(always)]
     pub const fn without(self, other: Self) -> Self {
         Self(self.0 & !other.0)
     }
 
     /// The motor with the lowest number.
-    #[must_use]
     pub const fn lowest(self) -> Option<u8> {
         if self.0 == 0 { None } else { Some(self.0.trailing_zeros() as u8) }
     }
@@ -209,7 +201,6 @@ pub struct Name {
 
 impl Name {
     /// `None` if an array may not have this name.
-    #[must_use]
     pub const fn new(name: &str) -> Option<Self> {
         let name = name.as_bytes();
         if name.is_empty() || name.len() > MAX_NAME {
@@ -227,7 +218,6 @@ impl Name {
     }
 
     /// The name.
-    #[must_use]
     pub fn as_str(&self) -> &str {
         let name = self.bytes.get(..self.len.into()).unwrap_or_default();
         // It is ASCII.
@@ -424,13 +414,11 @@ impl Layout {
     }
 
     /// What the handshake says of the array.
-    #[must_use]
     pub const fn id(&self) -> &ArrayId {
         &self.id
     }
 
     /// Number of motors.
-    #[must_use]
     #[inline(always)]
     pub const fn motors(&self) -> usize {
         // Where the end of a loop is known to be within the capacity, it needs no checks.
@@ -445,37 +433,31 @@ impl Layout {
     }
 
     /// All motors.
-    #[must_use]
     pub const fn all(&self) -> MotorSet {
         MotorSet::first(self.motors())
     }
 
     /// Ticks per second.
-    #[must_use]
     pub const fn tick_hz(&self) -> u32 {
         self.id.tick_hz
     }
 
     /// The number of a motor's rail: motors of a rail share a 30 V supply.
-    #[must_use]
     pub const fn rail(&self, motor: usize) -> u8 {
         self.rails[motor]
     }
 
     /// The number of a motor's driver chip.
-    #[must_use]
     pub const fn chip(&self, motor: usize) -> u8 {
         self.chips[motor]
     }
 
     /// Motors of the rail that has most.
-    #[must_use]
     pub const fn motors_per_rail(&self) -> u8 {
         self.on_rail
     }
 
     /// Motors of the driver chip that has most.
-    #[must_use]
     pub const fn motors_per_chip(&self) -> u8 {
         self.on_chip
     }
@@ -489,38 +471,32 @@ impl Layout {
     }
 
     /// The highest level.
-    #[must_use]
     pub const fn max_up_pulses(&self) -> u16 {
         self.max_up_pulses
     }
 
     /// Most pulses of a way down, corrections included.
-    #[must_use]
     pub const fn max_down_pulses(&self) -> u16 {
         self.max_down_pulses
     }
 
     /// Most net pulses by which moves may shift a pin from where it was at rest.
-    #[must_use]
     pub const fn max_travel(&self) -> u16 {
         self.max_up_pulses
     }
 
     /// Farthest that shifts and moves can take a pin from the lower stop, pulses. A seek of so many pulses is always enough.
-    #[must_use]
     pub const fn whole_travel(&self) -> u16 {
         self.max_travel() + self.max_down_pulses
     }
 
     /// Most pulses of a seek of the lower stop.
-    #[must_use]
     pub const fn max_seek(&self) -> u16 {
         self.max_seek
     }
 
     /// Least pulses of a seek of a pin that is `above` pulses above the lower stop: half as many again, because a motor's first
     /// burst after half a second of rest travels 80 %, and its bursts scatter by 10 %; at most [`Self::whole_travel`].
-    #[must_use]
     pub const fn least_seek(&self, above: u16) -> u16 {
         let whole = self.whole_travel();
         if above < whole / 3 * 2 { above + above / 2 + 1 } else { whole }
@@ -528,27 +504,23 @@ impl Layout {
 
     /// Most pulses per sliding second that a motor may push against a lower stop: three tenths of all. Our choice; no data on wear
     /// were found. With the paper's motors there is room for a seek and a half.
-    #[must_use]
     pub const fn max_pushes_per_s(&self) -> u32 {
         self.tick_hz() * 3 / 10
     }
 
     /// Least ticks from the beginning of a stroke to that of the next one of its motor: 1 ms. Strokes of a pattern are at least
     /// 1.67 ms long, half a period of 300 Hz.
-    #[must_use]
     pub const fn least_apart(&self) -> u32 {
         self.tick_hz().div_ceil(1_000)
     }
 
     /// Most moves that begin within [`Self::dense_ticks`], of all motors together, before moves up are refused. Each motor begins at most
     /// eight at 300 Hz.
-    #[must_use]
     pub const fn max_dense(&self) -> u16 {
         8 * self.id.motors as u16
     }
 
     /// 10 ms, in whole blocks of what is rendered.
-    #[must_use]
     pub const fn dense_ticks(&self) -> u32 {
         self.dense_blocks() as u32 * BLOCK
     }
@@ -561,38 +533,32 @@ impl Layout {
     pub(crate) const MAX_DENSE_BLOCKS: usize = *TICK_HZ.end() as usize / 100 / BLOCK as usize;
 
     /// The shortest time for which a pin may be held above rest: a fifth of a second, ticks. Streams have no longer gaps.
-    #[must_use]
     pub const fn least_hold(&self) -> u32 {
         self.tick_hz() / 5
     }
 
     /// The longest: a minute, ticks.
-    #[must_use]
     pub const fn longest_hold(&self) -> u32 {
         60 * self.tick_hz()
     }
 
     /// Ticks from the drivers' enable to the first pulse: 0.5 ms. The 30 V supplies stay on, so only the bridges and their bias
     /// start up in this time. What they need has not been measured: see the firmware's page on wiring.
-    #[must_use]
     pub const fn driver_lead(&self) -> u32 {
         self.tick_hz().div_ceil(2_000)
     }
 
     /// Ticks from now to the first tick at which a move is never late: the render horizon and the drivers' lead.
-    #[must_use]
     pub const fn horizon(&self) -> u8 {
         (HORIZON + self.driver_lead()) as u8
     }
 
     /// The longest host watchdog timeout: 10 s.
-    #[must_use]
     pub const fn max_host_timeout(&self) -> u32 {
         10 * self.tick_hz()
     }
 
     /// Ticks after an edge of the trigger input in which another does not count: 1 ms.
-    #[must_use]
     pub const fn edge_dead_time(&self) -> u32 {
         self.tick_hz() / 1_000
     }
@@ -629,7 +595,6 @@ const fn ring(groups: &[u8]) -> Option<(Ring, u8)> {
 }
 
 /// Most pulses by which a correction may change a planned count: 30 %, at least 1.
-#[must_use]
 pub const fn correction(planned: u16) -> u16 {
     // Divides by ten with a multiplication, exact for 16 bits: the chip's core has no division.
     let planned = planned as u32;
@@ -639,7 +604,6 @@ pub const fn correction(planned: u16) -> u16 {
 }
 
 /// Whether `count` is within [`correction`] of `planned`.
-#[must_use]
 pub const fn within_correction(planned: u16, count: u16) -> bool {
     count.abs_diff(planned) <= correction(planned)
 }

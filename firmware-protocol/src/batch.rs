@@ -83,7 +83,6 @@ pub struct Stroke {
 
 impl Stroke {
     /// Its two moves.
-    #[must_use]
     pub const fn moves(&self) -> [Move; 2] {
         let Self { motor, up, level, down, surplus } = *self;
         [Move { motor, tick: up, level, surplus: 0 }, Move { motor, tick: down, level: 0, surplus }]
@@ -119,7 +118,6 @@ struct Open {
 
 impl<const N: usize> Packer<N> {
     /// An empty list whose ticks count from `base`.
-    #[must_use]
     pub fn new(base: Tick) -> Self {
         Self {
             bytes: [0; N],
@@ -134,19 +132,16 @@ impl<const N: usize> Packer<N> {
     }
 
     /// The tick from which the first item counts.
-    #[must_use]
     pub fn base(&self) -> Tick {
         self.base
     }
 
     /// The packed bytes.
-    #[must_use]
     pub fn bytes(&self) -> &[u8] {
         &self.bytes[..self.len]
     }
 
     /// Number of moves or amendments.
-    #[must_use]
     pub fn count(&self) -> usize {
         self.count
     }
@@ -494,7 +489,6 @@ pub struct Amendments<'a>(Unpacker<'a>);
 
 impl<'a> Amendments<'a> {
     /// Reads `bytes` as amendments that count from `base`.
-    #[must_use]
     pub fn new(base: Tick, bytes: &'a [u8]) -> Self {
         Self(Unpacker { bytes, at: base })
     }

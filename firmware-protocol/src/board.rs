@@ -34,7 +34,6 @@ impl Outputs {
     pub const NONE: Self = Self { lines: MotorSet::EMPTY, trigger: false, enable: false };
 
     /// Whether no output is in it.
-    #[must_use]
     pub fn is_empty(&self) -> bool {
         *self == Self::NONE
     }
@@ -164,7 +163,6 @@ macro_rules! counters {
             }
 
             /// What was counted since `before`.
-            #[must_use]
             pub fn since(&self, before: &Self) -> Self {
                 Self { $($name: self.$name.since(before.$name),)* }
             }

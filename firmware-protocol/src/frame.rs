@@ -177,7 +177,6 @@ impl Default for Decoder {
 
 impl Decoder {
     /// A decoder at the start of a frame.
-    #[must_use]
     pub const fn new() -> Self {
         Self { buffer: [0; MAX_FRAME - 1], len: 0, overflow: false }
     }

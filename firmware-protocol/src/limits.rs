@@ -65,7 +65,6 @@ pub struct PowerLimits {
 
 impl PowerLimits {
     /// The lower value of each limit.
-    #[must_use]
     pub fn min(self, other: Self) -> Self {
         Self {
             motor: self.motor.min(other.motor),
@@ -176,7 +175,6 @@ pub struct OnTime {
 
 impl OnTime {
     /// An empty count at `now`, without limits.
-    #[must_use]
     pub const fn new(layout: &Layout, now: Tick) -> Self {
         Self {
             limits: layout.no_limits(),
@@ -194,13 +192,11 @@ impl OnTime {
     }
 
     /// The limits.
-    #[must_use]
     pub fn limits(&self) -> PowerLimits {
         self.limits
     }
 
     /// Whether there are limits on pulses.
-    #[must_use]
     pub fn is_limited(&self) -> bool {
         self.limits_motor || self.limits_rail
     }
@@ -229,7 +225,6 @@ impl OnTime {
     }
 
     /// The most pulses for which [`Self::begin`] would succeed.
-    #[must_use]
     pub fn room(&self, motor: usize, [back, back_on_rail]: [u32; 2], layout: &Layout) -> u32 {
         let charged = &self.pulses.charged;
         let (mut room, limits) = (u32::MAX, self.limits);
@@ -271,7 +266,6 @@ pub struct Pushing {
 
 impl Pushing {
     /// An empty count at `now`, without a stop.
-    #[must_use]
     pub const fn new(layout: &Layout, now: Tick) -> Self {
         let most = layout.max_pushes_per_s();
         Self { limit: 0, most, pulses: SlidingSecond::new(layout.tick_hz(), now) }
@@ -283,13 +277,11 @@ impl Pushing {
     }
 
     /// Whether there is a stop.
-    #[must_use]
     pub fn is_allowed(&self) -> bool {
         self.limit > 0
     }
 
     /// Whether every motor may push `pulses` more.
-    #[must_use]
     pub fn allows_all(&self, pulses: u32) -> bool {
         self.pulses.charged.iter().all(|charged| charged + pulses <= self.limit)
     }
@@ -312,7 +304,6 @@ impl Pushing {
     }
 
     /// How many pulses more a motor may push.
-    #[must_use]
     pub fn room(&self, motor: usize) -> u32 {
         self.limit.saturating_sub(self.pulses.charged[motor])
     }
@@ -320,7 +311,6 @@ impl Pushing {
 
 impl Layout {
     /// No limit: every motor may begin a pulse in every tick.
-    #[must_use]
     pub const fn no_limits(&self) -> PowerLimits {
         PowerLimits {
             motor: self.tick_hz(),
@@ -331,7 +321,6 @@ impl Layout {
     }
 
     /// Whether bursts of all motors may not have pulses together.
-    #[must_use]
     pub const fn takes_turns(&self, limits: &PowerLimits) -> bool {
         limits.rail_at_once < self.motors_per_rail() || limits.chip_at_once < self.motors_per_chip()
     }
@@ -340,7 +329,6 @@ impl Layout {
     ///
     /// A pin waits only while its rail is full of others, or its chip. Each of them has one burst: so the last pin waits for the rail for at
     /// most a burst of all others on it, as many at once as may, and for its chip alike.
-    #[must_use]
     pub const fn turns(&self, limits: &PowerLimits) -> u8 {
         let (of_rail, of_chip) = (self.motors_per_rail(), self.motors_per_chip());
         let (rail, chip) = (limits.rail_at_once, limits.chip_at_once);

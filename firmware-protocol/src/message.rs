@@ -119,7 +119,6 @@ pub struct Trigger {
 
 impl Layout {
     /// A trigger of one pulse of 10 ms: long enough for an amplifier that samples at 200 Hz.
-    #[must_use]
     pub const fn trigger_pulse(&self) -> Trigger {
         Trigger { width: (self.tick_hz() / 100) as u16, code: 0 }
     }
@@ -266,7 +265,6 @@ pub struct Samples {
 
 impl Samples {
     /// The first displacements of `y`, as many as fit a message.
-    #[must_use]
     pub fn of(y: &[i32]) -> Self {
         let mut samples = Self { len: 0, y: [0; MAX_SAMPLES] };
         for (place, &y) in samples.y.iter_mut().zip(y) {
@@ -277,7 +275,6 @@ impl Samples {
     }
 
     /// The displacements.
-    #[must_use]
     pub fn as_slice(&self) -> &[i32] {
         self.y.get(..self.len.into()).unwrap_or_default()
     }

@@ -35,7 +35,6 @@ impl Lines {
     pub const OFF: Self = Self { up: MotorSet::EMPTY, down: MotorSet::EMPTY };
 
     /// The state of the line of `motor`.
-    #[must_use]
     pub fn line(&self, motor: u8) -> Line {
         match (self.up.contains(motor), self.down.contains(motor)) {
             (false, false) => Line::Off,
@@ -45,7 +44,6 @@ impl Lines {
     }
 
     /// Lines that carry a pulse.
-    #[must_use]
     #[inline(always)]
     pub fn pulsing(&self) -> MotorSet {
         self.up | self.down

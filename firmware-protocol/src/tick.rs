@@ -24,14 +24,12 @@ impl Tick {
     pub const BOOT: Self = Self((1 << 32) - 2_550_000);
 
     /// The low 32 bits, as sent.
-    #[must_use]
     pub const fn wire(self) -> WireTick {
         #[expect(clippy::cast_possible_truncation, reason = "the low half is what the wire carries")]
         WireTick((self.0 as u32).to_le_bytes())
     }
 
     /// `self - earlier`, signed.
-    #[must_use]
     pub const fn since(self, earlier: Self) -> i64 {
         self.0.wrapping_sub(earlier.0).cast_signed()
     }
@@ -59,7 +57,6 @@ pub struct WireTick(pub [u8; 4]);
 
 impl WireTick {
     /// The tick nearest to `now` that has these low bits.
-    #[must_use]
     pub const fn near(self, now: Tick) -> Tick {
         #[expect(clippy::cast_possible_truncation, reason = "a distance is taken modulo 2^32")]
         let distance = u32::from_le_bytes(self.0).wrapping_sub(now.0 as u32).cast_signed();

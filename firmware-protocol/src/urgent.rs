@@ -17,14 +17,12 @@ const TO_DEVICE: u8 = 0x40;
 
 /// The SETUP packet of an e-stop that begins `epoch`: it has no data. The host sends it besides the frame, which the device then
 /// takes for a repetition. A device that does not know it answers with STALL.
-#[must_use]
 pub const fn e_stop_request(epoch: u16) -> [u8; 8] {
     let [low, high] = epoch.to_le_bytes();
     [TO_DEVICE, E_STOP_REQUEST, low, high, 0, 0, 0, 0]
 }
 
 /// The epoch of the e-stop in a SETUP packet, if it is one.
-#[must_use]
 pub const fn e_stop_requested(setup: [u8; 8]) -> Option<u16> {
     match setup {
         [TO_DEVICE, E_STOP_REQUEST, low, high, 0, 0, 0, 0] => Some(u16::from_le_bytes([low, high])),
@@ -51,7 +49,6 @@ pub struct Watch {
 
 impl Watch {
     /// A watch at the start of a stream.
-    #[must_use]
     pub const fn new() -> Self {
         Self { frame: [0; MAX_SHORT], len: 0 }
     }

@@ -206,7 +206,6 @@ pub(crate) async fn refused(place: &Place, response: Response<Incoming>) -> Clie
 }
 
 /// Escapes a part of an address: everything but letters, digits and `-`.
-#[must_use]
 pub fn escape(part: &str) -> String {
     let plain = |byte: u8| byte.is_ascii_alphanumeric() || byte == b'-';
     let escaped = |byte: u8| if plain(byte) { char::from(byte).to_string() } else { format!("%{byte:02X}") };

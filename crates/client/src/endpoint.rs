@@ -61,21 +61,18 @@ pub struct Endpoint {
 
 impl Endpoint {
     /// This socket alone.
-    #[must_use]
     pub fn at(socket: &Path) -> Self {
         let service_installed = socket == Path::new(SERVICE_SOCKET) && is_installed(Path::new("/"));
         Self { place: Place::Socket(socket.to_owned()), fallback: None, service_installed }
     }
 
     /// The daemon with this URL, such as `http://lab-pc:8765`.
-    #[must_use]
     pub fn on_network(url: &str) -> Self {
         Self { place: Place::Network(url.to_owned()), fallback: None, service_installed: false }
     }
 
     /// `$MEISSNER_URL`; without it `$MEISSNER_SOCKET`; without that `$XDG_RUNTIME_DIR/meissner.sock`, with the service's socket as the
     /// fallback.
-    #[must_use]
     pub fn find() -> Self {
         match env::var("MEISSNER_URL").ok().filter(|url| !url.is_empty()) {
             Some(url) => Self::on_network(&url),
@@ -84,7 +81,6 @@ impl Endpoint {
     }
 
     /// One of its places alone.
-    #[must_use]
     pub fn only(&self, place: &Place) -> Self {
         Self { place: place.clone(), fallback: None, service_installed: self.service_installed }
     }
@@ -108,7 +104,6 @@ impl Endpoint {
     }
 
     /// How to start a daemon at this endpoint, for a message.
-    #[must_use]
     pub const fn how_to_start(&self) -> &'static str {
         if matches!(self.place, Place::Network(_)) {
             "start one there with the key `listen` or `meissner daemon --listen ADDRESS`, or correct the URL"
@@ -129,7 +124,6 @@ impl fmt::Display for Endpoint {
 }
 
 /// Whether systemd runs the machine whose file system is at `root`, and has a unit of the service.
-#[must_use]
 pub fn is_installed(root: &Path) -> bool {
     root.join("run/systemd/system").is_dir()
         && UNITS.iter().any(|units| root.join(units).join("meissner.service").exists())
@@ -142,7 +136,6 @@ pub(crate) fn is_hidden(error: &io::Error, socket: &Path) -> bool {
 }
 
 /// The socket for emergency stops only, `SOCKET.estop`: any byte stops the display, and the daemon answers with one line.
-#[must_use]
 pub fn estop_socket(socket: &Path) -> PathBuf {
     let mut path = socket.as_os_str().to_owned();
     path.push(ESTOP);
@@ -151,7 +144,6 @@ pub fn estop_socket(socket: &Path) -> PathBuf {
 
 /// Where a daemon listens by default: `$MEISSNER_SOCKET`, else `$XDG_RUNTIME_DIR/meissner.sock`, else, on a machine without the service,
 /// `/run/user/UID/meissner.sock` or `/tmp/meissner-UID/meissner.sock`, else `/run/meissner/meissner.sock`.
-#[must_use]
 pub fn default_socket() -> PathBuf {
     named_socket().or_else(users_socket).unwrap_or_else(|| PathBuf::from(SERVICE_SOCKET))
 }

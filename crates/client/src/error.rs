@@ -88,7 +88,6 @@ pub enum ClientError {
 impl ClientError {
     /// Whether the user lacks the right to search the socket's directory, for example after `su`, which keeps another user's
     /// runtime directory.
-    #[must_use]
     pub fn is_hidden(&self) -> bool {
         matches!(self, Self::Connect { place: Place::Socket(socket), source } if is_hidden(source, socket))
     }

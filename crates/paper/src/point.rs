@@ -72,7 +72,6 @@ impl Point {
     }
 
     /// The point with the vibrations of some motors changed.
-    #[must_use]
     pub(crate) fn with(
         mut self,
         motors: &[usize],

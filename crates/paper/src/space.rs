@@ -77,7 +77,6 @@ impl Setting {
 impl Space {
     /// The space for a frame: only vibrations that give a stroke in it. Frequencies begin at the lowest with a stroke at phase 0. A
     /// frame without times, or an amplitude without a stroke at any frequency, changes nothing.
-    #[must_use]
     pub fn in_frame(self, frame: &Frame, amplitude_um: f64) -> Self {
         let Some((start_s, stop_s)) = frame.start_s.zip(frame.stop_s) else { return self };
         let space = Self { window: Some(Window { start_s, stop_s, amplitude_um }), ..self.clone() };

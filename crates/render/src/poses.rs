@@ -106,7 +106,6 @@ impl Poses {
     }
 
     /// The same with no pin above this, mm.
-    #[must_use]
     pub fn at_most(self, mm: f64) -> Self {
         Self { highest_mm: self.highest_mm.min(mm.max(0.0)), ..self }
     }

@@ -36,13 +36,11 @@ impl Finger {
     }
 
     /// The finger with the pins pressed in by so much, mm.
-    #[must_use]
     pub fn pressed(self, preindent_mm: f64) -> Self {
         Self { preindent_mm, ..self }
     }
 
     /// The finger shifted on the array.
-    #[must_use]
     pub fn shifted(mut self, [x_mm, y_mm]: [f64; 2]) -> Self {
         for Afferent { at, .. } in &mut self.afferents {
             *at = Position { x_mm: at.x_mm + x_mm, y_mm: at.y_mm + y_mm };

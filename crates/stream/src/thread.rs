@@ -47,7 +47,6 @@ pub fn spawn(settings: Settings) -> io::Result<(CommandQueue, EventQueue, Realti
 }
 
 /// Requests SCHED_FIFO for the calling thread and locked memory for the process; returns what the system granted.
-#[must_use]
 pub fn request_realtime() -> Realtime {
     // Pages are locked at their first touch: unused memory costs nothing.
     let mlock = mlockall(MlockAllFlags::CURRENT | MlockAllFlags::FUTURE | MlockAllFlags::ONFAULT).is_ok();

@@ -55,7 +55,6 @@ impl Shape {
     }
 
     /// The shape, rotated anticlockwise about the array's middle and then shifted.
-    #[must_use]
     pub fn moved(&self, by_mm: [f64; 2], turned_deg: f64) -> Self {
         let [cos, sin] = direction(turned_deg);
         let point = |[x, y]: [f64; 2]| [x * cos - y * sin + by_mm[0], x * sin + y * cos + by_mm[1]];

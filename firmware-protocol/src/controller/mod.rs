@@ -102,13 +102,11 @@ impl Identity {
 
 impl Controller {
     /// A controller of an array with this layout that has just started: lines off, position unknown, clock at [`Tick::BOOT`].
-    #[must_use]
     pub const fn new(identity: Identity, layout: Layout) -> Self {
         Self::starting_at(identity, layout, Tick::BOOT)
     }
 
     /// Like [`Self::new`], with another start of the clock, for tests of long runs.
-    #[must_use]
     pub const fn starting_at(identity: Identity, layout: Layout, now: Tick) -> Self {
         Self {
             identity,
@@ -131,50 +129,42 @@ impl Controller {
     }
 
     /// The state of the controller.
-    #[must_use]
     pub fn state(&self) -> State {
         self.motion.state()
     }
 
     /// Why it is in that state.
-    #[must_use]
     pub fn cause(&self) -> Cause {
         self.motion.cause()
     }
 
     /// Counts since boot, up to the rendered end. A status has those up to its tick.
-    #[must_use]
     pub fn counters(&self) -> Counters {
         self.reporting.counters()
     }
 
     /// The layout of its array.
-    #[must_use]
     pub fn layout(&self) -> &Layout {
         self.player.layout()
     }
 
     /// The limits that the last `arm` set.
-    #[must_use]
     pub fn limits(&self) -> PowerLimits {
         self.player.limits()
     }
 
     /// The rendered end: the first tick not rendered yet.
-    #[must_use]
     pub fn rendered(&self) -> Tick {
         self.player.rendered()
     }
 
     /// Outstanding return pulses of a motor's pin after an e-stop or a fault.
-    #[must_use]
     pub fn outstanding(&self, motor: u8) -> u16 {
         self.player.height(motor.into())
     }
 
     /// The first tick at which a burst that is queued now may begin: the rendered end, or later if the drivers must start up
     /// first.
-    #[must_use]
     pub fn ready(&self) -> Tick {
         self.player.ready()
     }
@@ -186,13 +176,11 @@ impl Controller {
 
     /// Whether the shell must hold all lines low at `now`, whatever was rendered. The tick that was being played when this
     /// became true counts as played.
-    #[must_use]
     pub fn forced_off(&self, now: Tick) -> bool {
         self.motion.forced_off(now)
     }
 
     /// The present epoch while a session is open. An e-stop takes effect if its epoch is [`newer`].
-    #[must_use]
     pub fn epoch(&self) -> Option<u16> {
         self.session.is_open().then(|| self.session.epoch())
     }
@@ -244,7 +232,6 @@ impl Controller {
 
     /// Whether each pin that is above its goal comes down or waits to, each pin below it goes up, and each move that waits will begin:
     /// for tests.
-    #[must_use]
     pub fn is_consistent(&self) -> bool {
         self.player.is_consistent()
     }
@@ -323,7 +310,6 @@ impl Controller {
     }
 
     /// Whether a board report is about to be sent: then [`Self::measured`] is worth its time.
-    #[must_use]
     pub fn wants_measures(&self) -> bool {
         self.board.wants_measures()
     }
@@ -334,7 +320,6 @@ impl Controller {
     }
 
     /// Whether the shell is to carry out a self-test. When this becomes false, it sets the lines low first and then goes on.
-    #[must_use]
     pub fn is_testing(&self) -> bool {
         self.board.is_testing()
     }
@@ -449,7 +434,6 @@ impl Controller {
 }
 
 /// Whether epoch or generation `a` comes after `b`. These numbers wrap.
-#[must_use]
 pub fn newer(a: u16, b: u16) -> bool {
     (1..0x8000).contains(&a.wrapping_sub(b))
 }

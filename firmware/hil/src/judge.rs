@@ -55,7 +55,6 @@ struct Play {
 }
 
 /// The grid through the first trigger, which rises at the first onset; before that, the one of the link.
-#[must_use]
 pub fn grid(tap: &Tap, pins: &Pins, link: Grid) -> Grid {
     let first = tap.onsets().first().copied().zip(pins.trigger.first());
     first.map_or(link, |(onset, high)| Grid::through(onset, high.from))
@@ -70,7 +69,6 @@ pub fn outcomes(notices: &[StreamEvent]) -> impl Iterator<Item = &Outcome> {
 }
 
 /// What the lines have to do if all steps are played from `onset` on.
-#[must_use]
 pub fn compiled(strokes: &Source, onset: Tick) -> Log {
     let mut strokes = strokes.clone();
     strokes.begin(onset);
@@ -85,13 +83,11 @@ pub fn compiled(strokes: &Source, onset: Tick) -> Log {
 
 impl Boot {
     /// The grid of its ticks.
-    #[must_use]
     pub fn grid(&self) -> Grid {
         grid(&self.tap, &self.pins, self.link_grid)
     }
 
     /// Judges the boot, given what the host has said, and returns the faults found, in words.
-    #[must_use]
     pub fn judge(&self, notices: &[StreamEvent]) -> Vec<String> {
         let mut judge = Judge {
             boot: self,

@@ -21,19 +21,16 @@ pub struct Train {
 
 impl Train {
     /// The first tick after it.
-    #[must_use]
     pub fn end(&self) -> Tick {
         self.start + self.pulses
     }
 
     /// The pulses that it moves a pin up.
-    #[must_use]
     pub fn signed(&self) -> i64 {
         if self.direction == Direction::Up { self.pulses as i64 } else { -(self.pulses as i64) }
     }
 
     /// The part in `from..to`.
-    #[must_use]
     pub fn within(&self, from: Tick, to: Tick) -> Option<Self> {
         let start = self.start.max(from);
         let pulses = self.end().min(to) - start;
@@ -77,7 +74,6 @@ impl Log {
     }
 
     /// A log of trains in any order.
-    #[must_use]
     pub fn of(mut trains: Vec<(usize, Train)>) -> Self {
         trains.sort_by_key(|&(line, train)| (line, train.start));
         let mut log = Self::default();
@@ -88,14 +84,12 @@ impl Log {
     }
 
     /// The lines in `from..to`.
-    #[must_use]
     pub fn within(&self, from: Tick, to: Tick) -> Self {
         let cut = |line: &Vec<Train>| line.iter().filter_map(|train| train.within(from, to)).collect();
         Self { lines: self.lines.each_ref().map(cut) }
     }
 
     /// The lines without the part in `from..to`.
-    #[must_use]
     pub fn without(&self, from: Tick, to: Tick) -> Self {
         let sides = |train: &Train| [train.within(Tick(0), from), train.within(to, Tick(u64::MAX))];
         let cut = |line: &Vec<Train>| line.iter().flat_map(sides).flatten().collect();
@@ -103,7 +97,6 @@ impl Log {
     }
 
     /// Whether every pulse is also in `other`.
-    #[must_use]
     pub fn is_part_of(&self, other: &Self) -> bool {
         let covered = |train: &Train, by: &[Train]| {
             let inside = |whole: &Train| whole.within(train.start, train.end()) == Some(*train);
@@ -113,13 +106,11 @@ impl Log {
     }
 
     /// The first pulse of all lines.
-    #[must_use]
     pub fn first(&self) -> Option<Tick> {
         self.lines.iter().filter_map(|line| line.first()).map(|train| train.start).min()
     }
 
     /// Pulses of all lines.
-    #[must_use]
     pub fn pulses(&self) -> u64 {
         self.lines.iter().flatten().map(|train| train.pulses).sum()
     }

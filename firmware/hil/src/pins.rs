@@ -17,7 +17,6 @@ const PINS: usize = 30;
 const VBUS_SENSE: u32 = 1 << 24;
 
 /// The pin of a line. The board uses GP23 to GP25 itself, so line 23 is on GP26.
-#[must_use]
 pub const fn pin_of(line: usize) -> usize {
     if line < 23 { line } else { line + 3 }
 }
@@ -43,7 +42,6 @@ pub struct PinTrain {
 
 impl PinTrain {
     /// Cycle at which the last falls.
-    #[must_use]
     pub const fn end(&self) -> u64 {
         self.cycle + (self.pulses - 1) * TICK + self.width
     }
@@ -134,7 +132,6 @@ impl Pins {
     }
 
     /// A line that is high now, and since which cycle. No pulse lasts longer than a tick.
-    #[must_use]
     pub fn still_high(&self) -> Option<(usize, u64)> {
         (0..MOTORS)
             .map(|line| (line, pin_of(line)))
@@ -142,13 +139,11 @@ impl Pins {
     }
 
     /// Cycle of the first rise of all lines.
-    #[must_use]
     pub fn first(&self) -> Option<u64> {
         self.lines.iter().filter_map(|line| line.first()).map(|train| train.cycle).min()
     }
 
     /// Cycle at which the last pulse that rose before `before` has fallen.
-    #[must_use]
     pub fn low_since(&self, before: u64) -> Option<u64> {
         let ends = self.lines.iter().flatten().filter(|train| train.cycle < before).map(|train| {
             let rises = (before - 1 - train.cycle) / TICK + 1;

@@ -113,25 +113,21 @@ impl Rig {
     }
 
     /// The bench's clock.
-    #[must_use]
     pub fn now(&self) -> u64 {
         self.now
     }
 
     /// The host's clock now.
-    #[must_use]
     pub fn host_time(&self) -> HostInstant {
         host(self.now)
     }
 
     /// The traffic of the link in this boot.
-    #[must_use]
     pub fn tap(&self) -> &Tap {
         &self.tap
     }
 
     /// The grid of the device's ticks.
-    #[must_use]
     pub fn grid(&self) -> Grid {
         judge::grid(&self.tap, &self.chip.pins, self.link_grid())
     }
@@ -370,14 +366,12 @@ impl Rig {
     }
 
     /// Ends the run and returns all boots of the device, in order.
-    #[must_use]
     pub fn finish(mut self) -> (Vec<Boot>, Vec<StreamEvent>) {
         self.end_boot();
         (self.boots, self.notices)
     }
 
     /// Ends the run, and returns what the judge finds on the pins of all boots.
-    #[must_use]
     pub fn judged(self) -> Vec<String> {
         let (boots, notices) = self.finish();
         let findings = boots.iter().enumerate().flat_map(|(number, boot)| {

@@ -74,19 +74,16 @@ impl Tap {
     }
 
     /// The epoch of the host's frames.
-    #[must_use]
     pub fn epoch(&self) -> u16 {
         self.epoch.unwrap_or(0)
     }
 
     /// Number of the last report that the host has read.
-    #[must_use]
     pub fn reports_read(&self) -> u16 {
         self.reported.last().copied().or_else(|| self.hello().map(|hello| hello.reports)).unwrap_or(0)
     }
 
     /// The device's last status.
-    #[must_use]
     pub fn status(&self) -> Option<Status> {
         self.events.iter().rev().find_map(|(_, event)| match event {
             Event::Status(status, _) => Some(*status),
@@ -95,7 +92,6 @@ impl Tap {
     }
 
     /// The last handshake.
-    #[must_use]
     pub fn hello(&self) -> Option<DeviceHello> {
         self.events.iter().rev().find_map(|(_, event)| match event {
             Event::Greeted(hello) => Some(*hello),
@@ -104,7 +100,6 @@ impl Tap {
     }
 
     /// The onsets of the plays that have begun, in order.
-    #[must_use]
     pub fn onsets(&self) -> Vec<Tick> {
         let onsets = self.events.iter().filter_map(|(_, event)| match event {
             Event::Report(Report::Onset { tick, .. }) => Some(self.near(*tick)),
@@ -114,7 +109,6 @@ impl Tap {
     }
 
     /// The cuts, in order: a handshake repeats the last one.
-    #[must_use]
     pub fn cuts(&self) -> Vec<(Tick, Cut)> {
         let mut cuts: Vec<(Tick, Cut)> = Vec::new();
         for (_, event) in &self.events {
@@ -130,7 +124,6 @@ impl Tap {
     }
 
     /// A tick that the device has sent.
-    #[must_use]
     pub fn near(&self, tick: WireTick) -> Tick {
         tick.near(self.last.max(Tick::BOOT))
     }

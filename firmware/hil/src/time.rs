@@ -13,7 +13,6 @@ pub const MS: u64 = 127_500;
 const HOST_START_NS: u64 = 1_000_000_000;
 
 /// The host's time at a cycle.
-#[must_use]
 pub const fn host(cycle: u64) -> HostInstant {
     HostInstant::from_ns(HOST_START_NS + cycle * 400 / 51)
 }
@@ -27,20 +26,17 @@ pub struct Grid {
 
 impl Grid {
     /// The grid on which `tick` begins at `cycle`.
-    #[must_use]
     pub const fn through(tick: Tick, cycle: u64) -> Self {
         Self { origin: cycle.cast_signed() - tick.since(Tick::BOOT) * TICK.cast_signed() }
     }
 
     /// The cycle at which `tick` begins.
-    #[must_use]
     pub const fn cycle(self, tick: Tick) -> u64 {
         let cycle = self.origin + tick.since(Tick::BOOT) * TICK.cast_signed();
         if cycle < 0 { 0 } else { cycle.cast_unsigned() }
     }
 
     /// The tick at `cycle`, and the cycles of it that have passed.
-    #[must_use]
     pub const fn tick(self, cycle: u64) -> (Tick, u64) {
         let since = cycle.cast_signed() - self.origin;
         let ticks = since.div_euclid(TICK.cast_signed());

@@ -77,7 +77,6 @@ pub mod ring {
     impl<T> RingBuffer<T> {
         /// A ring with room for so many.
         #[expect(clippy::new_ret_no_self, reason = "as in rtrb")]
-        #[must_use]
         pub fn new(capacity: usize) -> (Producer<T>, Consumer<T>) {
             let (pushed, popped, items) = (AtomicUsize::new(0), AtomicUsize::new(0), Mutex::default());
             let ring = Arc::new(Self { capacity, pushed, popped, items });

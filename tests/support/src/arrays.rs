@@ -3,7 +3,6 @@
 use meissner_array::spec::{Array, ArraySpec};
 
 /// Four motors of another kind, on another carrier.
-#[must_use]
 pub fn other() -> Array {
     let text = r#"
         name = "other-2x2"
@@ -24,7 +23,6 @@ pub fn other() -> Array {
 }
 
 /// An array with these lines of its table of the motor.
-#[must_use]
 pub fn array(name: &str, motor: &str) -> Array {
     let text = format!(
         "name = \"{name}\"\npins = {{ rows = 8, columns = 8, pitch_mm = 1.5 }}\ntick_hz = 85000\nduty = {{ up = 0.2, down = 0.8 }}\n\

@@ -306,7 +306,6 @@ pub fn assert_lines(trace: &[(Tick, Run)], steps: &[impl Into<Step> + Copy]) {
 }
 
 /// Whether the motor's line has a pulse at `tick`.
-#[must_use]
 pub fn is_driven(trace: &[(Tick, Run)], motor: u8, tick: Tick) -> bool {
     let after = trace.partition_point(|&(start, _)| start <= tick);
     after.checked_sub(1).is_some_and(|at| matches!(trace[at].1.lines.line(motor), Pulse::Pulse(_)))

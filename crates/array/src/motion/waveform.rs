@@ -296,7 +296,6 @@ impl Waveform {
     }
 
     /// The same motion, so many times as large: 0 or more.
-    #[must_use]
     pub fn scaled(self, factor: f64) -> Self {
         Self { scale: self.scale * factor, ..self }
     }
@@ -361,7 +360,6 @@ impl Waveform {
     }
 
     /// Its beginning: the first so many nanoseconds of its span, and rest from then on.
-    #[must_use]
     pub fn first(&self, ns: u64) -> Self {
         let Some((from, until)) = self.span_ns() else { return Self::default() };
         let end = from + ns;

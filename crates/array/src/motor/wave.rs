@@ -88,7 +88,6 @@ impl SquareWave {
     /// The same drive with down bursts that are longer than their up bursts. `surplus` gives the additional pulses for a number of
     /// pulses up, and must grow with it; the controller's [`correction`](limits::correction) bounds it. If both bursts do not fit
     /// into a period, the drive gets as many pulses as do.
-    #[must_use]
     pub fn with_surplus(self, surplus: impl Fn(u32) -> u32) -> Self {
         let surplus = |pulses: u32| surplus(pulses).min(most_surplus(pulses));
         let wanted = surplus(self.pulses());

@@ -73,13 +73,11 @@ impl Pin {
     }
 
     /// The same with a given asymmetry.
-    #[must_use]
     pub fn with_asymmetry(self, asymmetry: f64) -> Self {
         Self { asymmetry, ..self }
     }
 
     /// The same, at rest at `um` µm.
-    #[must_use]
     pub fn at(mut self, um: f64) -> Self {
         self.shaft.push(Ramp { start: Tick(0), ticks: 1, um_per_tick: um });
         self

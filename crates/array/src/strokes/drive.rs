@@ -58,7 +58,6 @@ impl DriveStrokes {
     }
 
     /// The same strokes `ticks` later, as far as they have ended by `end`.
-    #[must_use]
     pub fn shifted(&self, ticks: u64, end: u64) -> Self {
         Self {
             start: self.start.saturating_add(ticks),

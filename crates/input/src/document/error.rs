@@ -123,7 +123,6 @@ impl<P> KeyError<P> {
     }
 
     /// Adds the line of the key in a TOML text, or the line of the nearest enclosing table that exists.
-    #[must_use]
     pub fn in_text(self, text: &str) -> Self {
         let mut path = self.path.as_str();
         let mut line = self.line;
@@ -135,7 +134,6 @@ impl<P> KeyError<P> {
     }
 
     /// Adds the table that the key belongs to.
-    #[must_use]
     pub fn within(self, parent: &str) -> Self {
         let dot = if self.path.is_empty() { "" } else { "." };
         Self { path: format!("{parent}{dot}{}", self.path), ..self }

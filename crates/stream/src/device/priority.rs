@@ -13,7 +13,6 @@ pub const FIFO_PRIORITY: u8 = 50;
 pub const BELOW_STREAMER: u8 = FIFO_PRIORITY - 1;
 
 /// Requests SCHED_FIFO at this priority; returns whether the system granted it.
-#[must_use]
 pub fn fifo(priority: u8) -> bool {
     let policy = ThreadSchedulePolicy::Realtime(RealtimeThreadSchedulePolicy::Fifo);
     ThreadPriorityValue::try_from(priority).is_ok_and(|value| {

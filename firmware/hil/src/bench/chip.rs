@@ -26,7 +26,6 @@ pub struct ChipOptions {
 
 impl ChipOptions {
     /// The firmware that `MEISSNER_FIRMWARE_ELF` names, or the one built beside this crate.
-    #[must_use]
     pub fn new(seed: u64) -> Self {
         let built = "../target/thumbv6m-none-eabi/release/meissner-firmware";
         Self { elf: from_env("MEISSNER_FIRMWARE_ELF", built), seed, slow: 1.0, more: Vec::new() }
@@ -107,25 +106,21 @@ impl ChipBench {
     }
 
     /// The emulator's clock.
-    #[must_use]
     pub fn cycle(&self) -> u64 {
         self.last.cycle
     }
 
     /// Whether it has been enumerated since its last reset or plug.
-    #[must_use]
     pub fn configured(&self) -> bool {
         self.last.configured
     }
 
     /// Resets since power-up.
-    #[must_use]
     pub fn resets(&self) -> u64 {
         self.last.resets
     }
 
     /// The cycles since power-up in which the core did not sleep.
-    #[must_use]
     pub fn busy_cycles(&self) -> u64 {
         self.last.cycle - self.last.asleep
     }

@@ -17,7 +17,6 @@ pub enum Function {
 
 impl Function {
     /// The emulator's name for it.
-    #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
             Self::Cdc => "cdc",
@@ -26,7 +25,6 @@ impl Function {
     }
 
     /// The other one.
-    #[must_use]
     pub const fn other(self) -> Self {
         match self {
             Self::Cdc => Self::Bulk,
