@@ -20,7 +20,7 @@ use in_use::InUse;
 use include_dir::{Dir, include_dir};
 use meissner_api::pattern_choice::INLINE;
 use meissner_api::{MAX_LISTED, MAX_PACKED_BODY, PatternList, PatternSummary, RailLoad, ReachedDrive};
-use meissner_array::pattern::{FORMAT_OF_MOTIONS, Pattern, PatternError};
+use meissner_array::pattern::{FORMAT, Pattern, PatternError};
 use meissner_array::power::{CAPACITANCE_NF, RailPulses, current_ma, rail_pulses};
 use meissner_array::spec::Array;
 use meissner_array::strokes::{StrokeOptions, Strokes};
@@ -232,7 +232,7 @@ impl Store {
     pub fn inline(&self, mut keys: Map<String, Value>, array: Array) -> Result<Stored, StoreError> {
         let name = keys.get("name").and_then(Value::as_str).unwrap_or(INLINE).to_owned();
         keys.entry("name").or_insert_with(|| INLINE.into());
-        let format = keys.entry("format").or_insert_with(|| FORMAT_OF_MOTIONS.into()).as_i64();
+        let format = keys.entry("format").or_insert_with(|| FORMAT.into()).as_i64();
         keys.entry("array").or_insert_with(|| array.name().into());
         // A format that is no whole number is unknown, too.
         let pattern = Pattern::from_keys(format.unwrap_or(0), Value::Object(keys), &cut(&name, 64))?;

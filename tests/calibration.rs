@@ -43,7 +43,7 @@ fn a_device_without_telemetry_plays_a_plan_for_a_laser_and_takes_its_gains() {
     };
     let text = |key: &str| plan[key].as_str().unwrap().to_owned();
     let calibration = format!(
-        "format = 2\narray = {:?}\narray_hash = {:?}\n[[motor]]\nmotor = 5\n[motor.up]\n{}[motor.down]\n{}[provenance]\n\
+        "format = 1\narray = {:?}\narray_hash = {:?}\n[[motor]]\nmotor = 5\n[motor.up]\n{}[motor.down]\n{}[provenance]\n\
          device = {:?}\nfirmware = {:?}\nidentity = {:?}\ntelemetry = \"laser\"\npulses = {}\nrepetitions = {}\ngroups = 2\n\
          um_per_pulse = {}\ndate = {:?}\n",
         text("array"),

@@ -103,7 +103,7 @@ fn what_renders_nothing_is_said_in_one_line() {
         (&["simulate", "tap.toml"], "tap.toml: this is an object, not a scene: make a pattern of it with"),
         (&["tradeoff", "tap.toml"], "tap.toml: this is an object, not a scene"),
         (&["tradeoff", "p.toml"], "p.toml: this is a pattern, not a scene"),
-        (&["simulate", "p.toml"], "p.toml:1: `format` is missing: add format = 1, or format = 2 if it has"),
+        (&["simulate", "p.toml"], "p.toml:1: `format` is missing: add format = 1"),
         (&["render", "moving-edg"], "no object is called `moving-edg`: did you mean `moving-edge`?"),
     ] {
         let at = |argument: &&str| {

@@ -57,7 +57,7 @@ fn files_that_would_fill_the_memory_are_refused_and_leave_nothing(daemon: &Daemo
             scope.spawn(move || {
                 let refused = problem(client.put(&format!("/v1/patterns/{name}"), dotted(&name)));
                 assert_eq!((refused.code.as_str(), refused.status), ("bad-pattern", 422));
-                assert!(refused.detail.contains("more than 8192 tables"), "{}", refused.detail);
+                assert!(refused.detail.contains("more than 16384 tables"), "{}", refused.detail);
             });
         }
     });

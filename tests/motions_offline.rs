@@ -9,7 +9,7 @@ fn wave(motor: u8, file: &str) -> String {
 }
 
 fn pattern(tables: &str) -> String {
-    format!("format = 2\nname = \"touch\"\n{tables}")
+    format!("format = 1\nname = \"touch\"\n{tables}")
 }
 
 /// The table of a wave.

@@ -130,7 +130,7 @@ fn packed(name: &str) -> String {
     let samples = |motor: usize| -> Vec<u8> {
         (0..600_000).flat_map(|sample| height(sample + motor as u32).to_le_bytes()).collect()
     };
-    let mut text = format!("format = 2\nname = \"{name}\"\nduration_s = 600.0\n");
+    let mut text = format!("format = 1\nname = \"{name}\"\nduration_s = 600.0\n");
     for motor in 0..MOTORS {
         let _ = write!(
             text,

@@ -85,5 +85,5 @@ def test_the_file_of_an_instrument_is_read(instrument: str, tmp_path: Path, monk
     assert list(written.time_s) == pytest.approx([n / 1e3 for n in range(12)])
     assert list(written.position_um) == pytest.approx(UM)
     wave = 'motor = 9\nfile = "recording.csv"\ncolumn = "position_um"\nrate_hz = 1000.0\n'
-    Path("recorded.toml").write_text(f'format = 2\nname = "recorded"\n[[wave]]\n{wave}', encoding="utf-8")
+    Path("recorded.toml").write_text(f'format = 1\nname = "recorded"\n[[wave]]\n{wave}', encoding="utf-8")
     assert max(max(row) for row in meissner.displacement("recorded.toml").um) == pytest.approx(20, abs=2)

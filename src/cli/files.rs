@@ -181,7 +181,7 @@ mod tests {
     #[test]
     fn a_kind_is_told_by_its_first_own_key() {
         for (text, kind) in [
-            ("# a\nformat = 2\n", Some(Kind::Pattern)),
+            ("# a\nformat = 1\n", Some(Kind::Pattern)),
             ("name = \"a\"\n  format=1\n", Some(Kind::Pattern)),
             ("name = \"a\"\n[[ramp]]\nmotor = 1\n", Some(Kind::Pattern)),
             ("format = 1\n[provenance.definition]\nshape = \"dots\"\n", Some(Kind::Pattern)),

@@ -216,7 +216,7 @@ mod tests {
     use super::*;
 
     fn pattern(tables: &str) -> Pattern {
-        Pattern::parse(&format!("format = 2\nname = \"test\"\n{tables}"), "test.toml").unwrap()
+        Pattern::parse(&format!("format = 1\nname = \"test\"\n{tables}"), "test.toml").unwrap()
     }
 
     fn of(tables: &str) -> Motions {

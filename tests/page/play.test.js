@@ -103,7 +103,7 @@ test("the finger shows what the daemon says that pins do: sequences and live pla
   await row(2, ["2", `${low.toFixed(0)} to ${high.toFixed(0)} µm at 40 Hz`, high.toFixed(1)]);
   await row(3, ["3", "still"]);
   // A pin that is held stands above rest without a stroke.
-  await post(daemon, "/v1/play", { pattern: { format: 2, name: "held", ramp: [{ motor: 9, to_um: 100, rise_s: 0.1, hold_s: 50 }] }, replace: true });
+  await post(daemon, "/v1/play", { pattern: { format: 1, name: "held", ramp: [{ motor: 9, to_um: 100, rise_s: 0.1, hold_s: 50 }] }, replace: true });
   await page.waitForFunction(() => /^No pin moves. 1 stand above rest, up to 100 µm. Largest/.test(document.querySelector(".finger").getAttribute("aria-label")), WAIT);
   assert.equal((await pins(page))[9], "100 µm");
   // An emergency stop leaves it up: the page says so, until a reset has returned it.

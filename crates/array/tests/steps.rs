@@ -9,7 +9,7 @@ use meissner_array::strokes::{AutoSurplus, Fit, Sequence, Start, Step, StrokeOpt
 use proptest::prelude::*;
 
 fn pattern(rest: &str) -> Pattern {
-    Pattern::parse(&format!("format = 2\nname = \"test\"\n{rest}"), "test.toml").unwrap()
+    Pattern::parse(&format!("format = 1\nname = \"test\"\n{rest}"), "test.toml").unwrap()
 }
 
 fn steps(pattern: &Pattern, options: &StrokeOptions) -> Vec<Step> {
@@ -181,7 +181,7 @@ proptest! {
             let (head, rest) = table.split_once('\n').unwrap();
             text += &format!("{head}\nmotor = {motor}\n{rest}");
         }
-        let text = format!("format = 2\nname = \"test\"\n{text}");
+        let text = format!("format = 1\nname = \"test\"\n{text}");
         // Drives and motions of one motor may overlap.
         let Ok(pattern) = Pattern::parse(&text, "test.toml") else { return Ok(()) };
         let options = StrokeOptions { seconds, scale, fit, surplus, ..StrokeOptions::default() };

@@ -189,7 +189,7 @@ fn a_file_is_read_back_as_the_same_calibration() {
             .unwrap();
     let all = Calibration::new(Array::paper(), fits.clone(), provenance()).unwrap();
     let text = all.to_toml();
-    assert!(text.starts_with("format = 2\n") && text.len() < MAX_BYTES, "{text}");
+    assert!(text.starts_with("format = 1\n") && text.len() < MAX_BYTES, "{text}");
     assert_eq!(Calibration::parse(&text, "c.toml").as_ref(), Ok(&all), "{text}");
     assert_eq!(Calibration::parse(&format!("\u{feff}{text}"), "c.toml").as_ref(), Ok(&all));
     assert_eq!((all.motors(), all.provenance()), (&fits[..], &provenance()));
@@ -237,8 +237,8 @@ um_per_pulse = 0.13571428571428570
 "#;
 
 const MISTAKES: &str = r#"
-format = 1 =>  => 1: `format` is missing: add format = 2
-format = 1 => format = 3⏎new = 1 => 1: `format` is 3: this version reads format = 1 and 2
+format = 1 =>  => 1: `format` is missing: add format = 1
+format = 1 => format = 3⏎new = 1 => 1: `format` is 3: this version reads format = 1
 format = 1 => format = "1" => 1: `format` is string "1": must be a whole number, 0 or more
 format = 1 => format = 1⏎motors = 1 => 2: unknown key `motors`: did you mean `motor`?
 motor = 3 => motr = 3 => 4: `motor[0]`: unknown key `motr`: did you mean `motor`?

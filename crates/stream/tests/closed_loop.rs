@@ -197,7 +197,7 @@ fn calibrated(motors: &SimulatedMotorsConfig) -> PerMotor<Gains> {
 fn moves_that_were_not_sent_leave_the_estimate_where_the_pin_is() {
     let motors = asymmetric();
     let ramp =
-        "format = 2\nname = \"ramp\"\n[[ramp]]\nmotor = 9\nto_um = 300.0\nrise_s = 1.0\nhold_s = 0.3\n";
+        "format = 1\nname = \"ramp\"\n[[ramp]]\nmotor = 9\nto_um = 300.0\nrise_s = 1.0\nhold_s = 0.3\n";
     let ramp = Pattern::parse(ramp, "ramp.toml").unwrap();
     for stall_ms in [0, 160, 190] {
         let mut rig = Rig::of(&motors, 3);

@@ -73,7 +73,7 @@ fn slow_returns() -> [(Pattern, PowerLimits); 4] {
     let no_limits = Array::paper().layout().no_limits();
     let one = PowerLimits { rail_at_once: 1, chip_at_once: 1, ..no_limits };
     let held =
-        "format = 2\nname = \"held\"\n[[ramp]]\nmotor = 9\nto_um = 200.0\nrise_s = 0.05\nhold_s = 9.0\n";
+        "format = 1\nname = \"held\"\n[[ramp]]\nmotor = 9\nto_um = 200.0\nrise_s = 0.05\nhold_s = 9.0\n";
     [
         (pattern("turns", Some(5.0), turns), one),
         (pattern("pauses", Some(5.0), [drive(2, 10.0, 80.0)]), no_limits),

@@ -9,7 +9,7 @@ use meissner_stream::queues::{At, End, Play, StreamEvent};
 use meissner_test_support::rig::{Rig, bad_line};
 
 fn pattern(rest: &str) -> Pattern {
-    Pattern::parse(&format!("format = 2\nname = \"test\"\n{rest}"), "test.toml").unwrap()
+    Pattern::parse(&format!("format = 1\nname = \"test\"\n{rest}"), "test.toml").unwrap()
 }
 
 fn noise_of_all(seconds: f64) -> Pattern {

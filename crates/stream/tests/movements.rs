@@ -32,7 +32,7 @@ fn assert_still(rig: &mut Rig) {
 }
 
 fn pattern(rest: &str) -> Pattern {
-    Pattern::parse(&format!("format = 2\nname = \"test\"\n{rest}"), "test.toml").unwrap()
+    Pattern::parse(&format!("format = 1\nname = \"test\"\n{rest}"), "test.toml").unwrap()
 }
 
 /// In open loop and in closed loop; the latter changes the pulses and not what was ordered.

@@ -29,7 +29,7 @@ fn um(pulses: i64) -> f64 {
 }
 
 fn pattern(rest: &str) -> Pattern {
-    Pattern::parse(&format!("format = 2\nname = \"test\"\n{rest}"), "test.toml").unwrap()
+    Pattern::parse(&format!("format = 1\nname = \"test\"\n{rest}"), "test.toml").unwrap()
 }
 
 fn ramp(um: f64, hold_s: f64) -> Pattern {

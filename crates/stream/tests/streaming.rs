@@ -100,7 +100,7 @@ fn a_stall_drops_late_strokes_whole_or_ends_the_play_and_the_pins_come_down() {
 #[test]
 fn pulling_the_cable_ends_the_play_and_the_device_comes_back_disarmed() {
     let held =
-        "format = 2\nname = \"held\"\n[[ramp]]\nmotor = 9\nto_um = 70.0\nrise_s = 0.05\nhold_s = 9.0\n";
+        "format = 1\nname = \"held\"\n[[ramp]]\nmotor = 9\nto_um = 70.0\nrise_s = 0.05\nhold_s = 9.0\n";
     let held = Pattern::parse(held, "held.toml").unwrap();
     for (pattern, up) in [(rig::pattern("all-in-phase"), 24), (held, 1)] {
         let mut rig = Rig::armed(Line::default(), 10);

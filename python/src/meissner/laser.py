@@ -32,7 +32,7 @@ _WINDOWS = ((0.060, 0.030), (0.040, 0.012), (0.040, 0.012))
 _REST_S, _END_S = 0.25, 2.0
 """Rest that counts beside a burst; for the drift, before the first and after the last one, s at most."""
 _MOST_PPM, _LEAST_CORRELATION, _MOST_SCATTER, _MOST_SLOPE_SE = 1000, 0.9, 0.35, 0.05
-_PLAN_FORMAT, _CALIBRATION_FORMAT = 1, 2
+_PLAN_FORMAT, _CALIBRATION_FORMAT = 1, 1
 
 
 @dataclass(frozen=True)

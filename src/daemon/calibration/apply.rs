@@ -273,7 +273,7 @@ mod tests {
         };
         let play = |um: f64, open_loop| {
             let text = format!(
-                "format = 2\nname = \"ramp\"\n[[ramp]]\nmotor = 9\nto_um = {um}\nrise_s = 0.02\nhold_s = 0.1\n"
+                "format = 1\nname = \"ramp\"\n[[ramp]]\nmotor = 9\nto_um = {um}\nrise_s = 0.02\nhold_s = 0.1\n"
             );
             let stored = Stored::made(Pattern::parse(&text, "ramp").unwrap());
             let order = Order::new(Item::of("ramp"), Terms { open_loop, ..Terms::default() });

@@ -50,7 +50,7 @@ fn every_kind_of_play_shows_what_its_pins_do_and_a_stop_that_they_rest() {
     stop(&daemon, &client);
 
     let ramp = json!({"motor": 7, "to_um": 200.0, "rise_s": 0.05, "hold_s": 50.0, "fall_s": 0.05});
-    let held = json!({"format": 2, "name": "held", "ramp": [ramp]});
+    let held = json!({"format": 1, "name": "held", "ramp": [ramp]});
     let _: Value = client.post("/v1/play", &json!({"pattern": &held})).unwrap();
     wait_for(&daemon, &client, 7, PinMovement { height_um: 200.0, swing_um: 0.0, hz: 0.0 });
     stop(&daemon, &client);

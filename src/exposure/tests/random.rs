@@ -90,7 +90,7 @@ impl Kind {
     fn random(random: &mut Random) -> Option<Self> {
         let longest_s = [0.1, 2.5][random.below(2) as usize];
         let repeat_s = 0.02 + random.upto(longest_s);
-        let mut text = "format = 2\nname = \"random\"\n".to_owned();
+        let mut text = "format = 1\nname = \"random\"\n".to_owned();
         let has_end = random.below(4) > 0;
         if has_end {
             text += &format!("duration_s = {repeat_s}\n");

@@ -12,7 +12,7 @@
 //! use meissner_array::strokes::{StrokeOptions, Strokes};
 //!
 //! let text = r#"
-//!     format = 2
+//!     format = 1
 //!     name = "press"
 //!     [[ramp]]
 //!     motor = 9

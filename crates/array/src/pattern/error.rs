@@ -5,8 +5,8 @@
 //! Invariant: the display of a [`PatternError`] holds no line break.
 
 use super::limits::{
-    FORMAT, FORMAT_OF_MOTIONS, MAX_AT_ONCE, MAX_DRIVES, MAX_FILE_BYTES, MAX_HOLD_S, MAX_MOTIONS,
-    MAX_PACKED_BYTES, MAX_PATTERN_SAMPLES, MAX_SOURCE,
+    FORMAT, MAX_AT_ONCE, MAX_DRIVES, MAX_FILE_BYTES, MAX_HOLD_S, MAX_MOTIONS, MAX_PACKED_BYTES,
+    MAX_PATTERN_SAMPLES, MAX_SOURCE,
 };
 use super::motion::Motion;
 use crate::motion::MotionError;
@@ -54,10 +54,8 @@ pub enum Problem {
     TooLarge { bytes: usize },
     #[error("{bytes} bytes are too many: a pattern file with packed samples has at most {MAX_PACKED_BYTES}")]
     TooLargePacked { bytes: usize },
-    #[error("is {found}: this version reads format = {FORMAT} or {FORMAT_OF_MOTIONS}")]
+    #[error("is {found}: this version reads format = {FORMAT}")]
     Format { found: i64 },
-    #[error("needs format = {FORMAT_OF_MOTIONS}")]
-    OldFormat,
     #[error("is {found}: must be 1 to 64 of a-z, 0-9 and -")]
     Name { found: String },
     #[error("is {stop_s}: must be above start_s, which is {start_s}")]

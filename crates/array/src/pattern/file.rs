@@ -8,9 +8,7 @@
 use super::Pattern;
 use super::drive::Drive;
 use super::error::{KeyError, PatternError, Problem};
-use super::limits::{
-    FORMAT, FORMAT_OF_MOTIONS, MAX_FILE_BYTES, MAX_PACKED_BYTES, MAX_SIZE, MAX_SIZE_OF_MOTIONS,
-};
+use super::limits::{FORMAT, MAX_FILE_BYTES, MAX_PACKED_BYTES, MAX_SIZE};
 use super::motion::Motion;
 use super::tables::{Files, RawWave, Reader};
 use crate::motion::{Noise, RampHold, Tone};
@@ -50,29 +48,15 @@ impl Pattern {
     ) -> Result<Self, PatternError> {
         let read = || {
             let Table(raw) = from_source::<RawPattern, _, _>(keys, wanted)?;
-            let motions = [
-                ("wave", !raw.wave.is_empty()),
-                ("ramp", !raw.ramp.is_empty()),
-                ("tone", !raw.tone.is_empty()),
-                ("noise", !raw.noise.is_empty()),
-            ];
-            check_format(format, motions)?;
-            raw.pattern(format, &mut Reader::new(None))
+            check_format(format)?;
+            raw.pattern(&mut Reader::new(None))
         };
         read().map_err(|error| PatternError(error.in_file(Some(name))))
     }
 }
 
-/// Refuses an unknown format, and motions in one that has none.
-fn check_format(format: i64, motions: [(&str, bool); 4]) -> Result<(), KeyError> {
-    if format == i64::from(FORMAT) {
-        let given = motions.into_iter().find(|(_, given)| *given);
-        return given.map_or(Ok(()), |(table, _)| Err(KeyError::key(table, Problem::OldFormat)));
-    }
-    if format == i64::from(FORMAT_OF_MOTIONS) {
-        return Ok(());
-    }
-    Err(KeyError::key("format", Problem::Format { found: format }))
+fn check_format(found: i64) -> Result<(), KeyError> {
+    if found == i64::from(FORMAT) { Ok(()) } else { Err(KeyError::key("format", Problem::Format { found })) }
 }
 
 fn read(text: &str, mut reader: Reader<'_, '_>) -> Result<Pattern, KeyError> {
@@ -80,30 +64,24 @@ fn read(text: &str, mut reader: Reader<'_, '_>) -> Result<Pattern, KeyError> {
     if bytes > MAX_PACKED_BYTES {
         return Err(KeyError::whole(None, Problem::TooLargePacked { bytes }));
     }
-    if bytes > MAX_FILE_BYTES && !may_have_motions(text) {
+    // Only packed samples take more.
+    if bytes > MAX_FILE_BYTES && !text.contains("samples") {
         return Err(KeyError::whole(None, Problem::TooLarge { bytes }));
     }
-    check_size(text, if may_have_motions(text) { MAX_SIZE_OF_MOTIONS } else { MAX_SIZE })?;
+    check_size(text, MAX_SIZE)?;
     // Read the format first: another format may have other keys.
-    let Table(RawFormat { format, wave, ramp, tone, noise }) = from_toml(text, wanted)?;
-    if format == i64::from(FORMAT) {
-        if bytes > MAX_FILE_BYTES {
-            return Err(KeyError::whole(None, Problem::TooLarge { bytes }));
-        }
-        check_size(text, MAX_SIZE)?;
-    }
-    let motions = [("wave", wave), ("ramp", ramp), ("tone", tone), ("noise", noise)];
-    check_format(format, motions.map(|(table, given)| (table, given.is_some())))?;
+    let Table(RawFormat { format }) = from_toml(text, wanted)?;
+    check_format(format)?;
     let Table(raw) = from_toml::<RawPattern, _>(text, wanted)?;
     let packed: usize = raw.wave.iter().map(|Table(wave)| wave.packed_bytes()).sum();
     if bytes - packed > MAX_FILE_BYTES {
         return Err(KeyError::whole(None, Problem::TooLarge { bytes: bytes - packed }));
     }
-    raw.pattern(format, &mut reader)
+    raw.pattern(&mut reader)
 }
 
 impl RawPattern {
-    fn pattern(self, format: i64, reader: &mut Reader<'_, '_>) -> Result<Pattern, KeyError> {
+    fn pattern(self, reader: &mut Reader<'_, '_>) -> Result<Pattern, KeyError> {
         let Self { format: _, name, array, duration_s, drive, wave, ramp, tone, noise, provenance } = self;
         let array = match array {
             None => Array::paper(),
@@ -122,9 +100,8 @@ impl RawPattern {
             Motion::Tone(Tone { end_hz, ..tone })
         }));
         motions.extend(noise.into_iter().map(|Table(noise)| Motion::Noise(noise)));
-        let format = if format == i64::from(FORMAT) { FORMAT } else { FORMAT_OF_MOTIONS };
         Pattern {
-            format,
+            format: FORMAT,
             name,
             array,
             duration_s,
@@ -137,25 +114,9 @@ impl RawPattern {
     }
 }
 
-/// Whether a line says so: it only decides how much is read before the format is known.
-fn may_have_motions(text: &str) -> bool {
-    let value = |line: &str| {
-        Some(
-            line.strip_prefix("format")?
-                .trim_start()
-                .strip_prefix('=')?
-                .trim_start()
-                .as_bytes()
-                .first()
-                .copied(),
-        )
-    };
-    text.lines().any(|line| value(line).flatten() == Some(b'2'))
-}
-
 fn wanted(key: &str) -> &'static str {
     match key {
-        "format" => "format = 1, or format = 2 if it has waves, ramps, tones or noise",
+        "format" => "format = 1",
         "name" => "name = \"...\", as the file is called",
         "motor" => "the motor's number, from 0 on",
         "frequency_hz" => "a frequency, 0.1 to 300 Hz",
@@ -171,10 +132,6 @@ fn wanted(key: &str) -> &'static str {
 #[derive(Deserialize)]
 struct RawFormat {
     format: i64,
-    wave: Option<IgnoredAny>,
-    ramp: Option<IgnoredAny>,
-    tone: Option<IgnoredAny>,
-    noise: Option<IgnoredAny>,
 }
 
 #[derive(Deserialize)]

@@ -1,6 +1,6 @@
 //! Patterns: the files that the library holds, `play` plays and `optimise` writes.
 //!
-//! A pattern has a name, perhaps a duration, square-wave drives of motors, motions of motors (format 2), and a free table that says
+//! A pattern has a name, perhaps a duration, square-wave drives of motors, motions of motors, and a free table that says
 //! what made it. [`Pattern::parse`] reads its TOML file and [`Pattern::to_toml`] writes it, without comments; the API shows the same
 //! keys as JSON. [`strokes`](crate::strokes) compiles the drives to strokes and the motions to moves.
 //!
@@ -25,9 +25,9 @@ mod tables;
 pub use drive::{Drive, overlap};
 pub use error::{PatternError, Problem};
 pub use limits::{
-    FORMAT, FORMAT_OF_MOTIONS, FREQUENCY_HZ, MAX_AT_ONCE, MAX_DRIVES, MAX_FILE_BYTES, MAX_HOLD_S,
-    MAX_MOTIONS, MAX_PACKED_BYTES, MAX_PATTERN_SAMPLES, MAX_PROVENANCE_DEPTH, MAX_PROVENANCE_TABLES,
-    MAX_PROVENANCE_TEXT, MAX_PROVENANCE_VALUES, MAX_SAMPLE_FILE_BYTES, MAX_SECONDS, MAX_SOURCE,
+    FORMAT, FREQUENCY_HZ, MAX_AT_ONCE, MAX_DRIVES, MAX_FILE_BYTES, MAX_HOLD_S, MAX_MOTIONS, MAX_PACKED_BYTES,
+    MAX_PATTERN_SAMPLES, MAX_PROVENANCE_DEPTH, MAX_PROVENANCE_TABLES, MAX_PROVENANCE_TEXT,
+    MAX_PROVENANCE_VALUES, MAX_SAMPLE_FILE_BYTES, MAX_SECONDS, MAX_SOURCE,
 };
 pub use motion::{Motion, Wave};
 pub use tables::Files;
@@ -79,15 +79,14 @@ impl Pattern {
         pattern.checked().map_err(|error| PatternError(error.in_file(Some(name))))
     }
 
-    /// The pattern with these motions in place of its own, in format 2.
+    /// The pattern with these motions in place of its own.
     ///
     /// # Errors
     /// The first problem, with the pattern's name in place of a file's.
     pub fn with_motions(self, mut motions: Vec<Motion>) -> Result<Self, PatternError> {
         motions.sort_by_key(Motion::kind);
-        let format = if motions.is_empty() { self.format } else { FORMAT_OF_MOTIONS };
         let name = self.name.clone();
-        let pattern = Self { format, motions: motions.into(), ..self };
+        let pattern = Self { motions: motions.into(), ..self };
         pattern.checked().map_err(|error| PatternError(error.in_file(Some(&name))))
     }
 

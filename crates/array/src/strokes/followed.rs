@@ -68,7 +68,7 @@ mod tests {
     #[test]
     fn a_scaled_play_is_measured_as_it_is_played_and_the_whole_is_asked_for_its_speed() {
         // Slow for 300 s, then 10 mm/s at full height and 20 mm/s at the very end.
-        let text = "format = 2\nname = \"test\"\n[[ramp]]\nmotor = 9\nto_um = 100.0\nrise_s = 1.0\n\
+        let text = "format = 1\nname = \"test\"\n[[ramp]]\nmotor = 9\nto_um = 100.0\nrise_s = 1.0\n\
                     [[ramp]]\nmotor = 9\nto_um = 100.0\nrise_s = 0.01\nstart_s = 300.0\n\
                     [[ramp]]\nmotor = 9\nto_um = 100.0\nrise_s = 0.005\nstart_s = 310.0\n";
         let pattern = Pattern::parse(text, "test").unwrap();

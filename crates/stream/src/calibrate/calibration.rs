@@ -15,7 +15,7 @@ use meissner_input::document::{self, in_range};
 use meissner_input::message::short_number;
 
 /// The newest version of the file format: its fits may have points. This program reads older ones, too.
-pub const FORMAT: u8 = 2;
+pub const FORMAT: u8 = 1;
 /// Bytes of a calibration file at most; all motors with the longest numbers and texts take less.
 pub const MAX_BYTES: usize = 256 << 10;
 /// Bursts of a fit at most.
@@ -44,7 +44,7 @@ pub type CalibrationError = document::DocumentError<Problem>;
 pub enum Problem {
     #[error("{bytes} bytes are too many: a calibration file has at most {MAX_BYTES}")]
     TooLarge { bytes: usize },
-    #[error("is {found}: this version reads format = 1 and {FORMAT}")]
+    #[error("is {found}: this version reads format = {FORMAT}")]
     Format { found: u64 },
     #[error("is empty: calibrate at least one motor")]
     NoMotor,

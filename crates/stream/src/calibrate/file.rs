@@ -4,8 +4,6 @@
 //! that follow from them, for people and other programs; `parse` checks that they agree. It has no date but the text that the
 //! caller put into the provenance.
 //!
-//! `format = 2` has the measured points, which `format = 1` has not: an older program says that it cannot read it.
-//!
 //! Invariant: a written calibration reads back as the same calibration, bit for bit; no key is ignored.
 
 use crate::calibrate::calibration::{
@@ -29,8 +27,6 @@ impl Calibration {
 
     /// The text of its file, which [`Self::parse`] reads back as the same calibration.
     pub fn to_toml(&self) -> String {
-        let has_points =
-            self.motors().iter().any(|fit| !fit.up_points.is_empty() || !fit.down_points.is_empty());
         let (array, model) = (self.array(), self.array().spec().motor());
         let motor = self.motors().iter().map(|fit| RawMotor {
             motor: fit.motor.into(),
@@ -38,7 +34,7 @@ impl Calibration {
             down: Table(RawFit::of(model, fit.down, &fit.down_points)),
         });
         let file = RawFile {
-            format: if has_points { FORMAT.into() } else { 1 },
+            format: FORMAT.into(),
             array: (array != Array::default()).then(|| array.name().to_owned()),
             array_hash: (array != Array::default()).then(|| format!("{:016x}", self.array_hash())),
             motor: motor.map(Table).collect(),
@@ -79,7 +75,7 @@ struct RawFit {
     offset_um: f64,
     relative_sd: f64,
     blocks: u64,
-    /// Pulses, mean travel, its standard deviation, number of bursts. Files of format 1 have none.
+    /// Pulses, mean travel, its standard deviation, number of bursts; none if they are not known.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     points: Vec<(u16, f64, f64, u64)>,
 }
@@ -92,7 +88,7 @@ struct Version {
 
 fn wanted(key: &str) -> &'static str {
     match key {
-        "format" => "format = 2",
+        "format" => "format = 1",
         "array_hash" => "the hash of the array's description, 16 hexadecimal digits in quotes",
         "motor" => "a motor's number, from 0 on, below each [[motor]]",
         "up" | "down" => "[motor.up] and [motor.down], the fits of both directions",
@@ -113,7 +109,7 @@ fn read(text: &str) -> Result<Calibration, KeyError> {
     let placed =
         |fault: KeyError| KeyError { line: fault.line.or_else(|| line_of(text, &fault.path)), ..fault };
     let Table(Version { format: found }) = from_toml(text, wanted)?;
-    if !(1..=u64::from(FORMAT)).contains(&found) {
+    if found != u64::from(FORMAT) {
         return Err(placed(KeyError::key("format", Problem::Format { found })));
     }
     let Table(raw): Table<RawFile> = from_toml(text, wanted)?;

@@ -71,7 +71,7 @@ mod tests {
     #[test]
     fn the_longest_time_without_a_pulse_above_rest_is_found() {
         let hold = |rest: &str| {
-            let text = format!("format = 2\nname = \"test\"\nduration_s = 30\n{rest}");
+            let text = format!("format = 1\nname = \"test\"\nduration_s = 30\n{rest}");
             let pattern = Pattern::parse(&text, "test").unwrap();
             find_longest_hold(&Strokes::new(&pattern, &StrokeOptions::default()).unwrap()).longest
         };
@@ -87,7 +87,7 @@ mod tests {
     #[test]
     fn a_play_with_hardly_a_move_is_counted_as_far_as_the_work_allows() {
         // For an hour after each touch the pin stays at rest under a tone that is too small for a burst.
-        let text = "format = 2\nname = \"test\"\nduration_s = 4100\n\
+        let text = "format = 1\nname = \"test\"\nduration_s = 4100\n\
                     [[ramp]]\nmotor = 2\nto_um = 100.0\nrise_s = 0.1\nhold_s = 1.0\n\
                     [[tone]]\nmotor = 2\nfrequency_hz = 10.0\namplitude_um = 0.5\nduration_s = 4000.0\nstart_s = 2.0\n";
         let pattern = Pattern::parse(text, "test").unwrap();

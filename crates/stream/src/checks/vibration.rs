@@ -101,7 +101,7 @@ mod tests {
     use proptest::prelude::*;
 
     fn strokes(text: &str, seconds: Option<f64>) -> Strokes {
-        let text = format!("format = 2\nname = \"test\"\n{text}");
+        let text = format!("format = 1\nname = \"test\"\n{text}");
         let pattern = Pattern::parse(&text, "test").unwrap();
         Strokes::new(&pattern, &StrokeOptions::lasting(seconds)).unwrap()
     }
@@ -168,7 +168,7 @@ mod tests {
             duration_s in 5.0f64..9.0,
             seconds in 0.5f64..20.0,
         ) {
-            let mut text = format!("format = 2\nname = \"test\"\nduration_s = {duration_s}\n");
+            let mut text = format!("format = 1\nname = \"test\"\nduration_s = {duration_s}\n");
             for (motor, um, rise_s, hold_s, start_s) in ramps {
                 text += &format!("[[ramp]]\nmotor = {motor}\nto_um = {um}\nrise_s = {rise_s}\nfall_s = {rise_s}\nhold_s = {hold_s}\nstart_s = {start_s}\n");
             }
