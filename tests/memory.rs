@@ -57,13 +57,12 @@ fn files_that_would_fill_the_memory_are_refused_and_leave_nothing(daemon: &Daemo
             scope.spawn(move || {
                 let refused = problem(client.put(&format!("/v1/patterns/{name}"), dotted(&name)));
                 assert_eq!((refused.code.as_str(), refused.status), ("bad-pattern", 422));
-                assert!(refused.detail.contains("more than 16384 tables"), "{}", refused.detail);
+                assert!(refused.detail.contains("more than 8192 tables"), "{}", refused.detail);
             });
         }
     });
     let added = peak_kb(daemon) - before;
-    // Four are read at a time, each with up to 2²⁰ words and signs of 24 bytes.
-    assert!(added < 2 * SMALL_KB, "{added} kB");
+    assert!(added < SMALL_KB, "{added} kB");
     assert_eq!(fs::read_dir(daemon.path("patterns")).unwrap().count(), 0);
 }
 

@@ -8,7 +8,7 @@
 use super::Pattern;
 use super::drive::Drive;
 use super::error::{KeyError, PatternError, Problem};
-use super::limits::{FORMAT, MAX_FILE_BYTES, MAX_PACKED_BYTES, MAX_SIZE};
+use super::limits::{FORMAT, MAX_FILE_BYTES, MAX_PACKED_BYTES, MAX_SIZE, MAX_SIZE_OF_MOTIONS};
 use super::motion::Motion;
 use super::tables::{Files, RawWave, Reader};
 use crate::motion::{Noise, RampHold, Tone};
@@ -64,11 +64,12 @@ fn read(text: &str, mut reader: Reader<'_, '_>) -> Result<Pattern, KeyError> {
     if bytes > MAX_PACKED_BYTES {
         return Err(KeyError::whole(None, Problem::TooLargePacked { bytes }));
     }
-    // Only packed samples take more.
-    if bytes > MAX_FILE_BYTES && !text.contains("samples") {
+    // Only decides how much is read.
+    let may_have_motions = ["wave", "ramp", "tone", "noise"].iter().any(|table| text.contains(table));
+    if bytes > MAX_FILE_BYTES && !may_have_motions {
         return Err(KeyError::whole(None, Problem::TooLarge { bytes }));
     }
-    check_size(text, MAX_SIZE)?;
+    check_size(text, if may_have_motions { MAX_SIZE_OF_MOTIONS } else { MAX_SIZE })?;
     // Read the format first: another format may have other keys.
     let Table(RawFormat { format }) = from_toml(text, wanted)?;
     check_format(format)?;

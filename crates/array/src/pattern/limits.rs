@@ -31,10 +31,12 @@ pub const MAX_PROVENANCE_TABLES: usize = 1 << 11;
 pub const MAX_PROVENANCE_TEXT: usize = 1 << 17;
 /// Largest nesting depth of tables and lists in a provenance. JSON readers stop at 128.
 pub const MAX_PROVENANCE_DEPTH: usize = 16;
-/// The most that is read of a pattern file: [`MAX_DRIVES`], [`MAX_MOTIONS`] with an envelope each, a full provenance, comments, and
-/// lists of samples that fill the file.
+/// The most that is read of a pattern file: [`MAX_DRIVES`] with every key, a full provenance, and comments.
 pub(super) const MAX_SIZE: Size =
-    Size { tokens: 1 << 20, tables: 2 * (MAX_DRIVES + MAX_MOTIONS), values: 1 << 18 };
+    Size { tokens: 1 << 19, tables: 2 * MAX_DRIVES, values: 6 * MAX_DRIVES + MAX_PROVENANCE_VALUES + 4 };
+/// As [`MAX_SIZE`], of a file with motions: each may have an envelope, and lists of samples fill the file.
+pub(super) const MAX_SIZE_OF_MOTIONS: Size =
+    Size { tokens: 1 << 20, tables: MAX_SIZE.tables + 2 * MAX_MOTIONS, values: 1 << 18 };
 /// The latest time in a pattern, s: three years, far below where `f64` seconds no longer distinguish ticks.
 pub const MAX_SECONDS: f64 = 1e8;
 /// Frequencies of a drive, Hz: the paper's motors vibrate up to 300 Hz. The controller takes no more than 1 000 strokes a second.
