@@ -557,14 +557,22 @@ mod tests {
     #[derive(Clone, Debug)]
     enum Any {
         Move(Move),
+        /// It may join the item before.
+        Joining(Move),
         Stroke(Stroke),
         Row(u64, Vec<u16>),
     }
 
     fn any_item() -> impl Strategy<Value = (u64, Any)> {
         let level = 0u16..=10_000;
-        let to = (0u8..32, level.clone(), 0u16..900)
-            .prop_map(|(motor, level, surplus)| Any::Move(Move { motor, tick: Tick(0), level, surplus }));
+        let to =
+            (0u8..32, level.clone(), 0u16..900, any::<bool>()).prop_map(|(motor, level, surplus, joins)| {
+                if joins {
+                    Any::Joining(Move { motor, tick: Tick(0), level, surplus: surplus / 600 })
+                } else {
+                    Any::Move(Move { motor, tick: Tick(0), level, surplus })
+                }
+            });
         let stroke =
             (0u8..32, level.clone(), 0u64..1 << 20, 0u16..2).prop_map(|(motor, level, held, surplus)| {
                 let down = Tick(u64::from(level) + held);
@@ -574,7 +582,7 @@ mod tests {
             levels.truncate(set.count_ones() as usize);
             Any::Row(set, levels)
         });
-        (0u64..1 << 20, prop_oneof![to, stroke, row])
+        (prop_oneof![Just(0), 0u64..1 << 20], prop_oneof![2 => to, 1 => stroke, 1 => row])
     }
 
     proptest! {
@@ -587,6 +595,10 @@ mod tests {
                     Any::Move(to) => {
                         let to = Move { tick, ..to };
                         (packer.moves(&to), std::vec![(to, false)])
+                    }
+                    Any::Joining(to) => {
+                        let to = Move { tick, ..to };
+                        (packer.to_level(&to), std::vec![(to, false)])
                     }
                     Any::Stroke(of) => {
                         let of = Stroke { up: tick, down: tick + of.down.0, ..of };

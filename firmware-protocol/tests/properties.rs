@@ -592,7 +592,7 @@ fn breaks(ticks: &[u64], within: u32, limit: u32) -> bool {
     ticks.windows(limit + 1).any(|some| some[limit] - some[0] < within.into())
 }
 
-/// How many worlds: more in `tests/long/run tests`.
+/// How many worlds: more in `verify/run tests`.
 fn cases() -> u32 {
     if is_long() { 5_000 } else { 400 }
 }

@@ -1,4 +1,4 @@
-//! Routes called without a socket, in builds for the fuzzer (`fuzz/`).
+//! Routes called without a socket, in builds for the fuzzer (`verify/fuzz`).
 //!
 //! A request enters where hyper would hand it over, so hyper's checks of its bytes are skipped. The bytes of an emergency stop on its
 //! own port enter where they are parsed.

@@ -123,7 +123,7 @@ fn every_link_has_a_target() {
 #[test]
 fn every_test_that_the_safety_case_names_is_there() {
     let (mut sources, mut browser) = (String::new(), String::new());
-    let mut folders: Vec<PathBuf> = ["tests", "src", "crates", "firmware-protocol", "firmware/hil"]
+    let mut folders: Vec<PathBuf> = ["tests", "src", "crates", "firmware-protocol", "verify/hil"]
         .map(|folder| root().join(folder))
         .into();
     while let Some(folder) = folders.pop() {

@@ -64,13 +64,13 @@ pub(super) fn documents() -> impl Iterator<Item = Page> {
         "deploy/README.md",
         "python/README.md",
         "python/psychopy/README.md",
-        "tests/install/README.md",
-        "tests/realtime/README.md",
-        "tests/usb/README.md",
+        "verify/install/README.md",
+        "verify/realtime/README.md",
+        "verify/usb/README.md",
         "firmware/README.md",
-        "firmware/hil/README.md",
-        "fuzz/README.md",
-        "firmware/emulator/README.md",
+        "verify/hil/README.md",
+        "verify/fuzz/README.md",
+        "verify/emulator/README.md",
     ];
     book().chain(others.into_iter().map(read))
 }

@@ -17,7 +17,7 @@ const READ_APART: f64 = 70.0;
 /// Largest difference of tick clock and system timer. Both come from one crystal, so a wrong setting differs by much more; one of the 8 500
 /// ticks that are counted is 118 ppm.
 const SAME_CLOCK_PPM: f64 = 300.0;
-/// Time to read the longest frame in the emulated chip, µs (`cargo test self_test -- --nocapture` in `firmware/hil`).
+/// Time to read the longest frame in the emulated chip, µs (`cargo test self_test -- --nocapture` in `verify/hil`).
 const WORK_US: f64 = 167.0;
 /// Ticks in which the board can render a block before the DMA fetches its first word (`docs/dev/board-timing.md`).
 const HORIZON_TICKS: f64 = 45.0;

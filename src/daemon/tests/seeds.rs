@@ -77,14 +77,9 @@ struct Life {
     ended: BTreeMap<u64, f64>,
     /// Answers that the daemon has acknowledged.
     answered: BTreeSet<u64>,
-    /// Whether the daemon itself has stopped the array, which had contradicted itself: pins stand until somebody arms.
-    stands: bool,
     /// When an emergency stop was acknowledged, s, until somebody asks for its reset.
     estopped_s: Option<f64>,
-    /// Since when the motors have been off by the status, s.
-    unarmed_s: Option<f64>,
-    /// Since when pins come down by the status, s.
-    returning_s: Option<f64>,
+    array: Array,
     /// When a client was heard last, and when one has ordered something, s.
     heard_s: f64,
     ordered_s: f64,
@@ -97,8 +92,21 @@ struct Life {
     disk_says: bool,
     /// Whether the disk has taken all so far.
     disk_was_good: bool,
-    /// Whether the array and its line were good so far.
-    array_was_good: bool,
+}
+
+/// What is known of the array.
+#[derive(Debug, Default)]
+struct Array {
+    /// Whether the daemon itself has stopped it, because it contradicted itself: pins stand until somebody arms.
+    stands: bool,
+    /// Since when the motors have been off by the status, s.
+    unarmed_s: Option<f64>,
+    /// Since when pins come down by the status, s.
+    returning_s: Option<f64>,
+    /// When a client died before the answer to its `arm`, s.
+    arming_s: f64,
+    /// Whether it and its line were good so far.
+    was_good: bool,
 }
 
 /// The machine, the daemon on it, its clients, and what they know.
@@ -191,7 +199,7 @@ impl World {
         };
         new.truth.began = new.machine.at;
         new.life.began_s = new.machine.at.as_secs_f64();
-        (new.life.disk_was_good, new.life.array_was_good) = (true, true);
+        (new.life.disk_was_good, new.life.array.was_good) = (true, true);
         new.life.heard_s = new.life.began_s;
         new.life.wall_set = new.machine.wall_set;
         new
@@ -233,6 +241,9 @@ impl World {
         let Some((status, answer)) = answer else {
             assert!(patience < NEVER, "{method} {path} {text} is never answered");
             self.life.unanswered_s = self.life.heard_s;
+            if path == "/v1/arm" {
+                self.life.array.arming_s = self.life.heard_s;
+            }
             self.trace(&format!("{method} {path} {text} -> nobody"));
             return None;
         };
@@ -284,7 +295,7 @@ impl World {
             match serde_json::from_str(data).unwrap() {
                 Event::Began { id, .. } => assert!(self.life.began.insert(id), "play {id} begins twice"),
                 Event::Disconnected { reason: EndCause::Other(why) } => {
-                    self.life.stands |= why.contains("contradicts itself");
+                    self.life.array.stands |= why.contains("contradicts itself");
                 }
                 Event::RecordProblem { problem, .. } => self.life.disk_says |= problem.is_some(),
                 Event::Ended { receipt } => {
@@ -349,7 +360,7 @@ impl World {
         self.move_live();
         self.look();
         self.life.disk_was_good &= self.trouble.disk_is_good(self.now_s());
-        self.life.array_was_good &= self.trouble.array_is_good(self.now_s());
+        self.life.array.was_good &= self.trouble.array_is_good(self.now_s());
         faults::end_due(self);
         None
     }

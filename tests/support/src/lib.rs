@@ -20,7 +20,7 @@ pub mod random;
 pub mod rig;
 pub mod statistics;
 
-/// The long form of a test where `MEISSNER_LONG` is set (`tests/long/run tests`), else the short one.
+/// The long form of a test where `MEISSNER_LONG` is set (`verify/run tests`), else the short one.
 pub fn at_length<T>(short: T, long: T) -> T {
     if std::env::var_os("MEISSNER_LONG").is_some() { long } else { short }
 }

@@ -1,7 +1,7 @@
 //! What threads share: atomics, locks, rings and doorbells.
 //!
 //! In every build each name is the one of `std` or `rtrb`, and [`Doorbell`] is an event descriptor of the kernel. Under `--cfg loom` each
-//! is its twin in the model checker loom (`tests/races/src/model.rs`), which runs all interleavings that the memory model
+//! is its twin in the model checker loom (`verify/races/src/model.rs`), which runs all interleavings that the memory model
 //! allows.
 //!
 //! Invariant: code whose interleavings are explored takes these names from here, never from `std`.
@@ -9,7 +9,7 @@
 #[cfg(not(loom))]
 mod doorbell;
 #[cfg(loom)]
-#[path = "../../../../tests/races/src/model.rs"]
+#[path = "../../../../verify/races/src/model.rs"]
 mod model;
 
 #[cfg(not(loom))]

@@ -92,9 +92,9 @@ pub(super) fn hold(world: &mut World) {
     let status = world.status();
     let (now_s, good) = (world.now_s(), world.trouble.array_is_good(world.now_s()));
     world.state.clone_from(&status.state);
-    let returning_s = world.life.returning_s.unwrap_or(now_s);
-    world.life.returning_s = (status.state == "returning").then_some(returning_s);
-    world.life.stands &= !["armed", "returning"].contains(&&*status.state);
+    let returning_s = world.life.array.returning_s.unwrap_or(now_s);
+    world.life.array.returning_s = (status.state == "returning").then_some(returning_s);
+    world.life.array.stands &= !["armed", "returning"].contains(&&*status.state);
     world.truth.person = status.session.as_ref().map(|session| session.participant.clone());
     nothing_plays_unarmed(world, &status, now_s);
     silence_disarms(world, &status, now_s);
@@ -109,13 +109,13 @@ pub(super) fn hold(world: &mut World) {
 /// over a bad line that takes longer.
 fn nothing_plays_unarmed(world: &mut World, status: &Status, now_s: f64) {
     if status.state != "disarmed" && status.state != "faulted" {
-        world.life.unarmed_s = None;
+        world.life.array.unarmed_s = None;
         return;
     }
-    let since_s = *world.life.unarmed_s.get_or_insert(now_s);
+    let since_s = *world.life.array.unarmed_s.get_or_insert(now_s);
     let may_end = !world.trouble.array_is_good(now_s) && now_s < since_s + REPORTED_S;
     // A play that follows an `arm` waits for the device's answer, also if the client of the `arm` is gone.
-    let may_wait = now_s < world.life.unanswered_s + ARMED_S;
+    let may_wait = status.state == "disarmed" && now_s < world.life.array.arming_s + ARMED_S;
     assert!(
         may_end || may_wait || status.play.is_none() && status.queued.is_empty(),
         "nothing plays: {status:?}"
@@ -150,8 +150,8 @@ fn no_pin_stays_up(world: &World, status: &Status, now_s: f64) {
     let longest_s = if is_idle { 5.0 } else { 65.0 };
     let cut = ["estop", "output", "panic", "watchdog"].contains(&&*status.cause);
     // A pin that stood while its place was not known comes down after the next `arm`.
-    let returns = world.life.returning_s.is_some_and(|since_s| now_s < since_s + RETURN_S);
-    let may_stand = status.state == "faulted" && cut || returns || world.life.stands;
+    let returns = world.life.array.returning_s.is_some_and(|since_s| now_s < since_s + RETURN_S);
+    let may_stand = status.state == "faulted" && cut || returns || world.life.array.stands;
     for motor in 0..status.motors.len() {
         let rests_s = now_s - world.truth.pulsed_s[motor].max(world.life.began_s);
         let is_due = rests_s > longest_s && status.position == "known" && !may_stand;
@@ -268,7 +268,7 @@ fn sessions_are_whole_or_not_complete(world: &mut World, before: &Before, life: 
 fn off_um(world: &World, status: &Status, motor: usize) -> Option<f64> {
     let (of, height_um) = (&status.motors[motor], world.daemon.faults().heights_um[motor].abs());
     let once_um = if world.telemetry { CORRECTED_UM } else { 0.0 };
-    let sums_up = world.telemetry && !world.life.array_was_good;
+    let sums_up = world.telemetry && !world.life.array.was_good;
     let most_um = if sums_up { f64::INFINITY } else { once_um };
     let um = f64::from(of.rest_error_um).abs();
     let said_um = match of.source {
@@ -311,7 +311,7 @@ pub(super) fn at_rest(world: &mut World) {
         assert_eq!(receipt.cause.is_none(), receipt.state == PlayState::Done, "{receipt:?}");
         let passes = receipt.cause == Some(meissner_api::EndCause::ParticipantLimit) && has_end;
         assert!(
-            !passes || !world.life.array_was_good,
+            !passes || !world.life.array.was_good,
             "a play that was accepted and has an end passes no limit: {receipt:?}"
         );
     }

@@ -1,7 +1,7 @@
 //! The bytes between the streamer and the threads that run the transfers: a ring buffer each way, and doorbells.
 //!
 //! [`Near`] is the streamer's side and never waits. [`Incoming`] and [`Outgoing`] are the sides of the reading and the writing thread;
-//! the transfer itself is a closure. `tests/races` explores the interleavings of the three.
+//! the transfer itself is a closure. `verify/races` explores the interleavings of the three.
 //!
 //! Bounds: [`UNSENT`] bytes towards the board, the transfer under way included; [`UNREAD`] bytes from it.
 //! Invariants: when the board is gone, the next read or write returns an error, after all bytes that came before. Bytes that wait, and

@@ -1,6 +1,6 @@
 //! The e-stop that waits for its thread: a newer one replaces it.
 //!
-//! Any thread calls [`Newest::set`] and wakes the thread that runs [`Newest::serve`]. `tests/races` explores their interleavings.
+//! Any thread calls [`Newest::set`] and wakes the thread that runs [`Newest::serve`]. `verify/races` explores their interleavings.
 //!
 //! Invariant: the last epoch that was set is sent, unless the end comes first.
 
