@@ -9,7 +9,7 @@ use meissner_api::RenderMethod;
 use meissner_array::pattern::{Pattern, PatternError};
 use meissner_array::spec::Array;
 use meissner_paper::shipped_text;
-use meissner_render::{LONGEST_S, Levels, Method, STEP_S, TRACE_MM_S, TraceError, render, trace};
+use meissner_render::{Choice, LONGEST_S, Levels, Method, STEP_S, TRACE_MM_S, TraceError, render, trace};
 use meissner_touch::{Contact, ContactError, Object, Touch, no_files};
 use serde_json::{Map, Value};
 use toml::Table;
@@ -23,11 +23,12 @@ pub(crate) const AFTER_S: f64 = 0.1;
 pub(crate) const METHODS: &[(&str, &str)] = &[
     (
         "auto",
-        "Skin and afferents of the finger: from the skin's shape for a press, from strokes for a motion",
+        "What simulated fingers find nearest: a press with taps, or for a motion the rates of afferents, or a plain answer",
     ),
-    ("rate", "The same, from strokes"),
+    ("rate", "The rates of afferents, from strokes"),
     ("field", "The skin's shape"),
-    ("rule", "One press, graded by the distance from the object"),
+    ("rule", "One press at full speed, graded by the distance from the object, which it follows"),
+    ("stroke", "One stroke of each pin as the object passes"),
     ("trace", "A press that moves along the lines of the object, one after another, in its own time"),
 ];
 
@@ -38,6 +39,7 @@ pub(crate) const fn of_touch(method: RenderMethod) -> Option<Method> {
         RenderMethod::Rate => Some(Method::Rate),
         RenderMethod::Field => Some(Method::Field),
         RenderMethod::Rule => Some(Method::Rule),
+        RenderMethod::Stroke => Some(Method::Stroke),
         RenderMethod::Trace => None,
     }
 }
@@ -82,15 +84,17 @@ pub(crate) fn contact(object: &Object, progress: &dyn Fn(f64)) -> Result<Contact
     Ok(Contact::with_progress(grains, object.touch().most_depth_mm(), progress)?)
 }
 
-/// The heights of the pins. A trace has this speed, 1 to 200 mm/s.
+/// The heights of the pins, and what `auto` has chosen. A trace has this speed, 1 to 200 mm/s.
 pub(crate) fn levels(
     array: Array,
     object: &Object,
     contact: &Contact,
     method: RenderMethod,
     trace_mm_s: f64,
-) -> Result<Levels, RenderingError> {
-    let Some(method) = of_touch(method) else { return Ok(trace(array, &lines(object)?, trace_mm_s)?) };
+) -> Result<(Levels, Option<Choice>), RenderingError> {
+    let Some(method) = of_touch(method) else {
+        return Ok((trace(array, &lines(object)?, trace_mm_s)?, None));
+    };
     let lasts_s = object.touch().duration_s();
     if lasts_s > LONGEST_S {
         return Err(RenderingError::TooLong { lasts_s });
@@ -121,12 +125,19 @@ pub(crate) fn provenance(
     method: RenderMethod,
     pitch_mm: f64,
     trace_mm_s: Option<f64>,
+    choice: Option<&Choice>,
 ) -> Result<Table, toml::ser::Error> {
     let mut table = Table::new();
     let mut put = |key: &str, value: toml::Value| table.insert(key.to_owned(), value);
     // The pattern holds its object, so that figures can show both.
     put("object", object);
     put("method", toml::Value::try_from(method)?);
+    if let Some(Choice { taken, likeness }) = choice {
+        put("taken", (*taken).into());
+        let rounded = |likeness: f64| (likeness * 1e3).round() / 1e3;
+        let likeness = likeness.iter().map(|(name, of)| ((*name).to_owned(), rounded(*of).into()));
+        put("likeness", likeness.collect::<Table>().into());
+    }
     put("pitch_mm", pitch_mm.into());
     if method == RenderMethod::Trace {
         put("trace_mm_s", trace_mm_s.unwrap_or(TRACE_MM_S).into());

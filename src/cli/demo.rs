@@ -213,7 +213,7 @@ impl Edge {
         let drives = Rival::WithinReach.pattern(array, &self.contact, touch)?;
         let drives = drives.drives().iter().map(|drive| Drive { start_s: None, stop_s: None, ..*drive });
         let vibrating = Pattern::new(array, PATTERN, None, drives.collect(), toml::Table::new())?;
-        let pressed = render(array, &self.contact, touch, Method::Auto);
+        let (pressed, _) = render(array, &self.contact, touch, Method::Auto);
         Ok([vibrating, pressed.pattern(array, RENDERED, toml::Table::new())?])
     }
 

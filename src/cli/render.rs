@@ -11,7 +11,7 @@ use clap::Args;
 use meissner_api::RenderMethod;
 use meissner_array::spec::Array;
 use meissner_input::message::escape;
-use meissner_render::{Levels, TRACE_MM_S};
+use meissner_render::{Choice, Levels, TRACE_MM_S};
 use meissner_touch::{Contact, Object};
 use serde::Serialize;
 use std::path::PathBuf;
@@ -52,6 +52,8 @@ struct Document<'a> {
     highest_um: f64,
     contact_s: f64,
     wall_s: f64,
+    /// What `auto` has chosen, and how near each answer comes.
+    choice: Option<&'a Choice>,
     pattern: String,
 }
 
@@ -70,9 +72,10 @@ pub(super) fn run(asked: &Render) -> Result<ExitCode> {
         }
         None => object.name().to_owned(),
     };
-    let levels = progress::waiting("rendering", || heights(asked, array, &object, &contact))?;
+    let (levels, choice) = progress::waiting("rendering", || heights(asked, array, &object, &contact))?;
     let keys = object::keys(&asked.object, object.name())?;
-    let provenance = provenance(keys, asked.method, contact.grains().pitch_mm, asked.trace_mm_s)?;
+    let provenance =
+        provenance(keys, asked.method, contact.grains().pitch_mm, asked.trace_mm_s, choice.as_ref())?;
     let pattern = rendering::pattern(&levels, array, &name, provenance)
         .map_err(|error| anyhow!("{}: {error}", asked.object))?;
     let text = pattern.to_toml();
@@ -90,6 +93,7 @@ pub(super) fn run(asked: &Render) -> Result<ExitCode> {
         highest_um: pattern.largest_um(),
         contact_s,
         wall_s: begun.elapsed().as_secs_f64(),
+        choice: choice.as_ref(),
         pattern: text,
     };
     let said = match (asked.output.json, &asked.file) {
@@ -107,7 +111,12 @@ pub(super) fn run(asked: &Render) -> Result<ExitCode> {
 }
 
 /// The heights of the method that was asked for.
-fn heights(asked: &Render, array: Array, object: &Object, contact: &Contact) -> Result<Levels> {
+fn heights(
+    asked: &Render,
+    array: Array,
+    object: &Object,
+    contact: &Contact,
+) -> Result<(Levels, Option<Choice>)> {
     let speed_mm_s = asked.trace_mm_s.unwrap_or(TRACE_MM_S);
     match asked.method {
         RenderMethod::Trace if !TRACES_MM_S.contains(&speed_mm_s) => {
@@ -131,6 +140,10 @@ fn summary(document: &Document<'_>) -> String {
         ("pattern", format!("{duration_s:.3} s, {motors} pins, up to {highest_um:.0} um")),
         ("time", format!("{wall_s:.3} s, of which the contact took {contact_s:.3}")),
     ];
+    if let Some(Choice { taken, likeness }) = document.choice {
+        let all: Vec<_> = likeness.iter().map(|(name, likeness)| format!("{name} {likeness:.2}")).collect();
+        pairs.push(("likeness", format!("{} ({taken} is taken; the object itself has 1)", all.join(", "))));
+    }
     if let Some(file) = &document.file {
         pairs.push(("written", escape(file)));
     }

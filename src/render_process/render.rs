@@ -112,12 +112,13 @@ impl Render {
     }
 
     fn pattern(&self, array: Array, object: &Object, contact: &Contact) -> Result<Pattern, RenderingError> {
-        let levels = levels(array, object, contact, self.method, TRACE_MM_S)?;
+        let (levels, choice) = levels(array, object, contact, self.method, TRACE_MM_S)?;
         let pitch_mm = contact.grains().pitch_mm;
         // Keys that were read as JSON can be written as TOML.
         let keys = without_nulls(self.object.clone().into());
         let text = toml::to_string(&keys).unwrap_or_default();
-        let made = provenance(keys_or_name(&text, object.name()), self.method, pitch_mm, None);
+        let made =
+            provenance(keys_or_name(&text, object.name()), self.method, pitch_mm, None, choice.as_ref());
         pattern(&levels, array, object.name(), made.unwrap_or_default())
     }
 
@@ -144,16 +145,21 @@ impl Render {
         let name = serde_json::to_value(self.method).unwrap_or_default();
         let found_s = feel(found)?;
         let mut judged = vec![line(name.as_str().unwrap_or_default(), &judge.compare(&found_s))];
-        let rule_s = if self.method == RenderMethod::Rule {
-            found_s.clone()
-        } else {
-            // A trace needs no touch that could be rendered.
-            let rule = levels(array, object, contact, RenderMethod::Rule, TRACE_MM_S).ok();
-            let rule = rule.and_then(|levels| levels.pattern(array, "rule", toml::Table::new()).ok());
-            let rule_s = rule.map(|rule| feel(&rule)).transpose()?;
-            judged.extend(rule_s.as_ref().map(|rule_s| line("rule", &judge.compare(rule_s))));
-            rule_s.unwrap_or_else(|| vec![Vec::new(); found_s.len()])
+        // A trace needs no touch that could be rendered.
+        let mut rival_s = |method: RenderMethod, name: &str| -> Result<Option<Vec<Vec<f64>>>, String> {
+            if self.method == method {
+                return Ok(Some(found_s.clone()));
+            }
+            let found = levels(array, object, contact, method, TRACE_MM_S).ok();
+            let pattern = found.and_then(|(levels, _)| levels.pattern(array, name, toml::Table::new()).ok());
+            let felt_s = pattern.map(|pattern| feel(&pattern)).transpose()?;
+            judged.extend(felt_s.as_ref().map(|felt_s| line(name, &judge.compare(felt_s))));
+            Ok(felt_s)
         };
+        let rule_s = rival_s(RenderMethod::Rule, "rule")?.unwrap_or_else(|| vec![Vec::new(); found_s.len()]);
+        if !touch.stays_in_place() {
+            rival_s(RenderMethod::Stroke, "stroke")?;
+        }
         let vibration = Rival::WithinReach.pattern(array, contact, touch);
         if let Ok(vibration) = vibration {
             judged.push(line("vibrate-60", &judge.compare(&feel(&vibration)?)));

@@ -74,7 +74,7 @@ test("a bar that is drawn is rendered, compared with the real thing, felt and sa
   // The best of each column is bold.
   const bold = await page.$$eval("#thing-figures tbody tr", (rows) => rows.map((row) => [...row.querySelectorAll("td")].map((cell) => cell.firstElementChild?.textContent ?? null)));
   const best = Math.min(...result.judged.map((of) => of.error_by_class[1])).toFixed(2);
-  assert.deepEqual([...new Set(bold.map((row) => row[4]).filter(Boolean))], [best]);
+  assert.deepEqual([...new Set(bold.map((row) => row[6]).filter(Boolean))], [best]);
   assert.ok(bold[0].every((_, column) => bold.some((row) => row[column] !== null)), "a column without its best");
   assert.equal(await page.$$eval("#thing-figures tbody tr", (all) => all.length), result.judged.length);
   await shows(page, "speak", "Found a pattern for drawn.");

@@ -32,8 +32,9 @@ pub const MAX_PREVIEW_S: f64 = 2.0;
 /// The latest beginning of a preview, s.
 pub const MAX_PREVIEW_FROM_S: f64 = 60.0;
 
-/// How the heights of the pins are found: `rule` (a press graded by the distance from the object), `field` (the skin's shape), `rate` (skin and
-/// rates of afferents, from strokes), `auto` (the same; for a press from the skin's shape) or `trace` (a press that moves along the object's lines).
+/// How the heights of the pins are found: `rule` (a press at full speed, graded by the distance from the object, which it follows), `stroke` (one
+/// stroke of each pin as the object passes), `field` (the skin's shape), `rate` (skin and rates of afferents, from strokes), `auto` (what simulated
+/// fingers find nearest to the object) or `trace` (a press that moves along the object's lines).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "kebab-case")]
 #[expect(missing_docs, reason = "the type describes each")]
@@ -43,6 +44,7 @@ pub enum RenderMethod {
     Rate,
     Field,
     Rule,
+    Stroke,
     Trace,
 }
 

@@ -17,18 +17,13 @@ const LEAST_WEIGHT: f64 = 0.011;
 
 /// The weights of the errors.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Weights {
-    pub(crate) ra: f64,
-    pub(crate) pc: f64,
-    pub(crate) skin: f64,
+struct Weights {
+    ra: f64,
+    pc: f64,
+    skin: f64,
 }
 
-impl Weights {
-    /// For an object that stays in place.
-    pub(crate) const IN_PLACE: Self = Self { ra: 1.0, pc: 0.2, skin: 1.0 };
-    /// For an object that moves.
-    pub(crate) const MOVING: Self = Self { ra: 1.0, pc: 0.02, skin: 0.3 };
-}
+const WEIGHTS: Weights = Weights { ra: 1.0, pc: 0.02, skin: 0.3 };
 
 /// Numbers by moment and then by place.
 type Rows = Vec<Vec<f64>>;
@@ -134,7 +129,11 @@ pub(crate) struct Goal<'g> {
 }
 
 impl<'g> Goal<'g> {
-    pub(crate) fn new(skin: &'g Skin, wanted: &'g Wanted, weights: Weights) -> Self {
+    pub(crate) fn new(skin: &'g Skin, wanted: &'g Wanted) -> Self {
+        Self::weighed(skin, wanted, WEIGHTS)
+    }
+
+    fn weighed(skin: &'g Skin, wanted: &'g Wanted, weights: Weights) -> Self {
         let (table, blur) = (Table::of_ra(), Blur::new(skin));
         let velocities = velocities(&wanted.skin_mm);
         let spikes = Spikes::of(&table, &velocities);
@@ -321,7 +320,7 @@ mod tests {
             Weights { ra: 0.0, pc: 1.0, skin: 0.0 },
             Weights { ra: 0.0, pc: 0.0, skin: 1.0 },
         ] {
-            let goal = Goal::new(&skin, &wanted, weights);
+            let goal = Goal::weighed(&skin, &wanted, weights);
             let levels = wave(1.0);
             let (_, state) = goal.loss(&levels);
             let slopes = goal.slopes(&state);

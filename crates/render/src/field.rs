@@ -61,10 +61,17 @@ pub(crate) fn nearest(skin: &Skin, wanted: &Wanted, limits: Limits) -> Levels {
     levels
 }
 
-/// The same for an object that stays in place. A pin that would have to go above its travel goes its travel, in the time course that it
-/// would have without that limit: a pin that stops early is felt by PC afferents, and begins its fall too late.
+/// The same for an object that stays in place.
 pub(crate) fn in_place(skin: &Skin, wanted: &Wanted, limits: Limits) -> Levels {
-    let bounded = solved(skin, wanted, limits.highest_mm);
+    let mut levels = in_time(skin, wanted, limits.highest_mm);
+    levels.limit(limits);
+    levels
+}
+
+/// Heights up to the highest. A pin that would have to go further goes so far in the time course that it would have without that limit: a pin
+/// that stops early is felt by PC afferents, and begins its fall too late.
+pub(crate) fn in_time(skin: &Skin, wanted: &Wanted, highest_mm: f64) -> Levels {
+    let bounded = solved(skin, wanted, highest_mm);
     let mut levels = solved(skin, wanted, f64::INFINITY);
     let peak = |levels: &Levels, motor: usize| {
         levels.heights_mm.iter().map(|heights| heights[motor]).fold(0.0, f64::max)
@@ -75,7 +82,6 @@ pub(crate) fn in_place(skin: &Skin, wanted: &Wanted, limits: Limits) -> Levels {
             levels.heights_mm.iter_mut().for_each(|heights| heights[motor] *= reached / wished);
         }
     }
-    levels.limit(limits);
     levels
 }
 

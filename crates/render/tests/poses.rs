@@ -43,7 +43,7 @@ fn a_pose_has_the_heights_of_a_press_there() {
                 depth_mm: 0.1 + 0.08 * number,
             };
             let object = Object::new(name, surface.clone(), pressed_at(pose));
-            let levels = render(Array::paper(), &contact(&object), object.touch(), Method::Field);
+            let (levels, _) = render(Array::paper(), &contact(&object), object.touch(), Method::Field);
             let heights_mm = poses.heights_mm(&pose).unwrap();
             let apart = heights_mm.iter().zip(&levels.heights_mm[HELD]).map(|(a, b)| (a - b).abs());
             let apart_um = 1e3 * apart.fold(0.0, f64::max);

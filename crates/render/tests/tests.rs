@@ -46,11 +46,12 @@ fn means<const N: usize>(object: &Object, value: impl Fn(&Judged) -> [f64; N]) -
             method => {
                 let method = match method {
                     "rule" => Method::Rule,
+                    "stroke" => Method::Stroke,
                     "field" => Method::Field,
                     "rate" => Method::Rate,
                     _ => Method::Auto,
                 };
-                render(Array::paper(), &contact, object.touch(), method).pattern(
+                render(Array::paper(), &contact, object.touch(), method).0.pattern(
                     Array::paper(),
                     "test",
                     Table::new(),
@@ -70,18 +71,22 @@ fn means<const N: usize>(object: &Object, value: impl Fn(&Judged) -> [f64; N]) -
     }
 }
 
-/// A pressed bar between two rows of pins, and dots: errors of SA1 and of RA afferents.
+/// A pressed bar between two rows of pins, and dots: the errors of all afferents in 10 ms and of SA1 and RA afferents in 36 ms, and the spikes
+/// of PC afferents.
 #[test]
 fn a_rendered_press_is_nearer_to_the_object_than_any_rule() {
     let dots = Shape::Dots(vec![[-2.4, 6.1], [-2.4, 0.3], [3.4, 0.3]]);
     for shape in [bar(0.8), bar(1.45), dots] {
         let object = pressed(&shape);
-        let errors = means(&object, |judged| [judged.error_by_class[0], judged.error_by_class[1]]);
-        let ([sa1, ra], rule, reach) = (errors("auto"), errors("rule"), errors("reach"));
-        println!("{shape:?}: {sa1:.2} {ra:.2}, rule {rule:.2?}, within reach {reach:.2?}");
+        let figures = means(&object, |judged| {
+            [judged.error, judged.error_by_class[0], judged.error_by_class[1], judged.spikes[2]]
+        });
+        let (auto, rule, reach) = (figures("auto"), figures("rule"), figures("reach"));
+        println!("{shape:?}: {auto:.2?}, rule {rule:.2?}, within reach {reach:.2?}");
         for of in [rule, reach] {
-            assert!(sa1 < 0.85 * of[0] && ra < 0.85 * of[1], "{sa1} {ra}, {of:?}");
+            assert!((0..3).all(|error| auto[error] < of[error] - 0.07), "{auto:?} {of:?}");
         }
+        assert!(auto[0] < 0.65 && (0.5..2.0).contains(&auto[3]), "{auto:?}");
     }
 }
 
@@ -91,27 +96,28 @@ fn a_rendered_motion_gives_ra_afferents_their_spikes() {
     for speed_mm_s in [40.0, 80.0] {
         let object = moving(speed_mm_s);
         let of = means(&object, |judged| [judged.r_by_class[1], judged.error_by_class[1], judged.spikes[1]]);
-        let (auto, field, rule, reach) = (of("auto"), of("field"), of("rule"), of("reach"));
+        let (auto, field, reach) = (of("auto"), of("field"), of("reach"));
+        let (rule, stroke) = (of("rule"), of("stroke"));
         println!(
-            "{speed_mm_s} mm/s: {auto:.2?}, field {field:.2?}, rule {rule:.2?}, within reach {reach:.2?}"
+            "{speed_mm_s} mm/s: {auto:.2?}, field {field:.2?}, rule {rule:.2?}, stroke {stroke:.2?}, within reach {reach:.2?}"
         );
-        for other in [field, rule, reach] {
+        for other in [field, rule, stroke, reach] {
             assert!(auto[0] > other[0] && auto[1] < other[1] - 0.05, "{auto:?} {other:?}");
         }
         assert!((0.5..1.5).contains(&auto[2]), "{auto:?}");
     }
 }
 
-/// What hardly moves is pressed, not stroked, and pins come down when the touch ends.
+/// What hardly moves is pressed, not stroked, and pins come down when the touch ends. The nearest pins lie 1 mm beside the bar.
 #[test]
 fn slow_objects_are_followed() {
     for speed_mm_s in [0.001, 2.0] {
         let scan = Scan { depth_mm: 0.5, rise_s: 0.05, speed_mm_s, direction_deg: 90.0, duration_s: 0.5 };
         let object = Object::new("slow", surface_of(&bar(0.0)), Touch::scan(Pose::default(), scan).unwrap());
-        let levels = render(Array::paper(), &contact(&object), object.touch(), Method::Auto);
+        let (levels, _) = render(Array::paper(), &contact(&object), object.touch(), Method::Auto);
         let highest = |heights: &Vec<f64>| heights.iter().copied().fold(0.0, f64::max);
         let held: Vec<f64> = levels.heights_mm[25..125].iter().map(highest).collect();
-        assert!(held.iter().all(|&mm| mm > 0.3), "{speed_mm_s} mm/s: {held:?}");
+        assert!(held.iter().all(|&mm| mm > 0.25), "{speed_mm_s} mm/s: {held:?}");
         assert!(levels.heights_mm.last().is_some_and(|heights| highest(heights) == 0.0));
     }
 }
@@ -143,8 +149,8 @@ fn extremes_give_heights_within_the_travel() {
         for shape in [plate.clone(), Shape::Dots(vec![[1.0, 1.0]])] {
             let object = Object::new("extreme", surface_of(&shape), touch.clone().unwrap());
             let contact = contact(&object);
-            for method in [Method::Auto, Method::Rate, Method::Field, Method::Rule] {
-                let levels = render(Array::paper(), &contact, object.touch(), method);
+            for method in [Method::Auto, Method::Rate, Method::Field, Method::Rule, Method::Stroke] {
+                let (levels, _) = render(Array::paper(), &contact, object.touch(), method);
                 let travel_mm = Array::paper().motor().travel_um / 1e3;
                 let all = || levels.heights_mm.iter().flatten();
                 assert!(all().all(|mm| (0.0..=travel_mm).contains(mm)), "{method:?} {shape:?}");
@@ -166,7 +172,7 @@ fn the_library_is_what_objects_give() {
         let name = format!("{}-rendered", file.file_stem().unwrap().to_str().unwrap());
         let stored = fs::read_to_string(root.join(format!("library/patterns/rendered/{name}.toml"))).unwrap();
         let stored = Pattern::parse(&stored, &name).unwrap();
-        let levels = render(Array::paper(), &contact(&object), object.touch(), Method::Auto);
+        let (levels, _) = render(Array::paper(), &contact(&object), object.touch(), Method::Auto);
         let again = levels.pattern(Array::paper(), &name, stored.provenance().clone()).unwrap();
         assert!(again.to_toml() == stored.to_toml(), "{name}: run docs/library.sh --rendered");
         made += 1;

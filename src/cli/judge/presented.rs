@@ -4,7 +4,7 @@ use crate::rendering::{METHODS, of_touch};
 use anyhow::Result;
 use meissner_array::pattern::Pattern;
 use meissner_array::spec::Array;
-use meissner_render::{Rival, TRACE_MM_S, render, trace};
+use meissner_render::{Method, Rival, TRACE_MM_S, render, trace};
 use meissner_touch::{Contact, Object};
 
 /// A pattern, and for how long fingers feel it.
@@ -26,7 +26,8 @@ pub(super) fn presented(array: Array, object: &Object, contact: &Contact) -> Res
     for (name, _) in METHODS {
         let method = of_touch(serde_json::from_value((*name).into())?);
         let levels = match (method, object.lines_mm()) {
-            (Some(method), _) => Ok(render(array, contact, touch, method)),
+            (Some(Method::Stroke), _) if touch.stays_in_place() => continue,
+            (Some(method), _) => Ok(render(array, contact, touch, method).0),
             (None, Some(lines)) if touch.stays_in_place() => trace(array, &lines, TRACE_MM_S),
             _ => continue,
         };

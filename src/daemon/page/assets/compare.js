@@ -6,7 +6,7 @@ import { colour, make } from "./finger.js";
 import { drawing, line } from "./pad.js";
 import { CLASSES, figure, ofClass, raster } from "./preview.js";
 
-const NAMES = { rule: "The plain press", "vibrate-60": "The vibration at 60 Hz" };
+const NAMES = { rule: "The plain press", stroke: "One stroke as it passes", "vibrate-60": "The vibration at 60 Hz" };
 const SIDES = [["real_s", "Real thing"], ["found_s", "Display"]];
 // The width of a raster, in units of the drawing.
 const WIDTH = 400;
@@ -52,15 +52,17 @@ export function rasters({ response: { class: classes, places_mm, seconds, ...tim
 }
 
 // The columns of the table, with how far a number is from that of the thing itself.
-const COLUMNS = [["r_by_class", (r) => 1 - r], ["error_by_class", (error) => error], ["spikes", (share) => Math.abs(Math.log(share))]];
+const far = { r: (r) => 1 - r, error: (error) => error };
+const COLUMNS = [["r", far.r], ["error", far.error], ["r_by_class", far.r], ["error_by_class", far.error], ["spikes", (share) => Math.abs(Math.log(share))]];
 
 // Rows for the table of figures. The best number of a column is bold.
 export function rows([found, ...others]) {
   const all = [found, ...others];
   const cells = all.map(() => []);
   for (const [key, away] of COLUMNS) {
-    CLASSES.forEach((_, k) => {
-      const texts = all.map((judged) => dash(judged[key][k]));
+    // One number, or one of each class.
+    [found[key]].flat().forEach((_, k) => {
+      const texts = all.map((judged) => dash([judged[key]].flat()[k]));
       const distances = texts.map((text) => (text === "–" ? Infinity : away(Number(text))));
       const best = Math.min(...distances);
       texts.forEach((text, i) => {

@@ -17,10 +17,11 @@ import { part } from "./views.js";
 // After the last change of a number, before the page asks for a rendering.
 const PAUSE_MS = 400;
 const METHODS = {
-  auto: "The nearest to the real thing, for a press and for a motion. Take this first.",
-  rate: "Strokes at full speed: for a motion, and to tell names and angles apart.",
-  field: "Pins take the shape of the skin: for a press whose place counts.",
-  rule: "Pins near the thing go their full travel: the plainest, sharp for an angle or a letter's name.",
+  auto: "What simulated fingers find nearest to the real thing, for a press and for a motion. Take this first.",
+  rate: "Strokes at full speed, until afferents fire as under the thing: for a motion.",
+  field: "Pins take the shape of the skin.",
+  rule: "Pins near the thing go their full travel at full speed: the plainest, sharp for an angle or a letter's name.",
+  stroke: "Each pin makes one stroke as the thing passes: the plainest for a motion.",
   trace: "A press follows the lines, one after another: for letters and shapes that the pins are too coarse for. Its time is its own.",
 };
 // Which things a field is for, by the id of its field, and its label is `ID-label`.
