@@ -1,10 +1,10 @@
 //! Heights for an object that stays in place, or moves slowly.
 //!
 //! The skin's shape ([`field`]) gives SA1 and RA afferents their spikes, but pins that are at their travel flatten it, and it turns
-//! lines. A press graded by the distance ([`rule`]) keeps the line and lacks the spikes. Half of each has most of both.
+//! lines. A press graded by the distance ([`rule`]) keeps the line and lacks the spikes. Some of each has most of both.
 //!
-//! PC afferents answer where speed changes. Motors smooth such corners over 4 ms, so each corner of a pin's course gets a *tap*: a
-//! height more, for a moment, in proportion to how sharp the corner is (after the transients of Kuchenbecker, Fiene & Niemeyer 2006).
+//! PC afferents answer where speed changes. Motors smooth such corners over 4 ms, so each corner of a pin's course gets a *tap*: for a moment
+//! the pin is higher, by as much as its way in a moment changes there (after the transients of Kuchenbecker, Fiene & Niemeyer 2006).
 //!
 //! # Source
 //!
@@ -21,9 +21,7 @@ use meissner_touch::{Contact, Touch};
 
 /// The share of the skin's shape, and that of the graded press. They add up to more than 1: under the object both go the travel, and beside it half
 /// of each would be too low for RA afferents.
-const SHARE: f64 = 0.65;
-/// The height of a tap per change of the height between two moments.
-const TAP: f64 = 1.3;
+const SHARE: f64 = 0.75;
 
 /// The skin's shape and a graded press, with taps.
 pub(crate) fn tapped(
@@ -40,26 +38,34 @@ pub(crate) fn tapped(
         let depth = touch.pose(moment as f64 * STEP_S).depth_mm / touch.most_depth_mm();
         heights.iter_mut().zip(pressed).for_each(|(height, mm)| *height = SHARE * (*height + depth * mm));
     }
-    for motor in 0..skin.motors {
-        let highest_mm = levels.heights_mm.iter().map(|heights| heights[motor]).fold(0.0, f64::max);
-        let share = (limits.highest_mm / highest_mm).min(1.0);
-        levels.heights_mm.iter_mut().for_each(|heights| heights[motor] *= share);
-    }
+    // Pins at their travel would make no tap: their course becomes lower.
+    within_travel(&mut levels, limits);
     levels.limit(limits);
-    tap(&mut levels, limits.highest_mm);
+    tap(&mut levels);
+    within_travel(&mut levels, limits);
     levels.limit(limits);
     levels
 }
 
+/// A pin that would go beyond its travel keeps its time course.
+fn within_travel(levels: &mut Levels, limits: Limits) {
+    let motors = levels.heights_mm.first().map_or(0, Vec::len);
+    for motor in 0..motors {
+        let highest_mm = levels.heights_mm.iter().map(|heights| heights[motor]).fold(0.0, f64::max);
+        let share = (limits.highest_mm / highest_mm).min(1.0);
+        levels.heights_mm.iter_mut().for_each(|heights| heights[motor] *= share);
+    }
+}
+
 /// Adds a tap at each corner. At the first moment pins rest, so the tap of a course that begins there is one moment late.
-fn tap(levels: &mut Levels, highest_mm: f64) {
+fn tap(levels: &mut Levels) {
     let before = levels.heights_mm.clone();
     for (moment, three) in before.windows(3).enumerate() {
         let is_first = moment == 0;
         for (motor, height) in levels.heights_mm[moment + 1].iter_mut().enumerate() {
             let [a, b, c] = [0, 1, 2].map(|of| three[of][motor]);
             let begins = if is_first { b } else { 0.0 };
-            *height = (*height + TAP * ((a - 2.0 * b + c).abs() + begins)).min(highest_mm);
+            *height += (a - 2.0 * b + c).abs() + begins;
         }
     }
 }
