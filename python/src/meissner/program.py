@@ -233,7 +233,7 @@ def render(
 
     It runs `meissner render` on this machine. `touch` is the object's `[touch]`, such as `{"press": {"depth_um": 500}}`, for a dict
     that has none. A dict may hold NumPy values; the files that it names are found from the working directory. `method` is `auto`,
-    `trace`, `field`, `rate` or `rule`. `name`: the pattern's; without it `NAME-rendered`. `array` as for `design`.
+    `trace`, `field`, `rate`, `rule` or `stroke`. `name`: the pattern's; without it `NAME-rendered`. `array` as for `design`.
     """
     with tempfile.TemporaryDirectory(prefix="meissner-") as folder:
         if isinstance(object, Mapping):
