@@ -158,6 +158,10 @@ fn a_live_play_of_short_strokes_needs_bandwidth_too() {
     let needs = Bandwidth::of_live(100.0, 0.0, &Settings::of(array)).unwrap();
     // At least three bytes for each of 6400 strokes a second.
     assert!(needs.open.rate > 19_200 && needs.closed.rate > needs.open.rate, "{needs:?}");
+    // An update sends again what was sent ahead, a tenth of a second.
+    let updated = Bandwidth::of_live(100.0, 60.0, &Settings::of(array)).unwrap();
+    let more = f64::from(updated.open.rate) / f64::from(needs.open.rate);
+    assert!((6.0..10.0).contains(&more) && updated.open.frames > needs.open.frames, "{more} {updated:?}");
 }
 
 #[test]

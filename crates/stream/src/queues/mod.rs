@@ -267,3 +267,25 @@ impl Emit for ThreadQueues {
         let _ = self.measured.push(burst);
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn frequent_events_leave_room_for_others_and_each_lost_one_is_counted() {
+        let (mut thread, _commands, mut events) = queues().unwrap();
+        let none = firmware_protocol::array::MotorSet::EMPTY;
+        for _ in 0..EVENTS {
+            thread.event(StreamEvent::PinsLowered { id: 1, tick: Tick(0), late: none, held: none });
+        }
+        thread.event(StreamEvent::ThreadEnded);
+        let came: Vec<_> = std::iter::from_fn(|| events.pop()).collect();
+        let lowered = came.iter().filter(|event| matches!(event, StreamEvent::PinsLowered { .. })).count();
+        assert_eq!(lowered, EVENTS - RESERVED);
+        let [.., StreamEvent::EventsLost(lost), StreamEvent::ThreadEnded] = came[..] else {
+            panic!("{came:?}")
+        };
+        assert_eq!((lost as usize, came.len()), (RESERVED, lowered + 2));
+    }
+}
