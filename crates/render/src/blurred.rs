@@ -26,7 +26,12 @@ pub(crate) struct Blurred {
 
 impl Blurred {
     pub(crate) fn new(afferents: &[Afferent]) -> Self {
-        let places = grid(SPACING_MM);
+        Self::within(afferents, |_| true)
+    }
+
+    /// Only at some places.
+    pub(crate) fn within(afferents: &[Afferent], is_within: impl Fn([f64; 2]) -> bool) -> Self {
+        let places: Vec<_> = grid(SPACING_MM).into_iter().filter(|at| is_within(*at)).collect();
         let at_place = |class: Class, place: [f64; 2]| {
             let of_class = afferents.iter().enumerate().filter(|(_, of)| of.class == class);
             let weighed = of_class.map(|(number, of)| (number, weight(place, [of.at.x_mm, of.at.y_mm])));

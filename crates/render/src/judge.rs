@@ -3,7 +3,9 @@
 //! Spikes of each class are counted in bins and [`Blurred`] over the skin. Two responses are compared place by place and bin by bin.
 
 use crate::blurred::{Blurred, counts};
+use crate::skin::SPACING_MM;
 use meissner_array::pattern::Pattern;
+use meissner_array::spec::Array;
 use meissner_array::strokes::{StrokeOptions, Strokes};
 use meissner_skin::afferents::Class;
 use meissner_skin::{Finger, FingerError, Ramps};
@@ -95,6 +97,21 @@ impl<'j> Judge<'j> {
     /// A finger, its spikes under the object, s by afferent, and for how long they are counted.
     pub fn new(finger: &'j Finger, real_s: &'j [Vec<f64>], seconds: f64) -> Self {
         Self { finger, blurred: Blurred::new(finger.afferents()), real_s, seconds }
+    }
+
+    /// Judges only places within 1.45 mm of the array: what moves also touches skin that no pin can reach. Spikes are counted everywhere.
+    pub fn near(mut self, array: Array) -> Self {
+        let pins = array.positions_mm();
+        let is_near = |at: [f64; 2]| {
+            (0..2).all(|axis| {
+                let along = || pins.iter().map(|pin| pin[axis]);
+                let (low, high) =
+                    (along().fold(f64::INFINITY, f64::min), along().fold(f64::NEG_INFINITY, f64::max));
+                (low - SPACING_MM..=high + SPACING_MM).contains(&at[axis])
+            })
+        };
+        self.blurred = Blurred::within(self.finger.afferents(), is_near);
+        self
     }
 
     /// Compares the same finger's spikes under a pattern.
