@@ -23,12 +23,12 @@ pub(crate) const AFTER_S: f64 = 0.1;
 pub(crate) const METHODS: &[(&str, &str)] = &[
     (
         "auto",
-        "What simulated fingers find nearest: a press with taps, or for a motion the rates of afferents, or a plain answer",
+        "What two simulated fingers find nearest: a press with taps, or rule; for a motion also rate and stroke",
     ),
     ("rate", "The rates of afferents, from strokes"),
     ("field", "The skin's shape"),
     ("rule", "One press at full speed, graded by the distance from the object, which it follows"),
-    ("stroke", "One stroke of each pin as the object passes"),
+    ("stroke", "One stroke of each pin whenever the object passes; a press, if it stays in place"),
     ("trace", "A press that moves along the lines of the object, one after another, in its own time"),
 ];
 

@@ -265,7 +265,7 @@ const LARGE: &[&str] = &["RawConfig", "Player"];
 
 /// The crates of the product.
 fn product() -> impl Iterator<Item = &'static Sources> {
-    let beside = ["tests", "hil", "uf2"].map(|folder| format!("/{folder}/"));
+    let beside = ["tests", "verify", "uf2"].map(|folder| format!("/{folder}/"));
     let is_product = move |src: &Path| !beside.iter().any(|folder| src.to_string_lossy().contains(folder));
     CRATES.iter().filter(move |(src, _)| is_product(src)).map(|(_, of)| of)
 }

@@ -142,7 +142,10 @@ fn summary(document: &Document<'_>) -> String {
     ];
     if let Some(Choice { taken, likeness }) = document.choice {
         let all: Vec<_> = likeness.iter().map(|(name, likeness)| format!("{name} {likeness:.2}")).collect();
-        pairs.push(("likeness", format!("{} ({taken} is taken; the object itself has 1)", all.join(", "))));
+        pairs.push((
+            "likeness",
+            format!("{} ({taken} is taken; the object felt again has some 0.8)", all.join(", ")),
+        ));
     }
     if let Some(file) = &document.file {
         pairs.push(("written", escape(file)));

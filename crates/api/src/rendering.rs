@@ -33,7 +33,7 @@ pub const MAX_PREVIEW_S: f64 = 2.0;
 pub const MAX_PREVIEW_FROM_S: f64 = 60.0;
 
 /// How the heights of the pins are found: `rule` (a press at full speed, graded by the distance from the object, which it follows), `stroke` (one
-/// stroke of each pin as the object passes), `field` (the skin's shape), `rate` (skin and rates of afferents, from strokes), `auto` (what simulated
+/// stroke of each pin whenever the object passes; a press, if it stays in place), `field` (the skin's shape), `rate` (skin and rates of afferents, from strokes), `auto` (what simulated
 /// fingers find nearest to the object) or `trace` (a press that moves along the object's lines).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "kebab-case")]
@@ -186,7 +186,7 @@ pub struct Rendered {
     /// The keys of the object's file.
     #[schema(value_type = BTreeMap<String, Value>)]
     pub object: Value,
-    /// The found pattern, and those that it has to beat: `rule`, and `vibrate-60` (the pins within 1.5 mm of the object vibrate at 60 Hz).
+    /// The found pattern, and those that it has to beat: `rule`, for an object that moves `stroke`, and `vibrate-60` (the pins within 1.5 mm of the object vibrate at 60 Hz).
     pub judged: Vec<JudgedPattern>,
     /// Spikes of one finger under the object and under the patterns.
     pub response: ObjectResponse,

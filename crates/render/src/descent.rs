@@ -23,6 +23,7 @@ struct Weights {
     skin: f64,
 }
 
+/// For an object that moves.
 const WEIGHTS: Weights = Weights { ra: 1.0, pc: 0.02, skin: 0.3 };
 
 /// Numbers by moment and then by place.

@@ -38,8 +38,8 @@ pub struct Judged {
 }
 
 impl Judged {
-    /// One number: the mean of the correlation in 10 ms and of 1 less the errors of SA1 and of RA afferents in 36 ms. The object itself has nearly
-    /// 1. What the object leaves silent counts as 0.
+    /// One number: the mean of the correlation in 10 ms and of 1 less the errors of SA1 and of RA afferents in 36 ms. The object felt again has some
+    /// 0.8. What the object leaves silent counts as 0.
     pub fn likeness(&self) -> f64 {
         let parts = [self.r, 1.0 - self.error_by_class[0], 1.0 - self.error_by_class[1]];
         parts.into_iter().filter(|part| !part.is_nan()).sum::<f64>() / 3.0

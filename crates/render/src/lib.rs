@@ -61,8 +61,8 @@ pub enum Method {
     Field,
     /// The rates of afferents, beginning with strokes of the pins that the object passes.
     Rate,
-    /// What two simulated fingers find nearest to the object: a press with taps; for one that moves the rates of afferents, beginning with
-    /// strokes or with the skin's shape; or a plain answer.
+    /// What two simulated fingers find nearest to the object: a press with taps, or `Rule`; for an object that moves also `Stroke` and the rates of
+    /// afferents, beginning with strokes or with the skin's shape.
     Auto,
 }
 
@@ -71,23 +71,24 @@ const STEPS: usize = 60;
 
 /// Finds heights of an array's pins for an object's touch. `Auto` also says what it has chosen.
 pub fn render(array: Array, contact: &Contact, touch: &Touch, method: Method) -> (Levels, Option<Choice>) {
-    let skin = skin::Skin::new(array, skin::SPACING_MM);
     let limits = levels::Limits::of(array);
+    let near = || rule::nearness(array, contact, touch, wanted::moments(touch, limits));
+    match method {
+        Method::Rule => return (rule::press(array, contact, touch, &near()), None),
+        Method::Stroke => return (rule::stroke(array, contact, touch, &near()), None),
+        Method::Field | Method::Rate | Method::Auto => {}
+    }
+    let skin = skin::Skin::new(array, skin::SPACING_MM);
     let wanted = wanted::Wanted::new(&skin, contact, touch, limits);
-    let rule = || rule::press(array, contact, touch, wanted.moments());
-    let stroke = || rule::stroke(array, contact, touch, wanted.moments());
     let strokes = |goal: &Goal<'_>| goal.nearest(strokes::starts(&skin, &wanted, limits));
     let levels = match method {
-        Method::Rule => rule(),
-        Method::Stroke => stroke(),
-        Method::Field if touch.stays_in_place() => field::in_place(&skin, &wanted, limits),
-        Method::Field => field::nearest(&skin, &wanted, limits),
         Method::Rate => {
             let goal = Goal::new(&skin, &wanted);
             goal.descend(limits, strokes(&goal), STEPS).levels
         }
         Method::Auto => {
-            let mut answers = vec![("press", press::tapped(array, &skin, contact, touch, &wanted, limits))];
+            let near = near();
+            let mut answers = vec![("press", press::tapped(&skin, touch, &wanted, &near, limits))];
             if !touch.stays_in_place() {
                 // What moves slowly is followed, what moves fast is not: a third of the steps tells which.
                 let goal = Goal::new(&skin, &wanted);
@@ -96,12 +97,14 @@ pub fn render(array: Array, contact: &Contact, touch: &Touch, method: Method) ->
                     (try_out(strokes(&goal)), try_out(field::nearest(&skin, &wanted, limits)));
                 let nearer = if strokes.loss < followed.loss { strokes } else { followed };
                 let rate = goal.descend(limits, nearer.levels, STEPS - STEPS / 3).levels;
-                answers.extend([("rate", rate), ("stroke", stroke())]);
+                answers.extend([("rate", rate), ("stroke", rule::stroke(array, contact, touch, &near))]);
             }
-            answers.push(("rule", rule()));
+            answers.push(("rule", rule::press(array, contact, touch, &near)));
             let (levels, choice) = choose(array, contact, touch, answers);
             return (levels, Some(choice));
         }
+        _ if touch.stays_in_place() => field::in_place(&skin, &wanted, limits),
+        _ => field::nearest(&skin, &wanted, limits),
     };
     (levels, None)
 }

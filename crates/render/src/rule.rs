@@ -9,72 +9,87 @@ use meissner_touch::{Contact, Pose, Touch};
 
 /// How far a press reaches beyond the object, mm (SD of a Gaussian).
 const REACH_MM: f64 = 1.3;
-/// A lower top is no stroke, mm.
-const LEAST_MM: f64 = 0.02;
+/// An object that is less near does not pass.
+const LEAST: f64 = 0.05;
 
 /// Pins press while the object does.
-pub(crate) fn press(array: Array, contact: &Contact, touch: &Touch, moments: usize) -> Levels {
+pub(crate) fn press(array: Array, contact: &Contact, touch: &Touch, near: &[Vec<f64>]) -> Levels {
     let limits = Limits::of(array);
-    if !touch.stays_in_place() {
-        let mut levels = Levels { heights_mm: graded(array, contact, touch, moments) };
-        levels.limit(limits);
-        return levels;
-    }
-    let tops_mm = tops_mm(array, contact, touch);
-    let depth_mm = |moment: usize| touch.pose((moment as f64 * STEP_S).min(touch.duration_s())).depth_mm;
-    let mut levels = Levels::at_rest(moments, array.motors());
-    for moment in 1..moments {
-        let (before_mm, now_mm) = (depth_mm(moment - 1), depth_mm(moment));
-        // A depth that falls by less than a hundredth in a moment counts as held.
-        let is_up = now_mm > 0.0 && before_mm - now_mm < 0.01 * touch.most_depth_mm();
-        for (motor, top_mm) in tops_mm.iter().enumerate() {
-            let (from_mm, to_mm) = (levels.heights_mm[moment - 1][motor], if is_up { *top_mm } else { 0.0 });
-            let way_mm = (to_mm - from_mm).clamp(-limits.step_mm, limits.step_mm);
-            levels.heights_mm[moment][motor] = from_mm + way_mm;
-        }
-    }
-    levels.limit(limits);
-    levels
-}
-
-/// Each pin makes a stroke about each moment at which the object is nearest to it. An object that stays in place is pressed.
-pub(crate) fn stroke(array: Array, contact: &Contact, touch: &Touch, moments: usize) -> Levels {
+    let mut levels = Levels::at_rest(near.len(), array.motors());
     if touch.stays_in_place() {
-        return press(array, contact, touch, moments);
-    }
-    let limits = Limits::of(array);
-    let near_mm = graded(array, contact, touch, moments);
-    let mut levels = Levels::at_rest(moments, array.motors());
-    for motor in 0..array.motors() {
-        let mut first = 0;
-        let course: Vec<f64> = near_mm.iter().map(|heights| heights[motor]).collect();
-        let (mut before_mm, mut runs) = (0.0, course.chunk_by(|a, b| a == b).peekable());
-        while let Some(run) = runs.next() {
-            let (top_mm, middle) = (run[0], first as f64 + (run.len() - 1) as f64 / 2.0);
-            let after_mm = runs.peek().map_or(0.0, |next| next[0]);
-            if top_mm > LEAST_MM && top_mm > before_mm && top_mm > after_mm {
-                for (moment, heights) in levels.heights_mm.iter_mut().enumerate() {
-                    let tent_mm = top_mm - limits.step_mm * (moment as f64 - middle).abs();
-                    heights[motor] = heights[motor].max(tent_mm);
-                }
+        let deepest = Pose { depth_mm: touch.most_depth_mm(), ..touch.pose(0.0) };
+        let tops = near_at(array, contact, &deepest);
+        let depth_mm = |moment: usize| match moment as f64 * STEP_S {
+            t_s if t_s <= touch.duration_s() => touch.pose(t_s).depth_mm,
+            _ => 0.0,
+        };
+        for moment in 1..near.len() {
+            let (before_mm, now_mm) = (depth_mm(moment - 1), depth_mm(moment));
+            let is_up = now_mm > 0.0 && (now_mm >= before_mm || now_mm > 0.99 * touch.most_depth_mm());
+            for (motor, top) in tops.iter().enumerate() {
+                let from_mm = levels.heights_mm[moment - 1][motor];
+                let to_mm = if is_up { limits.highest_mm * top } else { 0.0 };
+                let way_mm = (to_mm - from_mm).clamp(-limits.step_mm, limits.step_mm);
+                levels.heights_mm[moment][motor] = from_mm + way_mm;
             }
-            (before_mm, first) = (top_mm, first + run.len());
+        }
+    } else {
+        for (heights, near) in levels.heights_mm.iter_mut().zip(near) {
+            heights.iter_mut().zip(near).for_each(|(height, near)| *height = limits.highest_mm * near);
         }
     }
     levels.limit(limits);
     levels
 }
 
-/// The height of each pin where the object lies at its deepest, mm.
-fn tops_mm(array: Array, contact: &Contact, touch: &Touch) -> Vec<f64> {
-    let pose = Pose { depth_mm: touch.most_depth_mm(), ..touch.pose(0.0) };
-    let height = |pin: &[f64; 2]| near(contact, &pose, *pin) * Limits::of(array).highest_mm;
-    array.positions_mm().iter().map(height).collect()
+/// Each pin makes a stroke whenever the object passes. An object that stays in place is pressed.
+pub(crate) fn stroke(array: Array, contact: &Contact, touch: &Touch, near: &[Vec<f64>]) -> Levels {
+    if touch.stays_in_place() {
+        return press(array, contact, touch, near);
+    }
+    let limits = Limits::of(array);
+    let mut levels = Levels::at_rest(near.len(), array.motors());
+    for motor in 0..array.motors() {
+        for (middle, top) in passes(near.iter().map(|near| near[motor])) {
+            for (moment, heights) in levels.heights_mm.iter_mut().enumerate() {
+                let tent_mm = limits.highest_mm * top - limits.step_mm * (moment as f64 - middle).abs();
+                heights[motor] = heights[motor].max(tent_mm);
+            }
+        }
+    }
+    levels.limit(limits);
+    levels
 }
 
-/// The heights of pins by how near the object is, at each moment of the touch, mm; 0 after it.
-pub(crate) fn graded(array: Array, contact: &Contact, touch: &Touch, moments: usize) -> Vec<Vec<f64>> {
-    let highest_mm = Limits::of(array).highest_mm;
+/// The middle of each pass and how near the object comes. A pass ends where it is less than half as near, and the next begins where it is twice as
+/// near as since: grains under a pin are no passes.
+fn passes(near: impl Iterator<Item = f64>) -> Vec<(f64, f64)> {
+    let (mut found, mut low) = (Vec::new(), 0.0_f64);
+    let mut top: Option<(f64, usize, usize)> = None;
+    for (moment, near) in near.chain([0.0]).enumerate() {
+        match &mut top {
+            None if near > LEAST && near > 2.0 * low => top = Some((near, moment, moment)),
+            None => low = low.min(near),
+            Some((most, ..)) if near < *most / 2.0 => {
+                found.extend(top.take().map(|(most, first, last)| ((first + last) as f64 / 2.0, most)));
+                low = near;
+            }
+            Some((most, first, last)) => {
+                if near > 1.02 * *most {
+                    *first = moment;
+                }
+                if near > 0.98 * *most {
+                    *last = moment;
+                }
+                *most = most.max(near);
+            }
+        }
+    }
+    found
+}
+
+/// How near the object is to each pin, at each moment of the touch: 1 if it touches it, 0 far away and after the touch.
+pub(crate) fn nearness(array: Array, contact: &Contact, touch: &Touch, moments: usize) -> Vec<Vec<f64>> {
     let mut before: Option<(Pose, Vec<f64>)> = None;
     let at = |moment: usize| {
         let t_s = moment as f64 * STEP_S;
@@ -82,23 +97,20 @@ pub(crate) fn graded(array: Array, contact: &Contact, touch: &Touch, moments: us
             return vec![0.0; array.motors()];
         }
         let pose = touch.pose(t_s);
-        match &before {
-            Some((same, heights)) if *same == pose => heights.clone(),
-            _ => {
-                let height = |pin: &[f64; 2]| highest_mm * near(contact, &pose, *pin);
-                let heights: Vec<f64> = array.positions_mm().iter().map(height).collect();
-                before = Some((pose, heights.clone()));
-                heights
-            }
+        if before.as_ref().is_none_or(|(same, _)| *same != pose) {
+            before = Some((pose, near_at(array, contact, &pose)));
         }
+        before.iter().flat_map(|(_, near)| near.clone()).collect()
     };
     (0..moments).map(at).collect()
 }
 
-/// How near the object is to a pin: 1 if it touches it.
-fn near(contact: &Contact, pose: &Pose, pin: [f64; 2]) -> f64 {
-    let beyond_mm = beyond_mm(contact, pose, pin);
-    libm::exp(-beyond_mm * beyond_mm / (2.0 * REACH_MM * REACH_MM))
+fn near_at(array: Array, contact: &Contact, pose: &Pose) -> Vec<f64> {
+    let near = |pin: &[f64; 2]| {
+        let beyond_mm = beyond_mm(contact, pose, *pin);
+        libm::exp(-beyond_mm * beyond_mm / (2.0 * REACH_MM * REACH_MM))
+    };
+    array.positions_mm().iter().map(near).collect()
 }
 
 /// How far a place on the skin is from the part of the object that touches it, mm; infinite if none does.
@@ -117,4 +129,48 @@ pub(crate) fn touching(contact: &Contact, pose: &Pose) -> impl Iterator<Item = [
     touching
         .filter(move |(_, height_mm)| **height_mm + depth_mm > 0.0)
         .map(move |([x, y], _)| [x_mm + x * cos - y * sin, y_mm + x * sin + y * cos])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use meissner_touch::{Object, Press, Scan, Shape, surface_of};
+
+    fn contact(shape: &Shape, touch: &Touch) -> Contact {
+        let object = Object::new("thing", surface_of(shape), touch.clone());
+        Contact::new(object.grains(object.pitch_mm()), 0.5).unwrap()
+    }
+
+    /// A bar that slides along itself, a plate and two dots pass over the pins.
+    #[test]
+    fn a_pin_makes_a_stroke_for_each_pass_and_none_for_each_grain() {
+        let bar = Shape::Polyline(vec![[-6.0, 0.0], [6.0, 0.0]]);
+        let plate = Shape::Disc { center_mm: [0.0; 2], radius_mm: 4.0 };
+        let dots = Shape::Dots(vec![[-5.0, 0.0], [5.0, 0.0]]);
+        for (shape, strokes) in [(bar, 1), (plate, 1), (dots, 2)] {
+            let scan =
+                Scan { depth_mm: 0.5, rise_s: 0.01, speed_mm_s: 20.0, direction_deg: 0.0, duration_s: 1.6 };
+            let touch = Touch::scan(Pose { y_mm: 1.0, ..Pose::default() }, scan).unwrap();
+            let contact = contact(&shape, &touch);
+            let near = nearness(Array::paper(), &contact, &touch, 500);
+            // The pin at [1.45, 1.45].
+            assert_eq!(passes(near.iter().map(|near| near[10])).len(), strokes, "{shape:?}");
+            let levels = stroke(Array::paper(), &contact, &touch, &near);
+            let moves = levels.heights_mm.windows(2).filter(|pair| pair[1][10] > pair[0][10]).count();
+            assert!((1..=9 * strokes).contains(&moves), "{shape:?}: {moves}");
+        }
+    }
+
+    #[test]
+    fn a_press_rises_at_once_and_comes_down_when_the_depth_falls_however_slowly() {
+        for fall_s in [0.05, 1.0] {
+            let press = Press { depth_mm: 0.5, rise_s: 0.2, hold_s: 0.1, fall_s };
+            let touch = Touch::press(Pose::default(), press).unwrap();
+            let contact = contact(&Shape::Dots(vec![[1.45, 1.45]]), &touch);
+            let near = nearness(Array::paper(), &contact, &touch, 400);
+            let levels = super::press(Array::paper(), &contact, &touch, &near);
+            let up = |t_s: f64| levels.heights_mm[(t_s / STEP_S) as usize][10];
+            assert!(up(0.05) > 0.39 && up(0.3) > 0.39 && up(0.36) < 0.01, "{fall_s}: {}", up(0.36));
+        }
+    }
 }

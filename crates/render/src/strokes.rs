@@ -32,7 +32,7 @@ pub(crate) fn starts(skin: &Skin, wanted: &Wanted, limits: Limits) -> Vec<Levels
 
 fn graded(skin: &Skin, wanted: &Wanted, limits: Limits, slot: usize, begin: usize) -> Levels {
     let table = Table::of_ra();
-    let mut levels = Levels::at_rest(wanted.moments(), skin.motors);
+    let mut levels = Levels::at_rest(wanted.skin_mm.len(), skin.motors);
     let highest_mm = limits.highest_mm.min(limits.step_mm * (slot as f64 - 1.0) / 2.0);
     let mm_per_spike = highest_mm / spikes_of_stroke(&table, limits, highest_mm);
     let boxed = Boxed::new(skin, DAMPING);

@@ -16,16 +16,21 @@ pub(crate) struct Wanted {
 impl Wanted {
     /// After the touch, the skin is at rest until pins that are at their travel have come down.
     pub(crate) fn new(skin: &Skin, contact: &Contact, touch: &Touch, limits: Limits) -> Self {
-        let moments = (touch.duration_s() / STEP_S).ceil() as usize + 1;
+        let moments = touched(touch);
         let times_s: Vec<f64> = (0..moments).map(|moment| moment as f64 * STEP_S).collect();
         let by_place = displacements_mm(contact, touch, &skin.places_mm, &times_s);
         let at = |moment: usize| by_place.iter().map(|place| place[moment]).collect();
-        let after = (limits.highest_mm / limits.step_mm).ceil() as usize;
-        let rest = vec![vec![0.0; skin.places()]; after];
+        let rest = vec![vec![0.0; skin.places()]; self::moments(touch, limits) - moments];
         Self { skin_mm: (0..moments).map(at).chain(rest).collect(), touched: moments }
     }
+}
 
-    pub(crate) const fn moments(&self) -> usize {
-        self.skin_mm.len()
-    }
+/// Moments of a touch itself.
+fn touched(touch: &Touch) -> usize {
+    (touch.duration_s() / STEP_S).ceil() as usize + 1
+}
+
+/// Moments of a touch, and those in which pins that are at their travel come down.
+pub(crate) fn moments(touch: &Touch, limits: Limits) -> usize {
+    touched(touch) + (limits.highest_mm / limits.step_mm).ceil() as usize
 }

@@ -127,7 +127,7 @@ impl Placed {
                 }
             }
         }
-        // Traces count if all objects have lines.
+        // A way counts if all objects have it: a trace needs lines, a stroke motion.
         ways.retain(|way| way.patterns.len() == objects.len());
         Ok(Self { contacts, ways })
     }

@@ -16,7 +16,7 @@ pub(super) struct Presented {
     pub(super) is_traced: bool,
 }
 
-/// The patterns of all methods and rules.
+/// The patterns of all methods and rules; a stroke of objects that move alone.
 pub(super) fn presented(array: Array, object: &Object, contact: &Contact) -> Result<Vec<Presented>> {
     let touch = object.touch();
     let mut patterns = Vec::new();

@@ -1,4 +1,4 @@
-//! How fast the daemon answers, on this machine, in wall time: `cargo bench --bench latency`.
+//! How fast the daemon answers, on this machine, in wall time: `cargo bench -p meissner-benches --bench latency`.
 //!
 //! A daemon on the mock runs in this process; the benchmark sends requests over its real socket. It also prints how late this
 //! machine's timers wake an ordinary thread: no tail can be shorter than that. It asserts nothing.

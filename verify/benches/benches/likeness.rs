@@ -222,8 +222,12 @@ fn main() -> Outcome<()> {
     for (name, of) in THINGS.into_iter().filter(|(name, _)| is_asked(name)) {
         let moves = matches!(of, Thing::Moving { .. });
         for near in [false, true].into_iter().filter(|near| moves || !near) {
-            let whole = if near { ", places within 1.45 mm of the array" } else { "" };
-            println!("\n{name}{whole}\n{:20} {}", "", COLUMNS.map(|column| format!("{column:>12}")).join(""));
+            let places = if near { ", places within 1.45 mm of the array" } else { "" };
+            println!(
+                "\n{name}{places}\n{:20} {}",
+                "",
+                COLUMNS.map(|column| format!("{column:>12}")).join("")
+            );
             let by_object = (0..objects)
                 .into_par_iter()
                 .map(|number| judged(of, seed, number, fingers, near))

@@ -1,5 +1,5 @@
 //! The compiler, alone and with the link's encoding, on an ordinary heavy load: 24 motors × 60 Hz × 147 pulses; the compiler alone
-//! with 64 motors, too. `cargo bench --bench strokes`. Elements are bursts, two to a stroke.
+//! with 64 motors, too. `cargo bench -p meissner-benches --bench strokes`. Elements are bursts, two to a stroke.
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use firmware_protocol::batch::{BATCH_BYTES, Packer};

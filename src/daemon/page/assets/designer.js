@@ -21,7 +21,7 @@ const METHODS = {
   rate: "Strokes at full speed, until afferents fire as under the thing: for a motion.",
   field: "Pins take the shape of the skin.",
   rule: "Pins near the thing go their full travel at full speed: the plainest, sharp for an angle or a letter's name.",
-  stroke: "Each pin makes one stroke as the thing passes: the plainest for a motion.",
+  stroke: "Each pin makes one stroke whenever the thing passes: the plainest for a motion. What stays in place is pressed.",
   trace: "A press follows the lines, one after another: for letters and shapes that the pins are too coarse for. Its time is its own.",
 };
 // Which things a field is for, by the id of its field, and its label is `ID-label`.
