@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import importlib.util
+import json
 import os
 import re
 import signal
@@ -246,6 +247,39 @@ def test_two_afc_killed_in_the_middle_loses_no_answer_and_goes_on(tmp_path: Path
         run("two_afc.py", tmp_path, **environment)
         trials = [play["receipt"]["order"]["trial"] for play in answered(daemon) if play["answer"]]
     assert sorted(trials) == list(range(1, 41))
+
+
+def test_feels_real_asks_people_and_analyses_what_they_say(tmp_path: Path) -> None:
+    """Ten trials of one participant are in the dataset as they were answered; a simulated study tells the truth that it was made with."""
+    # Ten of the trials of "feels_real.py".
+    ten = (
+        "import feels_real as f, json; every = f.study; f.study = lambda name: every(name)[:10]; f.PAUSE_S = 0.02; f.run('P07', 'data');"
+        "told = [f.report(f.simulated(30, 0.7, seed)) for seed in range(4)];"
+        "print(json.dumps([f.read('data'), f.report(f.read('data')), told, f.plan(12, 0.5, 40)]))"
+    )
+    with meissner.Daemon() as daemon:
+        found = run_kept(
+            [sys.executable, "-c", ten],
+            tmp_path,
+            {
+                "MEISSNER_SOCKET": daemon.socket,
+                "MEISSNER_ANSWERS": "0.6",
+                "PYTHONPATH": os.pathsep.join([str(EXAMPLES), *filter(None, [os.environ.get("PYTHONPATH")])]),
+            },
+        )
+        assert found.returncode == 0, found.stderr
+        plays = answered(daemon)
+    answers, (report, p), told, plan = json.loads(found.stdout)
+    assert len(answers) == len(plays) == 10
+    for (participant, thing, against, interval, took_auto), play in zip(answers, plays, strict=True):
+        names = [item["pattern"] for item in play["receipt"]["items"]]
+        assert (participant, names[interval - 1]) == ("sub-P07", f"{thing}-a")
+        assert (names[2 - interval] == f"{thing}-b") is (against == "rule")
+        assert took_auto is (play["answer"]["response"] == str(interval))
+    assert (report.split(";")[0], p) in [(f"{count} participants", 1.0) for count in (0, 1)]
+    means = [float(re.findall(r"taken in (0\.\d+)", text)[0]) for text, _ in told]
+    assert all(mean == pytest.approx(0.68, abs=0.06) and p < 0.01 for mean, (_, p) in zip(means, told, strict=True))
+    assert int(plan.split()[0]) <= 6
 
 
 def blocks(file: Path, language: str) -> list[str]:

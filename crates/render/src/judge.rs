@@ -8,7 +8,7 @@ use meissner_array::pattern::Pattern;
 use meissner_array::spec::Array;
 use meissner_array::strokes::{StrokeOptions, Strokes};
 use meissner_skin::afferents::Class;
-use meissner_skin::{Finger, FingerError, Ramps};
+use meissner_skin::{Finger, FingerError, Ramps, RampsError};
 use serde::Serialize;
 
 /// Bins of all classes together, s.
@@ -56,12 +56,16 @@ pub fn response_of(
     seconds: f64,
     noise_seed: u64,
 ) -> Result<Vec<Vec<f64>>, FingerError> {
-    // Once: an object touches once.
+    finger.spikes_s(&ramps_of(pattern, seconds)?, seconds, noise_seed)
+}
+
+/// What ideal motors do with a pattern that is played once: an object touches once.
+///
+/// # Errors
+/// If it cannot be compiled.
+pub fn ramps_of(pattern: &Pattern, seconds: f64) -> Result<Ramps, RampsError> {
     let once_s = pattern.duration_s().map_or(seconds, |duration_s| duration_s.min(seconds));
-    let strokes =
-        Strokes::new(pattern, &StrokeOptions::lasting(once_s)).map_err(meissner_skin::RampsError::from)?;
-    let ramps = Ramps::of_strokes(strokes, seconds)?;
-    finger.spikes_s(&ramps, seconds, noise_seed)
+    Ramps::of_strokes(Strokes::new(pattern, &StrokeOptions::lasting(once_s))?, seconds)
 }
 
 /// The correlation of two responses, and the size of their difference over that of the second; NaN if the second is nothing.

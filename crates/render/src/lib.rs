@@ -38,7 +38,7 @@ mod wanted;
 
 pub use blurred::BLUR_MM;
 pub use choice::Choice;
-pub use judge::{Judge, Judged, response_of};
+pub use judge::{Judge, Judged, ramps_of, response_of};
 pub use levels::{Levels, STEP_S};
 pub use observer::{Observer, Reads};
 pub use poses::{PART_MM, Poses, PosesError};

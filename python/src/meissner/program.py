@@ -218,7 +218,8 @@ def described(array: Array, options: Mapping[str, Any]) -> Iterator[dict[str, An
 @dataclass(frozen=True)
 class Rendering(Design):
     """A pattern that gives a finger the response that an object gives. `summary`: `duration_s`, `motors`, `highest_um`, `method`, times, and as
-    `choice` what `auto` has taken and how near each answer comes."""
+    `choice` what `auto` has taken and how near each answer comes.
+    """
 
 
 @hinted

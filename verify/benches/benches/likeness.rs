@@ -3,11 +3,15 @@
 //!
 //! `FINGERS` [10] fingers feel `OBJECTS` [5] random places and directions of each thing. A row has the mean and, in brackets, the standard error
 //! over the objects. `SEED` [0] makes other fingers and places. Words after `--` choose things by their names. It asserts nothing.
+//!
+//! `OFF` says what nobody knows while rendering: `motors` that go up to 10 % further or less far, each by its own share; a `finger` 1 mm off;
+//! pins with a `radius` of 0.7 mm.
 
 use meissner_array::pattern::Pattern;
+use meissner_array::per_motor::PerMotor;
 use meissner_array::random::uniform;
-use meissner_array::spec::Array;
-use meissner_render::{Judge, Method, Observer, Reads, Rival, render, response_of};
+use meissner_array::spec::{Array, ArraySpec};
+use meissner_render::{Judge, Method, Observer, Reads, Rival, ramps_of, render};
 use meissner_skin::Finger;
 use meissner_touch::{
     Contact, DOT_MM, Object, Pose, Press, Scan, Surface, Touch, braille_dots, respond, surface_of,
@@ -110,38 +114,77 @@ fn thing(of: Thing, seed: u64, number: u64) -> Outcome<(Touch, Contact)> {
     }
 }
 
+/// What differs from what was rendered for.
+struct Off {
+    array: Array,
+    motors: bool,
+    finger: bool,
+}
+
+impl Off {
+    fn asked() -> Outcome<Self> {
+        let (paper, off) = (Array::paper(), env::var("OFF").unwrap_or_default());
+        let array = match &*off {
+            "" | "motors" | "finger" => paper,
+            "radius" => {
+                let text = paper.text().replace("tula35-6x4", "thick-pins");
+                let text = text.replace("pitch_mm = 2.9", "pitch_mm = 2.9, radius_mm = 0.7");
+                Array::known(ArraySpec::parse(&text, "thick-pins.toml")?)?
+            }
+            _ => return Err("OFF: must be motors, finger or radius".into()),
+        };
+        Ok(Self { array, motors: off == "motors", finger: off == "finger" })
+    }
+
+    /// The gains of the motors, and by how much the finger is off, mm, under an object of this number.
+    fn draw(&self, number: u64) -> (PerMotor<f64>, [f64; 2]) {
+        let random = |of: u64| uniform([number, of, 2, 62])[0];
+        let gain = |motor: u8| if self.motors { 0.9 + 0.2 * random(motor.into()) } else { 1.0 };
+        let finger_mm = if self.finger { direction(360.0 * random(99)) } else { [0.0; 2] };
+        (PerMotor::from_fn(self.array, gain), finger_mm)
+    }
+
+    /// The spikes of a finger under a pattern, or under the object of this number.
+    fn felt_s(
+        &self,
+        pattern: Option<&Pattern>,
+        finger: &Finger,
+        (touch, contact): (&Touch, &Contact),
+        number: u64,
+        noise: u64,
+    ) -> Outcome<Vec<Vec<f64>>> {
+        let Some(pattern) = pattern else {
+            return Ok(respond(contact, touch, finger.afferents(), Some(noise), &|_| ()));
+        };
+        let (seconds, (gains, finger_mm)) = (touch.duration_s() + AFTER_S, self.draw(number));
+        let ramps = ramps_of(pattern, seconds)?.scaled(&gains)?;
+        Ok(finger.clone().shifted(finger_mm).spikes_s(&ramps, seconds, noise)?)
+    }
+}
+
 /// The pattern of each row; none feels the object itself.
-fn patterns(touch: &Touch, contact: &Contact) -> Outcome<Vec<Option<Pattern>>> {
+fn patterns(touch: &Touch, contact: &Contact, felt: Array) -> Outcome<Vec<Option<Pattern>>> {
     let array = Array::paper();
     let of_row = |(name, method): &(&str, Option<Method>)| match (*name, method) {
         ("felt again", _) => Ok(None),
         (_, Some(method)) => {
             let (levels, _) = render(array, contact, touch, *method);
-            Ok(Some(levels.pattern(array, "rendered", toml::Table::new())?))
+            Ok(Some(levels.pattern(felt, "rendered", toml::Table::new())?))
         }
-        (_, None) => Ok(Some(Rival::WithinReach.pattern(array, contact, touch)?)),
+        (_, None) => Ok(Some(Rival::WithinReach.pattern(felt, contact, touch)?)),
     };
     ROWS.iter().map(of_row).collect()
 }
 
-/// The spikes of a finger under a pattern, or under the object.
-fn spikes_s(
-    pattern: Option<&Pattern>,
-    finger: &Finger,
-    touch: &Touch,
-    contact: &Contact,
-    noise: u64,
-) -> Outcome<Vec<Vec<f64>>> {
-    Ok(match pattern {
-        None => respond(contact, touch, finger.afferents(), Some(noise), &|_| ()),
-        Some(pattern) => response_of(finger, pattern, touch.duration_s() + AFTER_S, noise)?,
-    })
-}
-
 /// The columns of a thing's rows, by object: near the array, or on the whole pad.
-fn judged(of: Thing, seed: u64, number: u64, fingers: u64, near: bool) -> Outcome<Vec<[f64; COLUMNS.len()]>> {
+fn judged(
+    of: Thing,
+    off: &Off,
+    [seed, number, fingers]: [u64; 3],
+    near: bool,
+) -> Outcome<Vec<[f64; COLUMNS.len()]>> {
     let (touch, contact) = thing(of, seed, number)?;
-    let (seconds, patterns) = (touch.duration_s() + AFTER_S, patterns(&touch, &contact)?);
+    let (seconds, patterns) = (touch.duration_s() + AFTER_S, patterns(&touch, &contact, off.array)?);
     let mut rows = vec![[0.0; COLUMNS.len()]; ROWS.len()];
     for finger in 0..fingers {
         let finger = Finger::new(20_000 + 1_000 * seed + finger);
@@ -149,7 +192,7 @@ fn judged(of: Thing, seed: u64, number: u64, fingers: u64, near: bool) -> Outcom
         let judge = Judge::new(&finger, &real_s, seconds);
         let judge = if near { judge.near(Array::paper()) } else { judge };
         for (sums, pattern) in rows.iter_mut().zip(&patterns) {
-            let of = judge.compare(&spikes_s(pattern.as_ref(), &finger, &touch, &contact, 1)?);
+            let of = judge.compare(&off.felt_s(pattern.as_ref(), &finger, (&touch, &contact), number, 1)?);
             let mut columns = vec![of.r, of.error];
             for group in [of.r_by_class, of.error_by_class, of.spikes] {
                 columns.extend(group);
@@ -185,7 +228,7 @@ fn read(of: &str, value: f64, at: Pose) -> Outcome<(Touch, Contact)> {
 }
 
 /// By row and observer: the errors of what is read on one finger.
-fn errors(of: Read, seed: u64, number: u64) -> Outcome<Vec<[Vec<f64>; 2]>> {
+fn errors(of: Read, off: &Off, seed: u64, number: u64) -> Outcome<Vec<[Vec<f64>; 2]>> {
     let (name, count, value) = of;
     let finger = Finger::new(20_000 + 1_000 * seed + number);
     let at = somewhere(seed, 500 + number);
@@ -195,14 +238,14 @@ fn errors(of: Read, seed: u64, number: u64) -> Outcome<Vec<[Vec<f64>; 2]>> {
         [Reads::Fine, Reads::Blurred].map(|reads| Observer::new(&finger, reads, seconds, count));
     for (thing, (touch, contact)) in all.iter().enumerate() {
         for noise in 0..3 {
-            let felt_s = spikes_s(None, &finger, touch, contact, noise)?;
+            let felt_s = off.felt_s(None, &finger, (touch, contact), number, noise)?;
             observers.iter_mut().for_each(|observer| observer.learn(thing, &felt_s));
         }
     }
     let mut rows = vec![[Vec::new(), Vec::new()]; ROWS.len()];
     for (thing, (touch, contact)) in all.iter().enumerate() {
-        for (row, pattern) in rows.iter_mut().zip(&patterns(touch, contact)?) {
-            let felt_s = spikes_s(pattern.as_ref(), &finger, touch, contact, 9)?;
+        for (row, pattern) in rows.iter_mut().zip(&patterns(touch, contact, off.array)?) {
+            let felt_s = off.felt_s(pattern.as_ref(), &finger, (touch, contact), number, 9)?;
             for (errors, observer) in row.iter_mut().zip(&observers) {
                 errors.push(value(observer.name(&felt_s).unwrap_or(0)) - value(thing));
             }
@@ -216,6 +259,7 @@ fn main() -> Outcome<()> {
         Ok(env::var(name).map_or(Ok(otherwise), |text| text.parse())?)
     };
     let (fingers, objects, seed) = (number("FINGERS", 10)?, number("OBJECTS", 5)?, number("SEED", 0)?);
+    let off = Off::asked()?;
     let words: Vec<String> = env::args().skip(1).filter(|word| !word.starts_with("--")).collect();
     let is_asked = |name: &str| words.is_empty() || words.iter().any(|word| name.starts_with(&**word));
     println!("{objects} random places, {fingers} fingers: mean (standard error); dots of {DOT_MM} mm");
@@ -230,7 +274,7 @@ fn main() -> Outcome<()> {
             );
             let by_object = (0..objects)
                 .into_par_iter()
-                .map(|number| judged(of, seed, number, fingers, near))
+                .map(|number| judged(of, &off, [seed, number, fingers], near))
                 .collect::<Outcome<Vec<_>>>()?;
             for (row, (row_name, method)) in ROWS.iter().enumerate() {
                 if *method == Some(Method::Stroke) && !moves {
@@ -248,7 +292,7 @@ fn main() -> Outcome<()> {
         println!("\n{}, read by each afferent and blurred: share right, RMS, bias", of.0);
         let by_finger = (0..fingers)
             .into_par_iter()
-            .map(|finger| errors(of, seed, finger))
+            .map(|finger| errors(of, &off, seed, finger))
             .collect::<Outcome<Vec<_>>>()?;
         for (row, (row_name, method)) in ROWS.iter().enumerate() {
             if *method == Some(Method::Stroke) {
