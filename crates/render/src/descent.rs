@@ -24,7 +24,7 @@ struct Weights {
 }
 
 /// For an object that moves.
-const WEIGHTS: Weights = Weights { ra: 1.0, pc: 0.02, skin: 0.3 };
+const WEIGHTS: Weights = Weights { ra: 1.0, pc: 0.02, skin: 1.0 };
 
 /// Numbers by moment and then by place.
 type Rows = Vec<Vec<f64>>;

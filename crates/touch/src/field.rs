@@ -12,7 +12,6 @@
 
 use crate::contact::{Contact, MAX_BYTES, Weights, cubic, distance};
 use crate::fft::{Convolution, Plan};
-use crate::grains::Grains;
 use meissner_skin::afferents::{Class, Punch};
 use rayon::prelude::*;
 use std::array::from_fn;
@@ -21,6 +20,10 @@ use std::array::from_fn;
 const MARGIN_MM: f64 = 4.0;
 /// The step of the coarse table, mm.
 const COARSE_MM: f64 = 0.25;
+/// The distance of loads seen from the coarse table, unless grains lie further apart, mm: the largest error is 5e-4 of an effect.
+const NODES_MM: f64 = 0.25;
+/// The step of distances from the coarse table's points to loads, mm. They are above 3 mm: interpolation changes effects by less than 1e-6.
+const DISTANCE_MM: f64 = 0.02;
 /// Steps of the fine table per diameter of a grain: the most and fewer, if memory is short.
 const FINE: [usize; 3] = [4, 2, 1];
 /// Sums over all loads at a place: the first `N` of the spread loads, N/mm, the same each times its delay in samples, and the pressure at
@@ -62,14 +65,15 @@ impl<const N: usize> Field<N> {
         let size = [0, 1].map(|axis| ((high[axis] - low[axis]) / COARSE_MM).ceil() as usize + 3);
         let mut coarse = Table { low, step_mm: COARSE_MM, size, values: Vec::new() };
         let fine = fine::<N>(contact);
-        let grains = contact.grains();
+        let high = [0, 1].map(|axis| low[axis] + size[axis] as f64 * COARSE_MM);
+        let far = Far::<N>::new(contact, low, high);
         coarse.values = vec![0.0; size[0] * size[1] * depths * N];
         let rows = coarse.values.par_chunks_mut(size[0] * depths * N).enumerate();
         rows.for_each(|(row, values)| {
             for (column, values) in values.chunks_exact_mut(depths * N).enumerate() {
                 let at = [low[0] + column as f64 * COARSE_MM, low[1] + row as f64 * COARSE_MM];
                 if !fine.has_near(at) {
-                    add::<N>(grains, contact, at, values);
+                    far.add(at, values);
                 }
             }
         });
@@ -83,14 +87,67 @@ impl<const N: usize> Field<N> {
     }
 }
 
-/// Adds the effects of all loads at a place, by solved depth and channel.
-fn add<const N: usize>(grains: &Grains, contact: &Contact, at: [f64; 2], values: &mut [f64]) {
-    for (grain, place) in grains.places_mm.iter().enumerate() {
-        let distance_mm = distance(at, *place);
-        let effect: Effect<N> = from_fn(|channel| effect(grains.punch(), channel, distance_mm));
-        for (depth, values) in values.chunks_exact_mut(N).enumerate() {
-            let load = contact.solved(depth)[grain];
-            values.iter_mut().zip(effect).for_each(|(value, effect)| *value += load * effect);
+/// Loads seen from afar: their effects at places of the coarse table, which are more than 3 mm away.
+struct Far<const N: usize> {
+    /// The place of each load, mm.
+    places_mm: Vec<[f64; 2]>,
+    /// By place and then by solved depth, N.
+    loads_n: Vec<f64>,
+    /// The effect of a load of 1 N by steps of distance: the functions take many times as long as a look-up.
+    effects: Vec<Effect<N>>,
+}
+
+impl<const N: usize> Far<N> {
+    /// The loads of a contact for a table from `low` to `high`. Grains that are closer than [`NODES_MM`] share nodes: each has its load on the
+    /// four about it, with the sum and the centre kept.
+    fn new(contact: &Contact, low: [f64; 2], high: [f64; 2]) -> Self {
+        let (grains, depths) = (contact.grains(), contact.depths());
+        let apart = ((NODES_MM / grains.pitch_mm) as usize).max(1);
+        let size = grains.size.map(|size| size.div_ceil(apart) + 1);
+        let mut nodes = vec![0.0; size[0] * size[1] * depths];
+        for (grain, cell) in grains.cells.iter().enumerate() {
+            let share = cell.map(|at| (at % apart) as f64 / apart as f64);
+            for [x, y] in [[0, 0], [1, 0], [0, 1], [1, 1]] {
+                let [across, along] = [(x, share[0]), (y, share[1])]
+                    .map(|(of, share)| if of == 1 { share } else { 1.0 - share });
+                let node = (cell[1] / apart + y) * size[0] + cell[0] / apart + x;
+                for (depth, load) in nodes[node * depths..][..depths].iter_mut().enumerate() {
+                    *load += across * along * contact.solved(depth)[grain];
+                }
+            }
+        }
+        let (mut places_mm, mut loads_n) = (Vec::new(), Vec::new());
+        for (node, loads) in nodes.chunks_exact(depths).enumerate() {
+            if loads.iter().any(|load| *load != 0.0) {
+                let place =
+                    |axis: usize, at: usize| grains.origin_mm[axis] + (at * apart) as f64 * grains.pitch_mm;
+                places_mm.push([place(0, node % size[0]), place(1, node / size[0])]);
+                loads_n.extend(loads);
+            }
+        }
+        let furthest = |place: &[f64; 2]| {
+            let along =
+                [0, 1].map(|axis| (place[axis] - low[axis]).abs().max((high[axis] - place[axis]).abs()));
+            distance(along, [0.0; 2])
+        };
+        let furthest_mm = places_mm.iter().map(furthest).fold(0.0, f64::max);
+        let of = |step: usize| from_fn(|channel| effect(grains.punch(), channel, DISTANCE_MM * step as f64));
+        let effects = (0..(furthest_mm / DISTANCE_MM) as usize + 3).map(of).collect();
+        Self { places_mm, loads_n, effects }
+    }
+
+    /// Adds the effects of all loads at a place, by solved depth and channel.
+    fn add(&self, at: [f64; 2], values: &mut [f64]) {
+        let depths = values.len() / N;
+        for (place, loads) in self.places_mm.iter().zip(self.loads_n.chunks_exact(depths)) {
+            let steps = distance(at, *place) / DISTANCE_MM;
+            let (below, shares) = (steps as usize, cubic(steps.fract()));
+            let four = &self.effects[below - 1..below + 3];
+            let effect: Effect<N> =
+                from_fn(|channel| four.iter().zip(shares).map(|(of, share)| share * of[channel]).sum());
+            for (values, load) in values.chunks_exact_mut(N).zip(loads) {
+                values.iter_mut().zip(effect).for_each(|(value, effect)| *value += load * effect);
+            }
         }
     }
 }
