@@ -180,7 +180,7 @@ impl<'g> Goal<'g> {
     }
 
     /// Heights near a start, with a lower loss, after so many steps.
-    pub(crate) fn descend(&self, limits: Limits, start: Levels, steps: usize) -> Descended {
+    pub(crate) fn descend(&self, limits: Limits, start: Levels, steps: usize) -> Levels {
         let mut best = start;
         best.limit(limits);
         let (mut loss, mut state) = self.loss(&best);
@@ -203,7 +203,7 @@ impl<'g> Goal<'g> {
                 pace *= 0.5;
             }
         }
-        Descended { levels: best, loss }
+        best
     }
 
     /// The slopes of the loss by each height.
@@ -277,13 +277,6 @@ fn averaged(velocities: &Rows) -> Rows {
         before.clone_from(now);
     }
     found
-}
-
-/// Heights, and their loss.
-#[derive(Debug)]
-pub(crate) struct Descended {
-    pub(crate) levels: Levels,
-    pub(crate) loss: f64,
 }
 
 #[cfg(test)]

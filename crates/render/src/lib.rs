@@ -61,8 +61,7 @@ pub enum Method {
     Field,
     /// The rates of afferents, beginning with strokes of the pins that the object passes.
     Rate,
-    /// What two simulated fingers find nearest to the object: a press with taps, or `Rule`; for an object that moves also `Stroke` and the rates of
-    /// afferents, beginning with strokes or with the skin's shape.
+    /// What two simulated fingers find nearest to the object: a press with taps, or `Rule`; for an object that moves also `Stroke` and `Rate`.
     Auto,
 }
 
@@ -80,24 +79,17 @@ pub fn render(array: Array, contact: &Contact, touch: &Touch, method: Method) ->
     }
     let skin = skin::Skin::new(array, skin::SPACING_MM);
     let wanted = wanted::Wanted::new(&skin, contact, touch, limits);
-    let strokes = |goal: &Goal<'_>| goal.nearest(strokes::starts(&skin, &wanted, limits));
+    let rates = || {
+        let goal = Goal::new(&skin, &wanted);
+        goal.descend(limits, goal.nearest(strokes::starts(&skin, &wanted, limits)), STEPS)
+    };
     let levels = match method {
-        Method::Rate => {
-            let goal = Goal::new(&skin, &wanted);
-            goal.descend(limits, strokes(&goal), STEPS).levels
-        }
+        Method::Rate => rates(),
         Method::Auto => {
             let near = near();
             let mut answers = vec![("press", press::tapped(&skin, touch, &wanted, &near, limits))];
             if !touch.stays_in_place() {
-                // What moves slowly is followed, what moves fast is not: a third of the steps tells which.
-                let goal = Goal::new(&skin, &wanted);
-                let try_out = |start| goal.descend(limits, start, STEPS / 3);
-                let (strokes, followed) =
-                    (try_out(strokes(&goal)), try_out(field::nearest(&skin, &wanted, limits)));
-                let nearer = if strokes.loss < followed.loss { strokes } else { followed };
-                let rate = goal.descend(limits, nearer.levels, STEPS - STEPS / 3).levels;
-                answers.extend([("rate", rate), ("stroke", rule::stroke(array, contact, touch, &near))]);
+                answers.extend([("rate", rates()), ("stroke", rule::stroke(array, contact, touch, &near))]);
             }
             answers.push(("rule", rule::press(array, contact, touch, &near)));
             let (levels, choice) = choose(array, contact, touch, answers);
