@@ -134,6 +134,11 @@ impl<'g> Goal<'g> {
         Self::weighed(skin, wanted, WEIGHTS)
     }
 
+    /// The goal by which a start is chosen. With the skin's full weight a motion of 20 mm/s would be followed, and RA afferents be silent.
+    pub(crate) fn of_start(skin: &'g Skin, wanted: &'g Wanted) -> Self {
+        Self::weighed(skin, wanted, Weights { skin: 0.3, ..WEIGHTS })
+    }
+
     fn weighed(skin: &'g Skin, wanted: &'g Wanted, weights: Weights) -> Self {
         let (table, blur) = (Table::of_ra(), Blur::new(skin));
         let velocities = velocities(&wanted.skin_mm);

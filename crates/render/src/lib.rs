@@ -61,7 +61,8 @@ pub enum Method {
     Field,
     /// The rates of afferents, beginning with strokes of the pins that the object passes.
     Rate,
-    /// What two simulated fingers find nearest to the object: a press with taps, or `Rule`; for an object that moves also `Stroke` and `Rate`.
+    /// What two simulated fingers find nearest to the object: a press with taps, or `Rule`; for an object that moves also `Stroke` and the rates of
+    /// afferents, beginning with strokes or with the skin's shape.
     Auto,
 }
 
@@ -79,17 +80,20 @@ pub fn render(array: Array, contact: &Contact, touch: &Touch, method: Method) ->
     }
     let skin = skin::Skin::new(array, skin::SPACING_MM);
     let wanted = wanted::Wanted::new(&skin, contact, touch, limits);
-    let rates = || {
-        let goal = Goal::new(&skin, &wanted);
-        goal.descend(limits, goal.nearest(strokes::starts(&skin, &wanted, limits)), STEPS)
-    };
+    let goal = Goal::new(&skin, &wanted);
+    let strokes = || goal.nearest(strokes::starts(&skin, &wanted, limits));
     let levels = match method {
-        Method::Rate => rates(),
+        Method::Rate => goal.descend(limits, strokes(), STEPS),
         Method::Auto => {
             let near = near();
             let mut answers = vec![("press", press::tapped(&skin, touch, &wanted, &near, limits))];
             if !touch.stays_in_place() {
-                answers.extend([("rate", rates()), ("stroke", rule::stroke(array, contact, touch, &near))]);
+                // What moves slowly is followed, what moves fast is not: a third of the steps tells which.
+                let starts = [strokes(), field::nearest(&skin, &wanted, limits)];
+                let tried = starts.map(|start| goal.descend(limits, start, STEPS / 3)).to_vec();
+                let nearer = Goal::of_start(&skin, &wanted).nearest(tried);
+                let rate = goal.descend(limits, nearer, STEPS - STEPS / 3);
+                answers.extend([("rate", rate), ("stroke", rule::stroke(array, contact, touch, &near))]);
             }
             answers.push(("rule", rule::press(array, contact, touch, &near)));
             let (levels, choice) = choose(array, contact, touch, answers);
