@@ -17,12 +17,16 @@ pub(crate) fn weight([x, y]: [f64; 2], [a, b]: [f64; 2]) -> f64 {
     libm::exp(-squared / (2.0 * BLUR_MM * BLUR_MM))
 }
 
-/// The weights of a finger's afferents at each place, by class.
+/// The weights of a finger's afferents at each place.
 #[derive(Clone, Debug)]
 pub(crate) struct Blurred {
-    /// By class and place: the afferents that count, and their weights, which add up to 1.
-    by_class: [Vec<Vec<(usize, f64)>>; 3],
+    places: usize,
+    /// By class and afferent: its number, and its weights at the places where it counts. At each place they add up to 1.
+    by_class: [Vec<(usize, Weights)>; 3],
 }
+
+/// Weights by place.
+type Weights = Vec<(usize, f64)>;
 
 impl Blurred {
     pub(crate) fn new(afferents: &[Afferent]) -> Self {
@@ -32,24 +36,32 @@ impl Blurred {
     /// Only at some places.
     pub(crate) fn within(afferents: &[Afferent], is_within: impl Fn([f64; 2]) -> bool) -> Self {
         let places: Vec<_> = grid(SPACING_MM).into_iter().filter(|at| is_within(*at)).collect();
-        let at_place = |class: Class, place: [f64; 2]| {
+        let of_class = |class: Class| {
             let of_class = afferents.iter().enumerate().filter(|(_, of)| of.class == class);
-            let weighed = of_class.map(|(number, of)| (number, weight(place, [of.at.x_mm, of.at.y_mm])));
-            let mut row: Vec<_> = weighed.filter(|(_, weight)| *weight > LEAST_WEIGHT).collect();
-            let sum: f64 = row.iter().map(|(_, weight)| weight).sum();
-            row.iter_mut().for_each(|(_, weight)| *weight /= sum);
-            row
+            let weights = |(number, of): (usize, &Afferent)| {
+                let at = [of.at.x_mm, of.at.y_mm];
+                let all = places.iter().enumerate().map(|(place, from)| (place, weight(*from, at)));
+                (number, all.filter(|(_, weight)| *weight > LEAST_WEIGHT).collect())
+            };
+            let mut rows: Vec<(usize, Weights)> = of_class.map(weights).collect();
+            let mut sums = vec![0.0; places.len()];
+            rows.iter().flat_map(|(_, row)| row).for_each(|(place, weight)| sums[*place] += weight);
+            rows.iter_mut().flat_map(|(_, row)| row).for_each(|(place, weight)| *weight /= sums[*place]);
+            rows
         };
-        Self {
-            by_class: Class::ALL.map(|class| places.iter().map(|&place| at_place(class, place)).collect()),
-        }
+        Self { places: places.len(), by_class: Class::ALL.map(of_class) }
     }
 
-    /// The blurred numbers of a class, by place, of numbers by afferent.
+    /// The blurred numbers of a class, by place, of numbers by afferent. Most afferents are silent in a bin, and take no time.
     pub(crate) fn of_class(&self, class: Class, of_afferent: impl Fn(usize) -> f64) -> Vec<f64> {
-        let mean =
-            |row: &Vec<(usize, f64)>| row.iter().map(|&(number, weight)| weight * of_afferent(number)).sum();
-        self.by_class[class as usize].iter().map(mean).collect()
+        let mut blurred = vec![0.0; self.places];
+        for (number, row) in &self.by_class[class as usize] {
+            let of_afferent = of_afferent(*number);
+            if of_afferent != 0.0 {
+                row.iter().for_each(|(place, weight)| blurred[*place] += weight * of_afferent);
+            }
+        }
+        blurred
     }
 }
 

@@ -94,17 +94,21 @@ pub struct Judge<'j> {
     finger: &'j Finger,
     blurred: Blurred,
     real_s: &'j [Vec<f64>],
+    real: [Maps; 3],
     seconds: f64,
 }
+
+/// Blurred counts by class, and then by window and place.
+type Maps = [Vec<f64>; 3];
 
 impl<'j> Judge<'j> {
     /// A finger, its spikes under the object, s by afferent, and for how long they are counted.
     pub fn new(finger: &'j Finger, real_s: &'j [Vec<f64>], seconds: f64) -> Self {
-        Self { finger, blurred: Blurred::new(finger.afferents()), real_s, seconds }
+        Self::within(finger, real_s, seconds, |_| true)
     }
 
     /// Judges only places within 1.45 mm of the array: what moves also touches skin that no pin can reach. Spikes are counted everywhere.
-    pub fn near(mut self, array: Array) -> Self {
+    pub fn near(self, array: Array) -> Self {
         let pins = array.positions_mm();
         let is_near = |at: [f64; 2]| {
             (0..2).all(|axis| {
@@ -114,23 +118,28 @@ impl<'j> Judge<'j> {
                 (low - SPACING_MM..=high + SPACING_MM).contains(&at[axis])
             })
         };
-        self.blurred = Blurred::within(self.finger.afferents(), is_near);
-        self
+        Self::within(self.finger, self.real_s, self.seconds, is_near)
+    }
+
+    fn within(
+        finger: &'j Finger,
+        real_s: &'j [Vec<f64>],
+        seconds: f64,
+        is_within: impl Fn([f64; 2]) -> bool,
+    ) -> Self {
+        let blurred = Blurred::within(finger.afferents(), is_within);
+        let mut judge = Self { finger, blurred, real_s, real: Default::default(), seconds };
+        judge.real = judge.maps(real_s);
+        judge
     }
 
     /// Compares the same finger's spikes under a pattern.
     pub fn compare(&self, found_s: &[Vec<f64>]) -> Judged {
-        let both = |bin_s: f64, window: usize| {
-            [found_s, self.real_s].map(|spikes_s| self.maps(spikes_s, bin_s, window))
-        };
-        let whole = |bin_s: f64| {
-            let [found, real] = both(bin_s, 1);
-            compared(&found.concat(), &real.concat())
-        };
-        let (r, error) = whole(FINE_S);
-        let (r_in_space, error_in_space) = whole(self.seconds);
-        let [found, real] = both(COARSE_S / QUARTERS as f64, QUARTERS);
-        let by_class = [0, 1, 2].map(|class| compared(&found[class], &real[class]));
+        let found = self.maps(found_s);
+        let whole = |of: usize| compared(&found[of].concat(), &self.real[of].concat());
+        let (r, error) = whole(0);
+        let (r_in_space, error_in_space) = whole(1);
+        let by_class = [0, 1, 2].map(|class| compared(&found[2][class], &self.real[2][class]));
         let count = |spikes_s: &[Vec<f64>], class: Class| {
             self.finger.of_class(class).map(|number| spikes_s[number].len()).sum::<usize>() as f64
         };
@@ -148,15 +157,17 @@ impl<'j> Judge<'j> {
         }
     }
 
-    /// Blurred counts in windows of so many bins, by class, and then by window and place.
-    fn maps(&self, spikes_s: &[Vec<f64>], bin_s: f64, window: usize) -> [Vec<f64>; 3] {
-        let bins = ((self.seconds / bin_s).floor() as usize).max(window);
-        let counts = counts(spikes_s, bin_s, bins);
-        let in_window = |number: usize, first: usize| counts[number][first..first + window].iter().sum();
-        Class::ALL.map(|class| {
-            (0..=bins - window)
-                .flat_map(|first| self.blurred.of_class(class, |number| in_window(number, first)))
-                .collect()
+    /// In bins of 10 ms, over the whole time, and in windows of 36 ms.
+    fn maps(&self, spikes_s: &[Vec<f64>]) -> [Maps; 3] {
+        [(FINE_S, 1), (self.seconds, 1), (COARSE_S / QUARTERS as f64, QUARTERS)].map(|(bin_s, window)| {
+            let bins = ((self.seconds / bin_s).floor() as usize).max(window);
+            let counts = counts(spikes_s, bin_s, bins);
+            let in_window = |number: usize, first: usize| counts[number][first..first + window].iter().sum();
+            Class::ALL.map(|class| {
+                (0..=bins - window)
+                    .flat_map(|first| self.blurred.of_class(class, |number| in_window(number, first)))
+                    .collect()
+            })
         })
     }
 }

@@ -49,6 +49,7 @@ use choice::choose;
 use descent::Goal;
 use meissner_array::spec::Array;
 use meissner_touch::{Contact, Touch};
+use std::cell::LazyCell;
 
 /// How heights are found.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -80,7 +81,7 @@ pub fn render(array: Array, contact: &Contact, touch: &Touch, method: Method) ->
     }
     let skin = skin::Skin::new(array, skin::SPACING_MM);
     let wanted = wanted::Wanted::new(&skin, contact, touch, limits);
-    let goal = Goal::new(&skin, &wanted);
+    let goal = LazyCell::new(|| Goal::new(&skin, &wanted));
     let strokes = || goal.nearest(strokes::starts(&skin, &wanted, limits));
     let levels = match method {
         Method::Rate => goal.descend(limits, strokes(), STEPS),
