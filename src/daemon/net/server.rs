@@ -147,6 +147,10 @@ impl Server {
         S: AsyncRead + AsyncWrite + Send + Unpin + 'static,
     {
         let is_network = peer.network.is_some();
+        // The others may have gone on since the server began to wait for this connection.
+        if let Some(until) = self.full_until(is_network) {
+            sleep_until(until).await;
+        }
         if self.is_full(is_network) && !self.evict(is_network) {
             self.counts.refused.fetch_add(1, Ordering::Relaxed);
             if self.others.len() < 2 * self.bounds.estops {
@@ -346,6 +350,7 @@ mod tests {
                 .route("/v1/x", get(async || "answer"))
                 .route("/v1/large", get(async || vec![0; 4 << 20]))
                 .route("/v1/wait", get(async || pending::<()>().await))
+                .route("/v1/read", post(async |body: String| body))
                 .route(
                     "/v1/post",
                     post(async move || {
@@ -413,6 +418,26 @@ mod tests {
             // A client that is gone leaves its place, although its request waits.
             drop(fourth);
             sleep(Duration::from_secs(2)).await;
+            assert!(ask(&mut connect()).await.starts_with("HTTP/1.1 200 "));
+        });
+    }
+
+    /// While the server waits for a connection, idle clients send half a body each: none of them may be displaced for 5 ms.
+    #[test]
+    fn a_client_waits_for_a_place_that_will_be_free_in_a_moment() {
+        on_server(async |connect, _| {
+            let mut idle = Vec::new();
+            for _ in 0..4 {
+                let mut stream = connect();
+                assert!(ask(&mut stream).await.starts_with("HTTP/1.1 200 "));
+                idle.push(stream);
+            }
+            sleep(Duration::from_millis(210)).await;
+            for stream in &mut idle {
+                let half = b"POST /v1/read HTTP/1.1\r\nhost: x\r\ncontent-length: 9\r\n\r\n{";
+                stream.write_all(half).await.unwrap();
+            }
+            sleep(Duration::from_millis(1)).await;
             assert!(ask(&mut connect()).await.starts_with("HTTP/1.1 200 "));
         });
     }
