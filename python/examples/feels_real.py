@@ -65,23 +65,27 @@ def study(participant: str) -> list[meissner.experiment.Trial]:
     return trials(repeats=2, seed=seed, thing=list(THINGS), interval=(1, 2), against=("rule", "rule", "rule", "other"))
 
 
+def rendered(m: meissner.Client) -> tuple[dict[str, str], dict[str, str]]:
+    """The names of the patterns of each thing: what `auto` makes of it, and the best rule. Ends the program if they are the same."""
+    auto, rule = {}, {}
+    for thing, (_, described) in THINGS.items():
+        made = m.render({"name": thing, **described}, name=f"{thing}-a")
+        likeness = made.summary["choice"]["likeness"]
+        best = max((name for name in RULES if name in likeness), key=likeness.__getitem__)
+        if made.summary["choice"]["taken"] == best:
+            sys.exit(f"{thing}: `auto` takes the rule `{best}` itself, there is nothing to compare: take another thing")
+        auto[thing] = made.name
+        rule[thing] = m.render({"name": thing, **described}, name=f"{thing}-b", method=best).name
+    return auto, rule
+
+
 def run(participant: str, dataset: str) -> None:
     """One participant. Nothing that participant or experimenter sees tells what is played."""
     chance = random.Random(f"{participant} answers")
     given = os.environ.get("MEISSNER_ANSWERS")
     with meissner.connect() as m:
+        auto, rule = rendered(m)
         with m.session(participant, experiment="feels-real", exclusive=True, resume=True) as session:
-            auto, rule = {}, {}
-            for thing, (_, described) in THINGS.items():
-                made = m.render({"name": thing, **described}, name=f"{thing}-a")
-                likeness = made.summary["choice"]["likeness"]
-                best = max((name for name in RULES if name in likeness), key=likeness.__getitem__)
-                if made.summary["choice"]["taken"] == best:
-                    sys.exit(
-                        f"{thing}: `auto` takes the rule `{best}` itself, there is nothing to compare: take another thing"
-                    )
-                auto[thing] = made.name
-                rule[thing] = m.render({"name": thing, **described}, name=f"{thing}-b", method=best).name
             m.arm(assume_rest=True)  # you state that all pins are at rest
             for trial in session.remaining(study(participant)):
                 thing = trial["thing"]

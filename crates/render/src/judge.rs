@@ -135,11 +135,11 @@ impl<'j> Judge<'j> {
 
     /// Compares the same finger's spikes under a pattern.
     pub fn compare(&self, found_s: &[Vec<f64>]) -> Judged {
-        let found = self.maps(found_s);
-        let whole = |of: usize| compared(&found[of].concat(), &self.real[of].concat());
-        let (r, error) = whole(0);
-        let (r_in_space, error_in_space) = whole(1);
-        let by_class = [0, 1, 2].map(|class| compared(&found[2][class], &self.real[2][class]));
+        let ([fine, summed, coarse], [real_fine, real_summed, real_coarse]) =
+            (&self.maps(found_s), &self.real);
+        let (r, error) = compared(&fine.concat(), &real_fine.concat());
+        let (r_in_space, error_in_space) = compared(&summed.concat(), &real_summed.concat());
+        let by_class = [0, 1, 2].map(|class| compared(&coarse[class], &real_coarse[class]));
         let count = |spikes_s: &[Vec<f64>], class: Class| {
             self.finger.of_class(class).map(|number| spikes_s[number].len()).sum::<usize>() as f64
         };

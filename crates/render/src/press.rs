@@ -1,7 +1,7 @@
 //! Heights for an object that stays in place, or moves slowly.
 //!
-//! The skin's shape ([`field`]) gives SA1 and RA afferents their spikes, but pins that are at their travel flatten it, and it turns
-//! lines. A press graded by the distance ([`rule`](crate::rule)) keeps the line and lacks the spikes. Some of each has most of both.
+//! The skin's shape ([`field`]) gives SA1 and RA afferents their spikes, but pins that are at their travel flatten it, which turns
+//! lines at some places. A press graded by the distance ([`rule`](crate::rule)) keeps the line and lacks the spikes. Some of each has most of both.
 //!
 //! PC afferents answer where speed changes. Motors smooth such corners over 4 ms, so each corner of a pin's course gets a *tap*: for a moment
 //! the pin is higher, by as much as its way in a moment changes there (after the transients of Kuchenbecker, Fiene & Niemeyer 2006).

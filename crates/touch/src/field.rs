@@ -20,9 +20,9 @@ use std::array::from_fn;
 const MARGIN_MM: f64 = 4.0;
 /// The step of the coarse table, mm.
 const COARSE_MM: f64 = 0.25;
-/// The distance of loads seen from the coarse table, unless grains lie further apart, mm: effects err by less than a thousandth.
+/// The distance of loads seen from the coarse table, unless grains lie further apart, mm: spread loads err by less than a thousandth.
 const NODES_MM: f64 = 0.25;
-/// The step of distances from the coarse table's points to loads, mm. They are above 3 mm: interpolation changes effects by less than 1e-6.
+/// The step of distances from the coarse table's points to loads, mm. They are above 3 mm: interpolation changes effects by less than 1e-5.
 const DISTANCE_MM: f64 = 0.02;
 /// Steps of the fine table per diameter of a grain: the most and fewer, if memory is short.
 const FINE: [usize; 3] = [4, 2, 1];
