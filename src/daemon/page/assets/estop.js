@@ -121,6 +121,15 @@
     }
   }
 
+  // How a state looks: green is safe, amber is on or to be checked, blue moves, red is stopped, hatched is not known.
+  function look(status, name, safe) {
+    if (status?.play || name === "returning") return "moving";
+    if (name === "armed") return "armed";
+    if (name === "faulted") return isTold(status) ? "stopped" : "unknown";
+    if (name !== "disarmed" || status.position !== "known") return "unknown";
+    return safe ? "safe" : "armed";
+  }
+
   function write(element, text) {
     if (element && element.textContent !== text) element.textContent = text;
   }
@@ -140,11 +149,16 @@
     const status = known();
     const name = status && status.state in WORDS ? status.state : "unknown";
     // The rest of the document may not have loaded yet.
+    const meaning = touch(status);
     if ($("state")) $("state").dataset.state = status?.play ? "playing" : name;
+    $("bar").dataset.look = look(status, name, meaning.startsWith("Safe"));
     const text = status?.play ? `Playing ${status.play.name}, ${status.play.played_s.toFixed(1)} s`
       : name === "unknown" ? "Not connected: state not known" : name === "faulted" ? `Stopped: ${status.cause}` : WORDS[name];
     write($("state-text"), status?.queued.length ? `${text}; ${status.queued.length} wait` : text);
-    write($("touch"), touch(status));
+    write($("touch"), meaning);
+    // The tab tells it, too.
+    const title = `${status?.play ? `Playing ${status.play.name}` : WORDS[name] ?? "State not known"} · ${$("view-title")?.textContent ?? ""} · meissner`;
+    if (document.title !== title) document.title = title;
     say(status, text);
     const device = status?.device;
     write($("link"), device ? `${device.kind}${device.simulated ? ", simulated" : ""}` : last && !status ? `last known ${Math.floor(since(sent) / 1000)} s ago` : "");

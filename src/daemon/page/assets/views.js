@@ -5,7 +5,6 @@
 import { $, refuse, say } from "./control.js";
 
 const VIEWS = ["play", "design", "record", "device"];
-const title = document.title;
 
 const parts = [];
 let current = null;
@@ -90,7 +89,6 @@ function show() {
   for (const view of document.querySelectorAll("[data-view]")) view.hidden = view.dataset.view !== next;
   for (const link of document.querySelectorAll("#views a")) link.ariaCurrent = link.hash === `#${next}` ? "page" : null;
   const name = document.querySelector(`#views a[href="#${next}"]`).textContent;
-  document.title = `${name} · ${title}`;
   $("view-title").textContent = name;
   showStatus();
   loadShown();
