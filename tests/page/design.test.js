@@ -242,6 +242,20 @@ test("what lies off the pad or off the pins is named", async () => {
   await shows(page, "where-note", "1 of 3 points lies off the finger's pad. 2 of 3 points are off the pins, more than 2.9 mm from any.");
   await enter(page, "points", "0 0; 1");
   await answers(page, "#points", "The last point has no y");
+  // A line has the points that it needs to be within 0.05 mm of the pen's way, and more than the drawing can hold are refused.
+  const [count, worst] = await page.evaluate(async () => {
+    const { simplified } = await import("/page/pad.js");
+    const way = Array.from({ length: 400 }, (_, i) => [5 * Math.cos(i / 64), 5 * Math.sin(i / 64)]);
+    const line = simplified(way);
+    const off = ([x, y], [ax, ay], [bx, by]) => {
+      const t = Math.min(1, Math.max(0, ((x - ax) * (bx - ax) + (y - ay) * (by - ay)) / ((bx - ax) ** 2 + (by - ay) ** 2)));
+      return Math.hypot(x - ax - t * (bx - ax), y - ay - t * (by - ay));
+    };
+    return [line.length, Math.max(...way.map((place) => Math.min(...line.slice(1).map((end, i) => off(place, line[i], end)))))];
+  });
+  assert.ok(count > 20 && count < 60 && worst <= 0.05 + 1e-9, `${count} points, ${worst} mm`);
+  await enter(page, "points", Array.from({ length: 201 }, (_, i) => `${i % 10} ${(i / 40).toFixed(2)}`).join("; "));
+  await answers(page, "#points", "at most 200 points");
   await page.select("#shape", "edge");
   await enter(page, "points", "-4 11; 4 11");
   await shows(page, "where-note", "All pins lie under the edge's covered half");

@@ -186,6 +186,10 @@ test("the queue shows what runs and waits, and a play can be removed", async () 
   assert.deepEqual((await daemon.status()).queued.map((play) => play.id), [3]);
   await press(page, "#stop");
   await shows(page, "queue-none", "No play runs or waits.");
+  // Those that never began do not take its place.
+  await shows(page, "receipt-summary", "Play 1, edge-45: stopped");
+  await page.reload();
+  await shows(page, "receipt-summary", "Play 1, edge-45: stopped");
   // Of a sequence the queue tells how many items it has; when an edge comes, nobody knows.
   await post(daemon, "/v1/play", { name: "two", items: [{ pattern: "pin-60", seconds: 300 }, { pattern: "disc", seconds: 30 }], on_edge_ms: 300000 });
   await post(daemon, "/v1/play", { pattern: "pin-60", seconds: 1 });
@@ -243,6 +247,10 @@ test("events of device and session stay in a list, each in a sentence, and pins 
   await page.reload();
   await page.waitForSelector("#events:not([hidden])");
   assert.deepEqual(await told(), lines);
+  // Another daemon has told none of them.
+  await daemon.end();
+  await daemon.start();
+  await page.waitForFunction(() => !document.getElementById("events-list").textContent.includes("came too late"), WAIT);
 });
 
 test("patterns come from files and become files", async () => {

@@ -59,9 +59,16 @@ function number(key, value) {
   return value;
 }
 
+// Requests under way that change something, by what they ask: one that asks the same gets the same answer, and is not sent.
+const changes = new Map();
+
 // The JSON answer of a request. `ms`: how long it may take.
 export async function call(method, path, body, ms = ANSWER_MS) {
-  return answer(method, path, body === undefined ? undefined : JSON.stringify(body, number), ms);
+  const text = body === undefined ? undefined : JSON.stringify(body, number);
+  if (method === "GET") return answer(method, path, text, ms);
+  const key = `${method} ${path} ${text}`;
+  if (!changes.has(key)) changes.set(key, answer(method, path, text, ms).finally(() => changes.delete(key)));
+  return changes.get(key);
 }
 
 // The text of an answer.

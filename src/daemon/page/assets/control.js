@@ -179,12 +179,9 @@ function silence(line) {
   delete line.dataset.state;
 }
 
-// Binds a button that orders something, and returns what its click does. `order`: orders it. An order that takes long says so. Until its answer the button ignores clicks; always it ignores the second click of a double
-// click, and a key that is held down: each of them would be another play in the queue.
+// Binds a button that orders something, and returns what its click does. `order`: orders it. An order that takes long says so.
 export function orders(button, order) {
-  let underWay = 0;
   const run = async () => {
-    underWay += 1;
     const wait = setTimeout(() => say(button, "The daemon prepares the play …", "wait"), SLOW_MS);
     try {
       await order();
@@ -193,12 +190,22 @@ export function orders(button, order) {
       refuse(button, error);
     } finally {
       clearTimeout(wait);
-      underWay -= 1;
     }
   };
-  button.addEventListener("keydown", (event) => event.repeat && event.preventDefault());
-  button.addEventListener("click", ({ detail }) => !underWay && detail <= 1 && run());
+  button.addEventListener("click", run);
   return run;
+}
+
+// The second click of a double click and a key that is held down order nothing: each would be another play. `api.js` sends no request
+// twice at once.
+function guardButtons() {
+  const take = (event) => {
+    if (!event.target.closest?.("button:not(#estop)")) return;
+    event.preventDefault();
+    event.stopImmediatePropagation();
+  };
+  document.addEventListener("click", (event) => event.detail > 1 && take(event), { capture: true });
+  document.addEventListener("keydown", (event) => event.repeat && (event.key === "Enter" || event.key === " ") && take(event), { capture: true });
 }
 
 function answerLine(control, isNeeded) {
@@ -214,6 +221,7 @@ function answerLine(control, isNeeded) {
 }
 
 export function bindControls() {
+  guardButtons();
   const alive = new Worker(new URL("./alive.js", import.meta.url));
   document.addEventListener("visibilitychange", () => alive.postMessage(document.hidden ? headers() : null));
   // The header shows a success as the new state.

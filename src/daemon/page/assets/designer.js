@@ -8,7 +8,7 @@ import { $, may, refuse, say, speak } from "./control.js";
 import { History, keep, kept } from "./history.js";
 import { Live } from "./live.js";
 import { complain, forgive, number, numbers, right } from "./number.js";
-import { Pad } from "./pad.js";
+import { Pad, TOO_MANY } from "./pad.js";
 import { picture } from "./picture.js";
 import { Rendering } from "./rendering.js";
 import { drawn, live, off, rendering } from "./thing.js";
@@ -185,8 +185,13 @@ export class Designer {
     }
     say($("points"), "");
     const pairs = lines.map((of) => Array.from({ length: of.length / 2 }, (_, i) => of.slice(2 * i, 2 * i + 2)));
-    if (this.#pad.isDrawn) this.#pad.set(pairs);
-    else if (pairs[0].length) [this.#pad.at] = pairs[0];
+    if (this.#pad.isDrawn && !this.#pad.set(pairs)) {
+      this.#isWrong = true;
+      this.#buttons();
+      return say($("points"), TOO_MANY, "bad");
+    }
+    if (!this.#pad.isDrawn && pairs[0].length) [this.#pad.at] = pairs[0];
+    this.#pad.isFull = false;
     return this.#changed();
   }
 
@@ -199,7 +204,7 @@ export class Designer {
   // Handles a change of the drawing that is complete. `byPen`: the pen has left the pad.
   #changed(byPen = false) {
     clearTimeout(this.#timer);
-    say($("points"), "");
+    say($("points"), this.#pad.isFull ? TOO_MANY : "", "bad");
     this.#isWrong = !complain(...this.#fields());
     this.#show();
     if (this.#isWrong) return this.#rendering.ask(null);

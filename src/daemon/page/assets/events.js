@@ -1,6 +1,7 @@
 // What the daemon has told about the device and the session: the newest event in one line, and those before it in a list. The window
 // keeps them, so they are there after a reload.
 
+import { known } from "./api.js";
 import { $, element, restored, speak, write } from "./control.js";
 import { part } from "./views.js";
 import { SENSOR_FAULTS } from "./words.js";
@@ -28,8 +29,8 @@ const WORDS = {
   lagged: ({ events }) => `This window was too slow, and has missed ${events} events.`,
 };
 
-// The newest first: `at`, the time of day; `text`; for an event of a play `key` and `count`.
-let kept = [restored(KEPT) ?? []].flat().filter((one) => one?.text);
+// The newest first: `at`, the time of day; `text`; for an event of a play `key` and `count`. And the daemon's process that has told them.
+let { kept = [], pid = null } = restored(KEPT) ?? {};
 
 let waits = null;
 
@@ -46,19 +47,30 @@ function add(event) {
   // Of thousands that come at once, the newest are shown once.
   waits ??= setTimeout(() => {
     waits = null;
-    sessionStorage.setItem(KEPT, JSON.stringify(kept));
+    sessionStorage.setItem(KEPT, JSON.stringify({ kept, pid }));
     show();
   });
 }
 
+// Another daemon has told nothing yet.
+function watch() {
+  const now = known()?.daemon.pid ?? pid;
+  if (pid !== null && now !== pid) {
+    kept = [];
+    sessionStorage.removeItem(KEPT);
+    show();
+  }
+  pid = now;
+}
+
 function show() {
   $("events").hidden = !kept.length;
-  if (!kept.length) return;
-  write($("events-newest"), `${kept[0].at} ${kept[0].text}`);
+  write($("events-newest"), kept.length ? `${kept[0].at} ${kept[0].text}` : "");
   $("events-list").replaceChildren(...kept.map(({ at, text }) => element("li", `${at} ${text}`)));
 }
 
 export function bindEvents() {
   part({ view: "play", at: "display-title", always: Object.fromEntries(Object.keys(WORDS).map((name) => [name, add])) });
+  document.addEventListener("state", watch);
   show();
 }

@@ -6,10 +6,15 @@ import { make } from "./finger.js";
 // The pad of the simulated finger is an ellipse. Pins may stand outside of it.
 export const [HALF_WIDTH, HALF_LENGTH] = [9, 12];
 const MOST_POINTS = 200;
+// A drawn line keeps as many points as it needs to be nowhere further from the pen's way, mm.
+const NEAR = 0.05;
+export const TOO_MANY = `That is not in the drawing: it has at most ${MOST_POINTS} points.`;
 // Further from the middle no thing can lie, mm.
 const MOST_MM = 100;
-// A line that is drawn freely gets a point at each of these steps; a click this near to a dot takes it away.
+// A pen that moves less is still; a click this near to a dot takes it away.
 const STEP = 1;
+// The pen's way has a point at each of these steps.
+const FINE = 0.1;
 export const KEY_STEP = 0.5;
 export const FINE_STEP = 0.1;
 const KEYS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };
@@ -26,6 +31,21 @@ export const isOnPad = (place) => distance(place) <= 1;
 
 // The place itself, if it lies on the pad, or the nearest one in the direction of the middle.
 const onPad = (place) => (isOnPad(place) ? place : place.map((mm) => round(mm / (1.0001 * distance(place)))));
+
+// How far a place is from the straight line between two others.
+function off([x, y], [ax, ay], [bx, by]) {
+  const long = (bx - ax) ** 2 + (by - ay) ** 2;
+  const along = long && within(((x - ax) * (bx - ax) + (y - ay) * (by - ay)) / long, 0, 1);
+  return Math.hypot(x - ax - along * (bx - ax), y - ay - along * (by - ay));
+}
+
+// The points of a line that it needs (Douglas and Peucker 1973).
+export function simplified(places) {
+  if (places.length < 3) return places;
+  const away = places.map((place) => off(place, places[0], places.at(-1)));
+  const far = away.indexOf(Math.max(...away));
+  return away[far] <= NEAR ? [places[0], places.at(-1)] : [...simplified(places.slice(0, far + 1)).slice(0, -1), ...simplified(places.slice(far))];
+}
 
 // The place of the pen on a drawing of the pad, also beyond its border.
 export function penAt(svg, event) {
@@ -63,6 +83,8 @@ export class Pad {
   lines = [];
   at = [0, 0];
   shape = "bar";
+  // Whether the last point had no place.
+  isFull = false;
   // A live play takes the pen and the keys.
   isTaken = false;
   #cursor = [0, 0];
@@ -104,14 +126,18 @@ export class Pad {
     this.#cross.setAttribute("transform", `translate(${this.#cursor[0]} ${-this.#cursor[1]})`);
   }
 
-  // Sets what is drawn, in full.
+  // Sets what is drawn, in full; returns false, and changes nothing, if it has too many points.
   set(lines) {
-    let left = MOST_POINTS;
-    this.lines = lines.map((places) => {
-      const kept = places.slice(0, left).map((place) => place.map((mm) => round(within(mm, -MOST_MM, MOST_MM))));
-      left -= kept.length;
-      return kept;
-    }).filter((places) => places.length);
+    const all = lines.filter((places) => places.length).map((places) => places.map((place) => place.map((mm) => round(within(mm, -MOST_MM, MOST_MM)))));
+    if (all.flat().length > MOST_POINTS) return false;
+    this.lines = all;
+    return true;
+  }
+
+  // As `set`; `isFull` says that it was refused.
+  #draw(lines) {
+    this.isFull = !this.set(lines);
+    if (this.isFull) this.#say(TOO_MANY);
   }
 
   // The place of the pen within the drawing.
@@ -127,7 +153,7 @@ export class Pad {
     this.svg.focus({ focusVisible: false });
     this.svg.setPointerCapture(event.pointerId);
     const down = this.#place(event);
-    this.#pen = { down, before: this.lines, at: this.at, hasMoved: false };
+    this.#pen = { down, before: this.lines, at: this.at, hasMoved: false, way: [down] };
     if (MODES[this.shape] !== "middle") this.#add(down);
     this.#changed("move");
   }
@@ -139,24 +165,26 @@ export class Pad {
     const mode = MODES[this.shape];
     if (mode === "points") {
       const rest = points.filter((point) => apart(point, at) >= STEP);
-      this.set([rest.length < points.length ? rest : [...points, at]]);
+      this.#draw([rest.length < points.length ? rest : [...points, at]]);
     } else if (mode === "ends") {
-      this.set([points.length === 1 ? [...points, at] : [at]]);
+      this.#draw([points.length === 1 ? [...points, at] : [at]]);
     } else {
-      this.set([...this.lines.slice(0, -1), [...(this.lines.at(-1) ?? []), at]]);
+      this.#draw([...this.lines.slice(0, -1), [...(this.lines.at(-1) ?? []), at]]);
     }
   }
 
   #move(at) {
-    const { down, before, hasMoved } = this.#pen;
+    const { down, before, hasMoved, way } = this.#pen;
     const mode = MODES[this.shape];
     if (mode === "points" || (!hasMoved && apart(down, at) < (mode === "middle" ? FINE_STEP : STEP))) return;
     this.#pen.hasMoved = true;
-    if (mode === "ends") this.set([[down, at]]);
+    if (mode === "ends") this.#draw([[down, at]]);
     else if (mode === "middle") this.at = [0, 1].map((axis) => round(this.#pen.at[axis] + at[axis] - down[axis]));
     // A drawn stroke is a line of its own; a click goes on with the last one.
-    else if (!hasMoved) this.set([...before, [down, at]]);
-    else if (apart(this.lines.at(-1).at(-1), at) >= STEP) this.set([...this.lines.slice(0, -1), [...this.lines.at(-1), at]]);
+    else if (apart(way.at(-1), at) >= FINE) {
+      way.push(at);
+      this.#draw([...before, simplified(way)]);
+    }
     this.#changed("move");
   }
 
@@ -169,7 +197,7 @@ export class Pad {
 
   // Takes the last point away.
   #back() {
-    this.set([...this.lines.slice(0, -1), (this.lines.at(-1) ?? []).slice(0, -1)]);
+    this.#draw([...this.lines.slice(0, -1), (this.lines.at(-1) ?? []).slice(0, -1)]);
     this.#say(`${this.points.length} points are left.`);
   }
 
@@ -190,7 +218,7 @@ export class Pad {
       this.#say(`${this.points.length} points, the last at ${this.#cursor[0]}, ${this.#cursor[1]} mm.`);
     } else if (this.shape === "polyline" && event.key.toLowerCase() === "n") {
       // The next point begins another line.
-      this.set([...this.lines, [this.#cursor]]);
+      this.#draw([...this.lines, [this.#cursor]]);
       this.#changed("key");
       this.#say(`Line ${this.lines.length} begins at ${this.#cursor[0]}, ${this.#cursor[1]} mm.`);
     } else if (this.isDrawn && (event.key === "Backspace" || event.key === "Delete")) {

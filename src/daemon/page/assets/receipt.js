@@ -36,9 +36,19 @@ function states(items) {
 // The whole receipt: an event has the item of a play of one.
 const whole = (id) => call("GET", `/v1/plays/${id}`);
 
+// The newest play that has begun, of the newest few: one that was removed from the queue is not the last one that was felt.
+async function newest(id, tries = 8) {
+  if (!id || !tries) return null;
+  const receipt = await whole(id).catch((error) => {
+    if (error.code !== "not-found") throw error;
+    return { onset: null };
+  });
+  return receipt.onset ? receipt : newest(id - 1, tries - 1);
+}
+
 async function load() {
-  const newest = last()?.newest.play;
-  if (newest) return show(await whole(newest));
+  const receipt = await newest(last()?.newest.play);
+  if (receipt) return show(receipt);
   // A daemon that was started again has none.
   shown = null;
   write($("receipt-summary"), NONE);
@@ -61,7 +71,7 @@ export function bindReceipt() {
     at: "receipt-title",
     load,
     on: {
-      ended: async ({ receipt }) => show(receipt.order.items === 1 ? receipt : await whole(receipt.id)),
+      ended: async ({ receipt }) => receipt.onset && show(receipt.order.items === 1 ? receipt : await whole(receipt.id)),
     },
   });
 }

@@ -24,12 +24,19 @@ export class Rendering {
   #changed;
   // Plays what was found.
   #feel;
+  #clock = 0;
+  // When it was asked for.
+  #begun = 0;
 
   // `changed`: called when another pattern is found, or is no more.
   constructor(changed) {
     this.#changed = changed;
     for (const event of ["pointerdown", "keydown"]) document.addEventListener(event, () => (this.#atOnce = false), { capture: true });
     this.#feel = orders($("thing-feel"), () => order("/v1/play", { pattern: `rendering:${this.#rendering.id}`, replace: true }));
+    $("thing-cancel").addEventListener("click", () => {
+      this.#wanted = null;
+      if (this.#rendering?.state === "running") this.#cancel(this.#rendering.id);
+    });
     this.#show();
   }
 
@@ -115,6 +122,7 @@ export class Rendering {
       if (this.#rendering?.state === "running") await this.#cancel(this.#rendering.id);
       this.#rendering = null;
       this.#early.clear();
+      this.#begun = performance.now();
       this.#show(true);
       try {
         const rendering = await this.#post(wanted);
@@ -161,7 +169,7 @@ export class Rendering {
   doubt() {
     if (this.#rendering?.state !== "running" || known()) return;
     $("thing-note").textContent = "Whether the rendering goes on is not known.";
-    $("thing-busy").hidden = true;
+    $("thing-busy").hidden = $("thing-cancel").hidden = true;
   }
 
   // What was found and judged, to be saved; null without it.
@@ -179,9 +187,12 @@ export class Rendering {
   #show(isAsked = false) {
     const { state, found, rendered, problem, object, method } = this.#rendering ?? {};
     const isRunning = isAsked || state === "running";
-    const words = { running: found ? `Found a pattern for ${object}. Judging it …` : `Rendering ${object} …`, failed: `Failed: ${sentence(problem ?? "")}`, cancelled: "Cancelled." };
+    const since = `${((performance.now() - this.#begun) / 1000).toFixed(0)} s`;
+    const words = { running: found ? `Found a pattern for ${object}. Judging it, ${since} …` : `Rendering ${object}, ${since} …`, failed: `Failed: ${sentence(problem ?? "")}`, cancelled: "Cancelled." };
     $("thing-note").textContent = isAsked ? "Rendering …" : (words[state] ?? "");
-    $("thing-busy").hidden = !isRunning;
+    $("thing-busy").hidden = $("thing-cancel").hidden = !isRunning;
+    clearTimeout(this.#clock);
+    if (state === "running") this.#clock = setTimeout(() => this.#rendering?.state === "running" && known() && this.#show(), 1000);
     $("thing-feel").disabled = !found;
     $("thing-save").disabled = !rendered;
     // An older result stays in sight, paler, until there is a new one.
