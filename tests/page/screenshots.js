@@ -20,7 +20,7 @@ for (const width of [390, 1400, 3000]) {
     const page = await open(browser, daemon, width, width === 390 ? 844 : Math.max(1000, Math.round(width / 2)));
     await page.emulateMediaFeatures([{ name: "prefers-color-scheme", value: scheme }]);
     await shows(page, "state-text", "Playing edge-45");
-    await page.waitForFunction(() => document.querySelector('.finger .pin:not([fill="none"])'), WAIT);
+    await page.waitForFunction(() => document.querySelector(".finger").drawn?.some((um) => um > 1), WAIT);
     const paint = await page.evaluate(() => performance.getEntriesByType("paint").map((entry) => `${entry.name} ${entry.startTime.toFixed(0)} ms`).join(", "));
     console.log(`${width} px, ${scheme}: ${paint}`);
     for (const [name, ready] of Object.entries(READY)) {

@@ -17,10 +17,9 @@ async function other(daemon, path, body = {}) {
   return answer;
 }
 
-const finger = (page) => page.$eval(".finger", (svg) => ({
-  label: svg.getAttribute("aria-label"),
-  moving: [...svg.querySelectorAll(".pin")].flatMap((pin, i) => (pin.getAttribute("fill") === "none" ? [] : [i])),
-  marks: [...svg.querySelectorAll(".mark-text")].filter((mark) => mark.textContent === "?").length,
+// What the finger says, the pins that are drawn above rest, and how many are drawn as not known.
+const finger = (page) => page.$eval(".finger", (canvas) => ({
+  label: canvas.ariaLabel, up: canvas.drawn.flatMap((um, i) => (um >= 0.5 ? [i] : [])), unknown: canvas.drawn.filter((um) => um === null).length,
 }));
 const labelled = (page, part) => page.waitForFunction((part) => document.querySelector(".finger").getAttribute("aria-label").includes(part), WAIT, part);
 
@@ -79,7 +78,7 @@ test("a state that is older than a second is not known, and an answer that was h
     await shows(page, "touch", "The state is not known");
     assert.equal(await page.$eval("#state", (state) => state.dataset.state), "unknown");
     await shows(page, "facts", "Positionnot known");
-    assert.deepEqual(await finger(page), { label: "What the pins do is not known.", moving: [], marks: 24 });
+    assert.deepEqual(await finger(page), { label: "What the pins do is not known.", up: [], unknown: 24 });
     // The answers that arrive now are from before the play.
     network.letGo();
     await shows(page, "touch", "Pins vibrate.");
@@ -140,7 +139,7 @@ const killed = (name, begin, [before, dead, after]) => async () => {
   await shows(page, ...before);
   await daemon.end("SIGKILL");
   await labelled(page, "not known");
-  assert.deepEqual(await finger(page), { label: "What the pins do is not known.", moving: [], marks: 24 });
+  assert.deepEqual(await finger(page), { label: "What the pins do is not known.", up: [], unknown: 24 });
   await shows(page, "touch", "The state is not known");
   assert.equal(await page.$eval("#state", (state) => state.dataset.state), "unknown");
   await shows(page, "finger-note", "What the pins do is not known.");
@@ -149,7 +148,7 @@ const killed = (name, begin, [before, dead, after]) => async () => {
   await daemon.start();
   await shows(page, "state-text", "Disarmed");
   await shows(page, ...after);
-  assert.deepEqual((await finger(page)).moving, []);
+  assert.deepEqual((await finger(page)).up, []);
   await arm(page);
 };
 

@@ -2,23 +2,27 @@
 // it.
 
 import { known, last, listen, poll } from "./api.js";
-import { loadArray } from "./array.js";
+import { array, loadArray } from "./array.js";
 import { $, bindControls, element, say, showControls, write } from "./control.js";
 import { Designer } from "./designer.js";
 import { bindDevice } from "./device.js";
 import { bindDoctor } from "./doctor.js";
 import { bindFiles } from "./files.js";
 import { bindEvents } from "./events.js";
-import { FULL_UM, Finger, gradient, highest, movement } from "./finger.js";
+import { Feed } from "./feed.js";
 import { Patterns } from "./patterns.js";
 import { bindPinTest } from "./pin-test.js";
+import { gradient, heightOf, highest, movement } from "./pins.js";
 import { bindQueue } from "./queue.js";
 import { bindReceipt } from "./receipt.js";
 import { bindRecord } from "./record.js";
+import { Replay } from "./replay.js";
+import { Stage } from "./stage.js";
 import { connected, disconnected, handleEvent, showStatus, startViews } from "./views.js";
 import { SENSOR_FAULTS, plain } from "./words.js";
 
-const finger = new Finger($("finger"));
+const stage = new Stage(new Feed((take) => replay.set(take)));
+const replay = new Replay(stage);
 const patterns = new Patterns();
 new Designer(() => patterns.refresh());
 
@@ -36,6 +40,9 @@ function showState() {
 
 function handle(event) {
   switch (event.event) {
+    case "began":
+      replay.now();
+      break;
     case "state": {
       const { state, position, play: running } = last() ?? {};
       if (event.state !== state || event.position !== position || event.play?.id !== running?.id) poll();
@@ -92,20 +99,14 @@ function pinRows(status) {
   }));
 }
 
-const NOTE = "Size and colour: the highest point of a pin in the 0.2 s before the daemon's last answer, as it was ordered, above rest. Bar on the left of a pin: offset from rest. Dashed ring: sensor fault. Blue ring: the pin of the pin test.";
-// Draws the pins as the state has them.
+// Each pin as a table.
 function showPins() {
-  const status = known();
-  const motors = status?.motors ?? [];
-  const now = motors.map((motor) => motor.now);
-  finger.draw(now, motors.map((motor) => motor.rest_error_um), motors.map((motor) => motor.sensor_fault));
-  if ($("pins").closest("details").open) pinRows(status);
-  write($("finger-note"), now.some(Boolean) ? NOTE : "What the pins do is not known.");
+  if ($("pins").closest("details").open) pinRows(known());
 }
 
 bindControls();
 bindFiles(() => patterns.refresh());
-bindPinTest((motor) => finger.choose(motor));
+bindPinTest((motor) => stage.choose(motor));
 bindEvents();
 bindQueue();
 bindReceipt();
@@ -114,8 +115,11 @@ bindDevice();
 bindDoctor();
 startViews();
 document.querySelector(".colours").style.backgroundImage = gradient();
-$("scale-most").textContent = `${FULL_UM} µm`;
 document.addEventListener("state", showState);
-document.addEventListener("array", showPins);
+document.addEventListener("array", () => {
+  const { travel_um: most } = array().motor;
+  $("scale-most").textContent = `${most} µm`;
+  $("scale-middle").textContent = heightOf(0.5).toFixed(0);
+});
 document.addEventListener("token", listen(handle, linked));
 showState();

@@ -2,7 +2,7 @@
 // how near they come. Each afferent is a dot; a prediction is not a sensation.
 
 import { element } from "./control.js";
-import { colour, make } from "./finger.js";
+import { make, tint } from "./pins.js";
 import { drawing, line } from "./pad.js";
 import { CLASSES, figure, ofClass, raster } from "./preview.js";
 
@@ -20,7 +20,7 @@ function map(title, text, places, rates, most, outline) {
   const svg = drawing(`${title}: ${text}`);
   places.forEach(([x, y], i) => {
     const share = rates[i] / most;
-    svg.append(make("circle", { cx: x, cy: -y, r: (0.14 + 0.24 * share).toFixed(2), ...(share > 0 ? { fill: colour(100 * share), class: "dot" } : { class: "dot still" }) }));
+    svg.append(make("circle", { cx: x, cy: -y, r: (0.14 + 0.24 * share).toFixed(2), ...(share > 0 ? { fill: tint(share), class: "dot" } : { class: "dot still" }) }));
   });
   const lines = make("g", { class: "over" });
   lines.append(...outline.map(line));

@@ -5,7 +5,7 @@
 
 import { order, Problem } from "./api.js";
 import { $, refuse, say, speak } from "./control.js";
-import { make } from "./finger.js";
+import { make } from "./pins.js";
 import { FINE_STEP, HALF_LENGTH, HALF_WIDTH, KEY_STEP, penAt } from "./pad.js";
 
 // The daemon ends the play after such a silence.

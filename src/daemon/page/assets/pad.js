@@ -1,7 +1,7 @@
 // The pad on which a thing is drawn: with a pen, a mouse, or the keys. Places are in mm from the array's middle, y towards the fingertip.
 
 import { array, layout } from "./array.js";
-import { make } from "./finger.js";
+import { make } from "./pins.js";
 
 // The pad of the simulated finger is an ellipse. Pins may stand outside of it.
 export const [HALF_WIDTH, HALF_LENGTH] = [9, 12];
@@ -68,13 +68,18 @@ export function drawing(label) {
   return svg;
 }
 
-// Draws the pins of the daemon's array on a drawing of the pad, which grows if pins stand outside of the pad.
+// The box of a drawing of the pad: left, top, width and height in mm. It grows if pins stand outside of the pad.
+export function frame() {
+  const { box: [left, top, width, height], radius } = layout(1);
+  const [x, y] = [Math.min(left - radius, -HALF_WIDTH) - 1, Math.min(top - radius, -HALF_LENGTH) - 1];
+  return [x, y, Math.max(left + width + radius, HALF_WIDTH) + 1 - x, Math.max(top + height + radius, HALF_LENGTH) + 1 - y];
+}
+
+// Draws the pins of the daemon's array on a drawing of the pad.
 export function arrange(svg) {
   if (!array()) return;
-  const { places, box: [left, top, width, height], radius } = layout(1);
-  const [x, y] = [Math.min(left - radius, -HALF_WIDTH) - 1, Math.min(top - radius, -HALF_LENGTH) - 1];
-  const [right, bottom] = [Math.max(left + width + radius, HALF_WIDTH) + 1, Math.max(top + height + radius, HALF_LENGTH) + 1];
-  svg.setAttribute("viewBox", `${x} ${y} ${right - x} ${bottom - y}`);
+  const { places, radius } = layout(1);
+  svg.setAttribute("viewBox", frame().join(" "));
   svg.querySelector("g").replaceChildren(...places.map(([cx, cy]) => make("circle", { cx, cy, r: radius, class: "pin-place" })));
 }
 

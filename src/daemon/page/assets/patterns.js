@@ -7,7 +7,7 @@ import { call, order } from "./api.js";
 import { checkArray, isForeign } from "./array.js";
 import { Chosen } from "./chosen.js";
 import { $, element, operates, orders, refuse } from "./control.js";
-import { thumbnail } from "./finger.js";
+import { thumbnail } from "./pins.js";
 import { number, optional, right } from "./number.js";
 import { part } from "./views.js";
 
@@ -142,7 +142,7 @@ export class Patterns {
     const pattern = this.#byName.get(item.dataset.name);
     // Where the pins of another array stand is not known here.
     if (isForeign(pattern)) return;
-    this.details(pattern).then((details) => pattern.sha256 === this.#byName.get(pattern.name)?.sha256 && item.querySelector(".map").replaceChildren(thumbnail(details)), () => {});
+    this.details(pattern).then((details) => pattern.sha256 === this.#byName.get(pattern.name)?.sha256 && item.querySelector(".map").replaceChildren(thumbnail(details.highest_um)), () => {});
   }
 
   // Marks the chosen pattern.

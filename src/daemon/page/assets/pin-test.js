@@ -25,7 +25,7 @@ export function bindPinTest(chosen) {
     const { positions_mm: pins, motor } = array();
     [$("pin-motor").max, $("pin-um").max] = [pins.length - 1, motor.travel_um];
     $("pin-um").value = Math.min($("pin-um").value, motor.travel_um);
-    mark();
+    chosen(null);
   });
   document.addEventListener("pin", ({ detail }) => {
     $("pin-motor").value = detail;

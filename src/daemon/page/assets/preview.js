@@ -4,7 +4,7 @@
 import { call } from "./api.js";
 import { layout, scale } from "./array.js";
 import { element } from "./control.js";
-import { make } from "./finger.js";
+import { make } from "./pins.js";
 
 // The second model takes its time.
 const ANSWER_MS = 60000;

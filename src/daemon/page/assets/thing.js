@@ -1,7 +1,7 @@
 // What a person draws, as the daemon takes it: an object (`docs/reference/object.md`). And how the pad shows it. `doc`: the drawing, see `designer.js`. Lengths are in mm, places from the array's middle, y towards the fingertip.
 
 import { array } from "./array.js";
-import { make } from "./finger.js";
+import { make } from "./pins.js";
 import { isOnPad } from "./pad.js";
 
 const BRAILLE = "⠁⠃⠉⠙⠑⠋⠛⠓⠊⠚⠅⠇⠍⠝⠕⠏⠟⠗⠎⠞⠥⠧⠺⠭⠽⠵";
