@@ -10,7 +10,9 @@ use crate::control::Gains;
 use crate::device::mock::Mock;
 use crate::faulty::{DeviceClock, Direction, Liar, Line};
 use crate::link::LineRate;
-use crate::queues::{Command, Emit, MeasuredBurst, Outcome, Play, Request, StreamEvent};
+use crate::queues::{
+    Command, Emit, Heights, LatelyHeights, MeasuredBurst, Outcome, Play, Request, StreamEvent,
+};
 use crate::settings::Settings;
 use crate::streamer::Streamer;
 use crate::time::HostInstant;
@@ -54,11 +56,12 @@ pub struct Simulation {
 }
 
 /// The events so far; measured bursts only on request.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 struct EventLog {
     events: Vec<StreamEvent>,
     measured_bursts: Option<Vec<MeasuredBurst>>,
     contradictions: u64,
+    heights: Heights,
 }
 
 impl Emit for EventLog {
@@ -69,6 +72,10 @@ impl Emit for EventLog {
 
     fn measured(&mut self, burst: MeasuredBurst) {
         self.measured_bursts.iter_mut().for_each(|kept| kept.push(burst));
+    }
+
+    fn heights(&self) -> Option<&Heights> {
+        Some(&self.heights)
     }
 }
 
@@ -96,7 +103,12 @@ impl Simulation {
             to_device: Direction::new(line, seed ^ 0x5eed),
             to_host: Direction::new(Line { bytes_per_s: 0, ..line }, seed ^ 0xfeed),
             liar: None,
-            events: EventLog::default(),
+            events: EventLog {
+                events: Vec::new(),
+                measured_bursts: None,
+                contradictions: 0,
+                heights: Heights::new(None),
+            },
             tickets: 0,
         };
         new.connect();
@@ -293,6 +305,13 @@ impl Simulation {
     /// Takes the events since the last call.
     pub fn take_events(&mut self) -> Vec<StreamEvent> {
         std::mem::take(&mut self.events.events)
+    }
+
+    /// Asks for the heights of the pins, and returns those that the streamer has written last.
+    pub fn heights(&mut self) -> Option<LatelyHeights> {
+        self.events.heights.ask();
+        self.wake();
+        self.events.heights.read(self.array.motors())
     }
 
     /// Takes the measured bursts since the last call; the first call starts to keep them.

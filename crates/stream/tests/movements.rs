@@ -1,11 +1,14 @@
-//! What snapshots say that the pins do now, for each kind of play.
+//! What snapshots say that the pins do now, for each kind of play; and the courses of their heights against the simulated shafts.
 
+use firmware_protocol::tick::Tick;
 use meissner_array::pattern::Pattern;
+use meissner_array::simulated::SimulatedMotorsConfig;
 use meissner_array::spec::Array;
-use meissner_stream::Line;
 use meissner_stream::queues::Command;
+use meissner_stream::{Line, Settings};
 use meissner_test_support::patterns::{self, drive};
 use meissner_test_support::rig::{Rig, last_snapshot};
+use std::time::Duration;
 
 /// Height, swing and strokes per second of each motor in the last snapshot.
 fn now(rig: &mut Rig) -> Vec<(f64, f64, f64)> {
@@ -77,5 +80,103 @@ fn after_the_return_of_a_stopped_play_all_are_at_rest() {
         assert_near((pins[4].0, pins[4].1, 0.0), (40.0, 80.0, 0.0));
         rig.run_ms(400);
         assert_still(&mut rig);
+    }
+}
+
+/// A rig of ideal motors, and where its shafts were every 0.2 ms, µm, without the smoothing of the motor.
+struct Film {
+    rig: Rig,
+    shots: Vec<(Tick, Vec<f64>)>,
+}
+
+impl Film {
+    fn armed(seed: u64) -> Self {
+        let rig = Rig::with_motors(Settings::of(Array::paper()), &SimulatedMotorsConfig::ideal(), seed);
+        let mut film = Self { rig, shots: Vec::new() };
+        film.rig.arm();
+        film
+    }
+
+    fn shaft_um(&self, tick: Tick, motor: usize) -> f64 {
+        let after = self.shots.partition_point(|(shot, _)| *shot < tick).clamp(1, self.shots.len() - 1);
+        let [(from, before), (to, after)] = [&self.shots[after - 1], &self.shots[after]];
+        let part = (tick.since(*from) as f64 / (*to - *from) as f64).min(1.0);
+        before[motor] + part * (after[motor] - before[motor])
+    }
+
+    /// Runs on, and compares the course of every pin each 25 ms: in all its length, as who asks for the first time sees it.
+    #[track_caller]
+    fn run(&mut self, ms: u64, what: &str) {
+        for shot in 0..5 * ms {
+            self.rig.run(Duration::from_micros(200));
+            self.shots.push((self.rig.mock.now(), self.rig.mock.positions_um()));
+            if shot % 125 == 0 && self.shots.len() > 1300 {
+                self.compare(&format!("{what}, after {} ms", shot / 5));
+            }
+        }
+    }
+
+    #[track_caller]
+    fn compare(&mut self, what: &str) {
+        let course = self.rig.heights().unwrap();
+        assert_eq!(course.pulses.len(), Array::paper().motors(), "{what}");
+        let age = self.rig.mock.now().since(course.tick);
+        assert!((-100..5_000).contains(&age), "{what}: {age} ticks old");
+        for (motor, pulses) in course.pulses.iter().enumerate() {
+            for (at, &pulses) in pulses.iter().rev().enumerate() {
+                let tick = Tick(course.tick.0 - Array::paper().rate().of_ms(at as u64));
+                let (is, said) =
+                    (self.shaft_um(tick, motor), f64::from(pulses) * Array::paper().motor().um_per_pulse);
+                assert!((said - is).abs() < 1.5, "{what}, pin {motor}, {at} ms ago: {said} um, is {is}");
+            }
+        }
+    }
+}
+
+const HELD: &str = "[[ramp]]\nmotor = 9\nto_um = 200.0\nrise_s = 0.1\nhold_s = 0.2\nfall_s = 0.1\n\
+                    [[ramp]]\nmotor = 10\nto_um = 90.0\nrise_s = 0.1\nhold_s = 0.2\nfall_s = 0.1\n";
+
+#[test]
+fn the_courses_of_a_drive_a_ramp_and_a_return_are_those_of_the_shafts() {
+    let mut film = Film::armed(1);
+    film.run(300, "rest");
+    film.rig.start(&pattern(HELD), None);
+    film.run(700, "ramp");
+    film.rig
+        .start(&patterns::pattern("one", Some(9.0), vec![drive(3, 60.0, 62.0), drive(4, 300.0, 15.0)]), None);
+    film.run(500, "drive");
+    film.rig.send(Command::Stop);
+    film.run(400, "stop");
+    for phase_ms in [60, 150, 330] {
+        for order in [|| Command::Stop, || Command::Disarm] {
+            film.rig.start(&pattern(HELD), None);
+            film.run(phase_ms, "ramp");
+            film.rig.send(order());
+            film.run(400, &format!("cut after {phase_ms} ms"));
+            film.rig.send(Command::Arm { assume_rest: true });
+            film.run(100, "arm");
+        }
+    }
+}
+
+/// Rising, holding and falling; then the pins come down with `reset`, or only with `arm`.
+#[test]
+fn the_courses_around_an_emergency_stop_are_those_of_the_shafts() {
+    for (phase_ms, keep) in
+        [30, 60, 100, 200, 330, 360, 390].into_iter().flat_map(|ms| [(ms, false), (ms, true)])
+    {
+        let mut film = Film::armed(phase_ms);
+        film.run(300, "rest");
+        film.rig.start(&pattern(HELD), None);
+        film.run(phase_ms, "ramp");
+        film.rig.send(Command::EStop);
+        let what = |step: &str| format!("e-stop after {phase_ms} ms, keep {keep}, {step}");
+        film.run(400, &what("stop"));
+        film.rig.send(Command::Reset { estops_seen: u64::MAX, keep });
+        film.run(400, &what("reset"));
+        film.rig.send(Command::Arm { assume_rest: false });
+        film.run(400, &what("arm"));
+        film.rig.start(&pattern(HELD), None);
+        film.run(500, &what("the next play"));
     }
 }

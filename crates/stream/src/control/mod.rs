@@ -24,20 +24,23 @@ use burst_controller::{BurstController, Passed, Times};
 pub use estimator::{Gains, MeasuredBurst};
 pub(super) use queued::Cutting;
 
-use crate::queues::{Movement, RestErrors};
+use crate::queues::{Heights, LATELY_MS, Movement, RestErrors};
 use crate::settings::Settings;
+use crate::sync::atomic::Ordering;
+use crate::time::HostInstant;
 use firmware_protocol::array::MotorSet;
 use firmware_protocol::batch::Amendment;
+use firmware_protocol::controller::HORIZON;
 use firmware_protocol::message::State;
 use firmware_protocol::stroke::Direction;
 use firmware_protocol::tick::Tick;
 use meissner_api::ErrorSource;
 use meissner_api::SensorFault;
 use meissner_array::per_motor::PerMotor;
-use meissner_array::spec::Array;
+use meissner_array::spec::{Array, MAX_MOTORS};
 use meissner_array::strokes::{Burst, Step};
 use replacement::Replacement;
-use standing::Standing;
+use standing::{Standing, Stood};
 
 /// Without telemetry a stroke counts as played so long after it begins, ms: the device's verdict has come by then.
 const REPORTED_MS: u64 = 50;
@@ -70,6 +73,8 @@ pub(super) struct PositionControl {
     end_stop_um: f32,
     /// The device sends telemetry: a sample may still be on its way.
     telemetry: bool,
+    /// When the last cut was, at the latest.
+    cut_at: Tick,
     /// A cut or its return may move pins until then.
     cut_until: Tick,
     /// Strokes that the device has been asked to withdraw.
@@ -82,6 +87,8 @@ pub(super) struct PositionControl {
     unseen_since: Option<Tick>,
     /// Pins that a cut may have left above rest.
     standing: Standing,
+    /// When they stood.
+    stood: Stood,
     /// The device seeks the lower stop, or such a seek was cut.
     seeks: bool,
 }
@@ -95,6 +102,7 @@ impl PositionControl {
             limited: settings.is_limited(),
             end_stop_um: settings.end_stop_um,
             telemetry: true,
+            cut_at: Tick(0),
             cut_until: Tick(0),
             replacement: Replacement::new(array),
             motors: array.numbers().map(|_| BurstController::new(array, &Gains::default())).collect(),
@@ -104,6 +112,7 @@ impl PositionControl {
             seen: false,
             unseen_since: None,
             standing: Standing::none(array),
+            stood: Stood::default(),
             seeks: false,
         };
         let has_stop = settings.lower_stop.is_some();
@@ -131,6 +140,7 @@ impl PositionControl {
         }
         let cut_at = now.map_or(begun_by, |now| now.min(begun_by));
         self.motors.iter_mut().for_each(|motor| motor.cut(cut_at));
+        self.cut_at = cut_at;
         self.cut_until = cut_at + u64::from(self.array.motor().most_pulses);
         self.replacement.clear();
         (self.last_sample, self.advanced_to) = (None, Tick(0));
@@ -157,6 +167,26 @@ impl PositionControl {
         if !standing.cut(cut, outstanding, |motor| motors[usize::from(motor)].height_at(cut.at)) {
             self.lowered(&before, cut.at, cut.returned.is_some());
         }
+        match cut.returned {
+            None => self.stood.cut(cut.at, &before, self.standing.heights()),
+            Some(end) => self.stood.end(Some(cut.at), end, &before),
+        }
+    }
+
+    /// The device has cut the moves of a play. If it has returned the pins, it began with all at once, so that the highest came down last.
+    pub(super) fn moves_were_cut(&mut self, cut: Cutting) {
+        let down = self.motors.iter_mut().filter_map(|motor| motor.was_cut(cut.at));
+        let mut down = down.collect::<heapless::Vec<_, MAX_MOTORS>>();
+        let highest = down.iter().map(|down| down.from).max().unwrap_or(0);
+        if let Some(end) = cut.returned {
+            down.iter_mut()
+                .for_each(|down| down.burst.start = cut.at.max(Tick(end.0.saturating_sub(highest.into()))));
+        }
+    }
+
+    /// The device has no return pulses outstanding at `tick`, but for those that it plays within the render horizon.
+    pub(super) fn are_down(&mut self, tick: Tick) {
+        self.stood.end(None, tick + u64::from(HORIZON), self.standing.heights());
     }
 
     /// The pins that stand are lower than `before`, at `tick`.
@@ -197,6 +227,7 @@ impl PositionControl {
     /// The device has brought all pins down.
     fn returned(&mut self, tick: Tick) {
         self.seeks = false;
+        self.are_down(tick);
         if let Some(heights) = self.standing.end() {
             self.motors.iter_mut().zip(&heights).for_each(|(motor, &pulses)| motor.returned(pulses, tick));
         }
@@ -239,7 +270,8 @@ impl PositionControl {
     /// A device was connected, which sends telemetry or not. Its clock may have begun again.
     pub(super) fn connected(&mut self, telemetry: bool) {
         self.telemetry = telemetry;
-        self.cut_until = Tick(0);
+        (self.cut_at, self.cut_until) = (Tick(0), Tick(0));
+        self.stood = Stood::default();
         self.motors.iter_mut().for_each(BurstController::forget_trail);
     }
 
@@ -574,6 +606,33 @@ impl PositionControl {
                 State::Armed | State::Returning => Movement { high: high.max(moved.high), ..moved },
             }
         })
+    }
+
+    /// Writes what each pin did lately until `tick`, as planned; none: it is not known. `stands`: the device does nothing and has return
+    /// pulses outstanding.
+    pub(super) fn write_heights(
+        &self,
+        heights: &Heights,
+        now: HostInstant,
+        tick: Option<Tick>,
+        stands: bool,
+    ) {
+        let rate = self.array.rate();
+        let (tick, most) = tick.map_or((Tick(0), 0), |tick| (tick, LATELY_MS));
+        let before = move |ms| Some(Tick(tick.0.checked_sub(rate.of_ms(ms as u64))?));
+        let steps = (0..most).take_while(|ms| before(*ms).is_some()).count();
+        // Until the device has said when it cut, they stand since then at the latest.
+        let since = self.stood.since.or(stands.then_some(self.cut_at));
+        heights.write(now, tick, steps, self.motors.len(), |motor, places| {
+            let mut places = places.iter();
+            self.motors[motor].course((0..steps).rev().filter_map(before), |tick, moved| {
+                let stands = since.filter(|since| *since <= tick).map(|_| self.standing.heights()[motor]);
+                let height = stands.or_else(|| self.stood.height(motor, tick)).unwrap_or(moved);
+                if let Some(place) = places.next() {
+                    place.store(height, Ordering::Relaxed);
+                }
+            });
+        });
     }
 
     /// Whether a pin may have moved in the last [`SPAN_MS`]. Moves that are still queued do not count.

@@ -6,6 +6,7 @@
 //! Invariant: if the device tells the truth, no pin stands higher than its height here.
 
 use super::queued::Cutting;
+use firmware_protocol::controller::HORIZON;
 use firmware_protocol::tick::Tick;
 use meissner_array::per_motor::PerMotor;
 use meissner_array::spec::Array;
@@ -100,6 +101,65 @@ impl Standing {
         let heights = self.heights;
         self.clear();
         std::mem::replace(&mut self.is_cut, false).then_some(heights)
+    }
+}
+
+/// Spells that are kept: of more in [`LATELY_MS`](crate::queues::LATELY_MS) the first is forgotten.
+const SPELLS: usize = 4;
+
+/// When pins stood that cuts had left above rest.
+#[derive(Debug, Default)]
+pub(super) struct Stood {
+    /// When the device cut what left them so; none: it has not said so, or none stands.
+    pub(super) since: Option<Tick>,
+    spells: heapless::Deque<Spell, SPELLS>,
+}
+
+/// How high pins stood from a cut until a return had brought them down, or was cut.
+#[derive(Debug)]
+struct Spell {
+    from: Tick,
+    until: Tick,
+    heights: PerMotor<u16>,
+    /// At its end.
+    after: PerMotor<u16>,
+    /// So long before its end all pins began to come down; 0: each as late as it could.
+    way: u16,
+}
+
+impl Stood {
+    /// A cut has left pins so high, or those that stood, or were on their way down, until then.
+    pub(super) fn cut(&mut self, tick: Tick, before: &PerMotor<u16>, after: &PerMotor<u16>) {
+        self.push(tick, 0, before, after);
+        if let Some(last) = self.spells.back_mut().filter(|last| last.until > tick) {
+            (last.until, last.after, last.way) = (tick, *after, 0);
+        }
+        self.since = Some(tick);
+    }
+
+    /// All pins are down at `tick`. They have begun at `begin` or later; if their way leaves no time for more, all at once.
+    pub(super) fn end(&mut self, begin: Option<Tick>, tick: Tick, heights: &PerMotor<u16>) {
+        let way = heights.iter().copied().max().unwrap_or(0);
+        let is_direct = begin.is_some_and(|begin| begin + u64::from(way) + u64::from(HORIZON) >= tick);
+        self.push(tick, if is_direct { way } else { 0 }, heights, &heights.map(|_| 0));
+        self.since = None;
+    }
+
+    fn push(&mut self, until: Tick, way: u16, heights: &PerMotor<u16>, after: &PerMotor<u16>) {
+        let Some(from) = self.since.filter(|from| *from < until) else { return };
+        if self.spells.is_full() {
+            self.spells.pop_front();
+        }
+        // Cannot fail: there is room.
+        let _ = self.spells.push_back(Spell { from, until, heights: *heights, after: *after, way });
+    }
+
+    /// How high a pin stood at a tick, pulses above rest; none: it did not stand.
+    pub(super) fn height(&self, motor: usize, tick: Tick) -> Option<u16> {
+        let spell = self.spells.iter().find(|spell| spell.from <= tick && tick < spell.until)?;
+        let (height, left) = (spell.heights[motor], u16::try_from(spell.until - tick).unwrap_or(u16::MAX));
+        let sooner = spell.way.saturating_sub(height);
+        Some(height.min(spell.after[motor].saturating_add(left).saturating_sub(sooner)))
     }
 }
 

@@ -111,6 +111,12 @@ impl EStopSwitch {
         self.0.requested.load(Ordering::Acquire)
     }
 
+    /// When the newest one was ordered; none if none was.
+    pub fn newest_at(&self) -> Option<HostInstant> {
+        let newest = self.newest();
+        (newest > 0).then(|| HostInstant::from_ns(self.0.ordered_at(newest).load(Ordering::Acquire)))
+    }
+
     /// The streamer answers this one and all before it.
     pub(super) fn set_answer(&self, number: u64, result: Result<(), CommandError>) {
         let Shared { confirmed, answered, no_device, answer_wake, confirmed_after, .. } = &*self.0;

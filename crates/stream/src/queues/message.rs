@@ -4,6 +4,7 @@ use crate::control::{Gains, MeasuredBurst};
 use crate::device::Device;
 use crate::link::Contradiction;
 use crate::queues::error::CommandError;
+use crate::queues::heights::Heights;
 use crate::queues::live::LiveUpdate;
 use crate::queues::outcome::{Onset, Outcome, Snapshot};
 use crate::queues::play::{At, Edge, Play};
@@ -200,6 +201,10 @@ pub trait Emit {
     fn event(&mut self, event: StreamEvent);
     /// Takes a burst that telemetry has measured.
     fn measured(&mut self, burst: MeasuredBurst);
+    /// Where the heights of the pins are written, for those who ask.
+    fn heights(&self) -> Option<&Heights> {
+        None
+    }
 }
 
 /// Keeps the events, ignores measured bursts.

@@ -1,7 +1,8 @@
 //! The bounded queues between the streamer's thread and its callers: requests in, events out.
 //!
 //! [`queues`] makes both ends. A caller puts a [`Request`] into the [`CommandQueue`] and takes each [`StreamEvent`] from
-//! the [`EventQueue`]; the thread holds [`ThreadQueues`]. Emergency stops have a way of their own, [`EStopSwitch`].
+//! the [`EventQueue`]; the thread holds [`ThreadQueues`]. Emergency stops have a way of their own, [`EStopSwitch`], and so have the
+//! [`Heights`] of the pins.
 //!
 //! Invariant: the thread never waits. A full command queue hands the request back to the caller. A nearly full event
 //! queue drops single late strokes, refused strokes and snapshots first, and counts what it drops
@@ -10,6 +11,7 @@
 
 mod error;
 mod estop;
+mod heights;
 mod live;
 mod message;
 mod outcome;
@@ -27,6 +29,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 pub use crate::control::MeasuredBurst;
 pub use error::{CommandError, MAX_QUEUED_PLAYS, refusal_text};
 pub use estop::{ESTOP_TICKETS, EStopSwitch};
+pub use heights::{Heights, LATELY_MS, LatelyHeights};
 pub use live::{Applied, LiveResult, LiveUpdate};
 pub use message::{Command, Emit, Request, StreamEvent};
 pub use outcome::{End, Movement, Onset, Outcome, Pins, RestErrors, Snapshot};
@@ -47,6 +50,7 @@ pub struct CommandQueue {
     ring: ring::Producer<Request>,
     wake: Arc<Doorbell>,
     estop: EStopSwitch,
+    heights: Heights,
     loops: Arc<AtomicU64>,
 }
 
@@ -64,6 +68,11 @@ impl CommandQueue {
     /// The switch for emergency stops.
     pub fn estop_switch(&self) -> EStopSwitch {
         self.estop.clone()
+    }
+
+    /// The heights of the pins lately.
+    pub fn heights(&self) -> Heights {
+        self.heights.clone()
     }
 
     /// Wakes the thread: it reads what the device has sent meanwhile, and reports it.
@@ -123,6 +132,7 @@ pub struct ThreadQueues {
     requests_wake: Arc<Doorbell>,
     events_wake: Arc<Doorbell>,
     estop: EStopSwitch,
+    heights: Heights,
     /// The newest emergency stop that the thread has executed.
     last_estop: u64,
     /// After how many more requests an emergency stop is due, if one is.
@@ -139,6 +149,7 @@ pub struct ThreadQueues {
 pub fn queues() -> std::io::Result<(ThreadQueues, CommandQueue, EventQueue)> {
     let (requests_wake, events_wake) = (Arc::new(Doorbell::new()?), Arc::new(Doorbell::new()?));
     let estop = EStopSwitch::new(Arc::clone(&requests_wake), Doorbell::new()?);
+    let heights = Heights::new(Some(Arc::clone(&requests_wake)));
     let (request_in, requests) = ring::RingBuffer::new(COMMANDS);
     // Both event rings are touched once: memory is locked page by page, and the first touch must not fall into a play.
     let (mut events, mut event_out) = ring::RingBuffer::new(EVENTS);
@@ -161,6 +172,7 @@ pub fn queues() -> std::io::Result<(ThreadQueues, CommandQueue, EventQueue)> {
         ring: request_in,
         wake: Arc::clone(&requests_wake),
         estop: estop.clone(),
+        heights: heights.clone(),
         loops: Arc::clone(&loops),
     };
     let listener = EventQueue { ring: event_out, measured: measured_out, wake: Arc::clone(&events_wake) };
@@ -171,6 +183,7 @@ pub fn queues() -> std::io::Result<(ThreadQueues, CommandQueue, EventQueue)> {
         requests_wake,
         events_wake,
         estop,
+        heights,
         last_estop: 0,
         estop_after: None,
         loops,
@@ -265,6 +278,10 @@ impl Emit for ThreadQueues {
     /// Queues a measured burst. If the caller does not keep up, the newest are lost.
     fn measured(&mut self, burst: MeasuredBurst) {
         let _ = self.measured.push(burst);
+    }
+
+    fn heights(&self) -> Option<&Heights> {
+        Some(&self.heights)
     }
 }
 

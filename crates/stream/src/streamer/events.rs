@@ -118,6 +118,7 @@ impl Streamer {
                 // The report of a stop does not concern strokes sent after the device answered the stop.
                 if self.state() != State::Armed || self.control.is_idle() {
                     self.cut_control(now);
+                    self.control.moves_were_cut(cutting);
                 }
                 if let Some((motor, pulses)) =
                     self.homing.undo_move(self.tick_at(now).unwrap_or_default(), &mut self.control)
@@ -189,6 +190,9 @@ impl Streamer {
 
     fn status(&mut self, now: HostInstant, status: Status, tick: Tick, emit: &mut dyn Emit) {
         let changed = self.known.heard(status, tick, &mut self.control);
+        if status.outstanding == 0 && status.state != State::Returning {
+            self.control.are_down(tick);
+        }
         if self.latch.resets_own(&status) && self.operations.is_empty() {
             self.order(now, 0, Op::Reset, emit);
         }

@@ -30,7 +30,7 @@ use crate::time::HostInstant;
 use connected::Connected;
 use feed::Feed;
 use firmware_protocol::frame::MAX_FRAME;
-use firmware_protocol::message::{Cause, Counters, Op, State};
+use firmware_protocol::message::{Cause, Counters, Op, State, Status};
 use firmware_protocol::tick::Tick;
 use homing::Homing;
 pub use homing::longest_homing_s;
@@ -231,6 +231,14 @@ impl Streamer {
         let moves = moved || self.homing.is_moving() || self.state() == State::Returning;
         let playing = moves || !self.plays.is_empty();
         let every = if playing { SNAPSHOT_EVERY } else { IDLE_PING };
+        let heights_known = connected && self.known.status.is_some_and(|(status, _)| status.position_known);
+        if let Some(heights) = emit.heights().filter(|heights| heights.is_due(now, heights_known)) {
+            let tick = self.tick_at(now).filter(|_| heights_known);
+            let stands = |(status, _): (Status, Tick)| {
+                matches!(status.state, State::Disarmed | State::Faulted) && status.outstanding > 0
+            };
+            self.control.write_heights(heights, now, tick, self.known.status.is_some_and(stands));
+        }
         if self.reports.take_due(now, connected, line, every) {
             let tick = self.tick_at(now).unwrap_or_default();
             self.reports.warn(&self.control, tick, self.settings.drift_warning_um, emit);

@@ -392,6 +392,17 @@ impl BurstController {
         self.trail.movement(self.in_device(), span, rate)
     }
 
+    /// Calls `level` with each of these ticks, which are in order, and the level as planned.
+    pub(crate) fn course(&self, ticks: impl Iterator<Item = Tick>, level: impl FnMut(Tick, u16)) {
+        self.trail.course(self.in_device(), ticks, level);
+    }
+
+    /// The device has cut the moves at this tick, not later than known. Returns the pin's way down, if it came down then.
+    pub(crate) fn was_cut(&mut self, at: Tick) -> Option<&mut Passed> {
+        self.trail.was_cut(at);
+        self.trail.way_down().filter(|down| down.burst.start == at)
+    }
+
     /// Forgets what the pin did: the device's clock may have begun again.
     pub(crate) fn forget_trail(&mut self) {
         self.trail.clear();
