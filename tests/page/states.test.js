@@ -40,8 +40,10 @@ test("what stands beside E-STOP follows the state", async () => {
   const daemon = await new Daemon().start();
   const page = await open(daemon);
   await arm(page);
+  await shows(page, "armed-by", "armed by 127.0.0.1, for ");
   await page.click("#estop");
   await shows(page, "estop-note", "All lines are off.");
+  await page.waitForFunction(() => /^stopped by 127\.0\.0\.1.* ago$/.test(document.getElementById("armed-by").textContent), WAIT);
   await other(daemon, "/v1/reset", { force: true });
   await shows(page, "state-text", "Disarmed");
   assert.equal(await text(page, "estop-note"), "");

@@ -72,9 +72,9 @@ const LONG = "a cause of many words that tells about all motors and rails of the
 const SESSION = { participant: "P".repeat(40), owner: "somebody with a long name on another machine", mine: false, exclusive: true, released: false };
 const STATES = [
   ["disarmed", { state: "disarmed", position: "known" }], ["nobody has looked", { state: "disarmed", position: "unknown" }], ["armed", { state: "armed" }],
-  ["armed by a long name", { state: "armed", armed: { by: LONG } }], ["playing", { state: "armed", play: { id: 1, name: "a".repeat(64), played_s: 12345.6 } }],
+  ["armed by a long name", { state: "armed", armed: { by: LONG, for_s: 1234567 } }], ["playing", { state: "armed", play: { id: 1, name: "a".repeat(64), played_s: 12345.6 } }],
   ["waiting", { state: "armed", play: { id: 1, name: "b", played_s: 1 }, queued: [{ id: 2, name: "c" }] }], ["returning", { state: "returning" }],
-  ["e-stopped", { state: "faulted", cause: "estop" }], ["a fault", { state: "faulted", cause: LONG }], ["no device", { state: "no-device", device: null, clock: null }],
+  ["e-stopped", { state: "faulted", cause: "estop", estop: { orders: 1, by: LONG, age_s: 7, off_ms: 1 } }], ["a fault", { state: "faulted", cause: LONG }], ["no device", { state: "no-device", device: null, clock: null }],
   ["pins that stand", { state: "disarmed", position: "known", standing: { height_um: 400, age_s: 123456 } }], ["a state of a newer daemon", { state: "novel" }], ["another's session", { state: "armed", session: SESSION }], ["an observer", { state: "armed", daemon: { role: "observe" } }],
 ];
 

@@ -31,12 +31,21 @@ export function showControls() {
   $("stop").disabled = status !== null && !status.play && !waiting;
   write($("stop"), waiting ? `Stop, clear ${waiting}` : "Stop play");
   write($("owner"), status ? owner(status) : "");
-  write($("armed-by"), status?.armed ? `armed by ${status.armed.by}` : "");
+  write($("armed-by"), status ? who(status) : "");
   $("owner").classList.toggle("warns", status?.state === "armed" && !status.session);
   if (status) {
     showRights(status);
     unrefuse(status);
   }
+}
+
+// How long, in words.
+const long = (s) => (s < 60 ? `${s.toFixed(0)} s` : s < 3600 ? `${(s / 60).toFixed(0)} min` : `${(s / 3600).toFixed(1)} h`);
+
+// Who has armed or stopped, and when.
+function who({ state, cause, armed, estop }) {
+  if (state === "faulted" && cause === "estop" && estop.age_s !== null) return `stopped ${estop.by ? `by ${estop.by} ` : ""}${long(estop.age_s)} ago`;
+  return armed ? `armed by ${armed.by}, for ${long(armed.for_s)}` : "";
 }
 
 // Whose session runs.

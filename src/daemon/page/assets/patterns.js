@@ -118,12 +118,12 @@ export class Patterns {
     const { name } = item.dataset;
     const pattern = this.#byName.get(name);
     const length = pattern.duration_s === null ? "without end" : `${pattern.duration_s} s`;
-    const drives = pattern.drives_moving ? `${pattern.drives_moving} drives, up to ${pattern.reached_max_um.toFixed(0)} µm` : "";
-    const moves = [drives, pattern.motions ? `${pattern.motions} motions` : ""].filter(Boolean).join(", ") || "no pin moves";
+    const moves = [pattern.drives_moving ? `${pattern.drives_moving} drives` : "", pattern.motions ? `${pattern.motions} motions` : ""].filter(Boolean).join(", ");
+    const reach = moves ? `${moves}, up to ${pattern.highest_um.toFixed(0)} µm` : "no pin moves";
     const choose = element("button", "", { type: "button", className: "choose" });
     choose.append(
       element("strong", name),
-      element("span", `${length}; ${moves}; ${where(pattern)}${isForeign(pattern) ? `; for the array ${pattern.array}` : ""}`),
+      element("span", `${length}; ${reach}; ${where(pattern)}${isForeign(pattern) ? `; for the array ${pattern.array}` : ""}`),
     );
     choose.addEventListener("click", () => this.#chosen.choose(pattern));
     const [play, said] = ["button", ".say"].map((part) => item.querySelector(`:scope > ${part}`));

@@ -64,7 +64,7 @@ export function summary(known, rest_um) {
 }
 
 // A small map of the greatest height of each pin, µm.
-export function thumbnail(heights = []) {
+export function thumbnail(heights) {
   const { places, box: [left, top, width, height] } = layout(scale(10, 6));
   const svg = make("svg", { viewBox: `${left - 5} ${top - 5} ${width + 10} ${height + 10}`, class: "thumbnail", role: "img" });
   const moving = heights.flatMap((um, motor) => (um > 0 ? [motor] : []));
