@@ -14,7 +14,7 @@ mod in_use;
 pub use folder::{FileError, MAX_FILES};
 pub(crate) use folder::{hash, hexadecimal};
 
-use crate::receipts::Outline;
+use crate::receipts::{Outline, motion_heights};
 use folder::{Folder, check_name, check_new_name};
 use in_use::InUse;
 use include_dir::{Dir, include_dir};
@@ -136,6 +136,7 @@ struct Details<'a> {
     library: bool,
     compiled_ms: Option<f64>,
     drives: &'a [ReachedDrive],
+    highest_um: Vec<f64>,
     rails: Vec<RailLoad>,
     warnings: Vec<String>,
 }
@@ -377,6 +378,7 @@ impl Stored {
                 library: *library,
                 compiled_ms: *compiled_ms,
                 drives,
+                highest_um: highest_um(pattern, drives),
                 rails: rail_loads(pattern),
                 warnings: self.run().listed_warnings(),
             };
@@ -393,7 +395,6 @@ impl Stored {
 
     fn entry(&self) -> PatternSummary {
         let Outline { compiled_ms, drives, .. } = self.run();
-        let reached = || drives.iter().map(|drive| drive.reached_um);
         PatternSummary {
             name: self.pattern.name().to_owned(),
             array: self.pattern.array().name().to_owned(),
@@ -404,8 +405,7 @@ impl Stored {
             drives_moving: drives.iter().filter(|drive| drive.strokes != Some(0)).count(),
             sha256: self.sha256.clone(),
             compiled_ms: *compiled_ms,
-            reached_min_um: reached().reduce(f64::min),
-            reached_max_um: reached().reduce(f64::max),
+            highest_um: highest_um(&self.pattern, drives).into_iter().fold(0.0, f64::max),
         }
     }
 }
@@ -427,6 +427,19 @@ fn first(mut lines: Vec<String>) -> Vec<String> {
         lines.push(format!("{more} more files cannot be read as patterns"));
     }
     lines
+}
+
+/// The greatest height of each pin above rest in one run, µm. A motor's drives do not overlap with one another or with motions, and a
+/// waveform is the sum of all motions of its motor.
+fn highest_um(pattern: &Pattern, drives: &[ReachedDrive]) -> Vec<f64> {
+    let mut highest_um = vec![0.0_f64; pattern.array().motors()];
+    let drives =
+        drives.iter().filter(|drive| drive.strokes != Some(0)).map(|drive| (drive.motor, drive.reached_um));
+    for (motor, um) in drives.chain(motion_heights(pattern)) {
+        let highest_um = &mut highest_um[usize::from(motor)];
+        *highest_um = highest_um.max((10.0 * um).round() / 10.0);
+    }
+    highest_um
 }
 
 /// The current of each rail in a pattern, for motors of unknown capacitance.

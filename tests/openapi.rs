@@ -135,7 +135,7 @@ fn a_daemon_s_answers_fit_the_document() {
     refused(client.post("/v1/home", &json!({})));
     refused(client.post("/v1/arm", &json!({})));
     refused(client.delete("/v1/patterns/edge-45"));
-    for route in [Route::Status, Route::Doctor, Route::Patterns, Route::Array] {
+    for route in [Route::Status, Route::Heights, Route::Doctor, Route::Patterns, Route::Array] {
         fits(route, &client.get(route.path()).unwrap());
     }
     let list: PatternList = client.get("/v1/patterns").unwrap();

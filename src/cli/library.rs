@@ -29,14 +29,14 @@ pub(super) fn list(options: &ClientOptions) -> Result<ExitCode> {
             duration,
             text::number(entry["compiled_ms"].as_f64(), 1),
             drives(entry),
-            reached(entry),
+            text::number(entry["highest_um"].as_f64(), 1),
             from.into(),
         ]
     };
     give(options.output.json, &list, || {
         let rows = list["patterns"].as_array().unwrap_or(&none).iter().map(row);
         let mut text = text::columns(
-            &["name", "array", "length", "whole_strokes_ms", "drives", "reached_um", "from"],
+            &["name", "array", "length", "whole_strokes_ms", "drives", "highest_um", "from"],
             rows,
         );
         for line in list["errors"].as_array().unwrap_or(&none) {
@@ -55,12 +55,6 @@ fn drives(entry: &Value) -> String {
         None | Some(0) => drives,
         Some(motions) => format!("{drives} + {motions} motions"),
     }
-}
-
-/// The amplitudes that the drives of a listed pattern reach, from the smallest to the largest.
-fn reached(entry: &Value) -> String {
-    let [least, most] = ["reached_min_um", "reached_max_um"].map(|key| text::number(entry[key].as_f64(), 1));
-    if least == most { least } else { format!("{least} to {most}") }
 }
 
 pub(super) fn show(options: &ClientOptions, name: &str) -> Result<ExitCode> {

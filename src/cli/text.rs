@@ -116,11 +116,15 @@ pub(super) fn status(status: &Status) -> String {
         ("array", status.daemon.array.clone()),
         ("playing", play),
     ];
-    if let Some(ArmedStatus { by, left_s, .. }) = &status.armed {
+    if let Some(ArmedStatus { by, for_s, left_s, .. }) = &status.armed {
         let until = left_s.map_or("unattended, until `meissner disarm`".to_owned(), |left_s| {
             format!("disarms in {left_s:.0} s unless somebody arms, plays or homes, or a program that did so asks something")
         });
-        lines.push(("armed by", format!("{by}; {until}")));
+        lines.push(("armed by", format!("{by} for {for_s:.0} s; {until}")));
+    }
+    if let Some(age_s) = status.estop.age_s.filter(|_| status.cause == "estop") {
+        let by = status.estop.by.as_deref().unwrap_or("an unknown client");
+        lines.push(("e-stop", format!("{age_s:.0} s ago by {by}")));
     }
     if !status.queued.is_empty() {
         let waiting = status.queued.iter().map(|play| {

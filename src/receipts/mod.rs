@@ -18,7 +18,7 @@ pub use convert::{
     board_status, calibration_plan, device_info, end_text, fit, outputs, refusal, reset_name, state_name,
 };
 pub use items::{BLANK, PlannedItem};
-pub use outline::{Outline, largest_um, motions, motions_of_items, too_slow};
+pub use outline::{Outline, largest_um, motion_heights, motions, motions_of_items, too_slow};
 
 use firmware_protocol::message::{DeviceHello, State};
 use firmware_protocol::tick::Tick;

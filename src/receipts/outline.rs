@@ -42,7 +42,7 @@ impl Outline {
             ordered_ms: strokes::ordered_end(pattern, options.seconds).map(|end| rate.ticks_to_ms(end)),
             compiled_ms: ends.then(|| rate.ticks_to_ms(over.unwrap_or(0))),
             drives: found.iter().map(reached).collect(),
-            motions_um: motions_um(pattern) * options.scale,
+            motions_um: motion_heights(pattern).map(|(_, um)| um).fold(0.0, f64::max) * options.scale,
             warnings: warnings(pattern, &found),
         })
     }
@@ -85,13 +85,13 @@ pub fn largest_um(drives: &[ReachedDrive]) -> [f64; 2] {
     [most(|drive| drive.ordered_um), most(|drive| drive.reached_um)]
 }
 
-/// The highest level of the motions that move their pin, µm.
-fn motions_um(pattern: &Pattern) -> f64 {
+/// The motors whose motions move their pin, and the highest level of each, µm.
+pub fn motion_heights(pattern: &Pattern) -> impl Iterator<Item = (u8, f64)> {
     let array = pattern.array();
     let motor = array.motor();
     let least_um = motor.um_per_pulse * (f64::from(motor.least_pulses) + 1.0) / 2.0;
-    let heights = pattern.waveforms().iter().map(|(_, waveform)| waveform.extremes_um()[1]);
-    heights.filter(|um| *um >= least_um).fold(0.0, f64::max)
+    let heights = pattern.waveforms().iter().map(|(motor, waveform)| (*motor, waveform.extremes_um()[1]));
+    heights.filter(move |(_, um)| *um >= least_um)
 }
 
 /// How the motors of a play follow their motions.

@@ -211,6 +211,10 @@ fn the_library_is_what_it_says() {
         let (name, run) = (stored.pattern.name(), stored.run());
         assert!(run.empty().is_none(), "{name}");
         assert_eq!(run.warnings, Vec::<String>::new(), "{name}");
+        assert!(stored.entry().highest_um > 0.0, "{name}");
+        let shown: serde_json::Value = serde_json::from_slice(&stored.json()).unwrap();
+        let likeness = &shown["pattern"]["provenance"]["likeness"];
+        assert_eq!(likeness["press"].is_f64(), name.ends_with("-rendered"), "{name}: {likeness}");
     }
 }
 
@@ -223,10 +227,14 @@ fn a_list_tells_what_drives_reach_and_how_long_whole_strokes_last() {
     // 18 strokes of 60 Hz; the last goes up at 17/60 s, comes down half a period later, in 589 ticks.
     let over_ms = 1000.0 * (17.5 / 60.0 + 589.0 / 85_000.0);
     assert!((entry.compiled_ms.unwrap() - over_ms).abs() < 0.02, "{entry:?}");
-    let reached_um = entry.reached_max_um.unwrap();
-    assert!(entry.reached_min_um == Some(reached_um) && (68.0..70.0).contains(&reached_um), "{entry:?}");
+    assert!((68.0..70.0).contains(&entry.highest_um), "{entry:?}");
+    let shown = &store.get("my-edge").unwrap().json();
+    let shown: serde_json::Value = serde_json::from_slice(shown).unwrap();
+    let highest_um = shown["highest_um"].as_array().unwrap();
+    assert_eq!((highest_um.len(), &highest_um[0]), (24, &0.0.into()), "pin 0 does not move");
+    assert_eq!(highest_um[9], entry.highest_um);
     let endless = list.patterns.iter().find(|entry| entry.duration_s.is_none()).unwrap();
-    assert!(endless.compiled_ms.is_none() && endless.reached_min_um.is_some());
+    assert!(endless.compiled_ms.is_none() && endless.highest_um > 0.0);
 }
 
 /// A command line takes `-` for stdin and `--help` for an option. Existing files with such names can be listed and removed.

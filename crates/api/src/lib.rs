@@ -105,8 +105,8 @@ pub use session::{
 };
 pub use status::{
     ArmedStatus, ClockSample, DaemonStatus, DeviceInfo, EStopStatus, LinkStatus, MotorStatus, NO_DEVICE,
-    Newest, ParticipantStatus, PinMovement, PlayAccepted, QueuedPlay, Realtime, RunningPlay, SensorFault,
-    StandingPins, Status,
+    Newest, ParticipantStatus, PinHeights, PinMovement, PlayAccepted, QueuedPlay, Realtime, RunningPlay,
+    SensorFault, StandingPins, Status,
 };
 pub use token::{
     CLIENT_HEADER, MAX_TOKENS, NetworkStatus, PREFIX as TOKEN_PREFIX, Role, SESSION_HEADER, TokenCreated,

@@ -11,9 +11,9 @@ use crate::route::{Answer, Body, Method, Operation, Query, Route};
 use crate::{
     ArmRequest, CalibrateRequest, CalibrationReport, DisarmRequest, DoctorReport, EdgeRequest, Event,
     ImportedPattern, LiveAccepted, LiveAnswer, LiveMessage, LiveRequest, Order, PatternDetails, PatternList,
-    PatternPreview, PlanCheck, PlayAccepted, Receipt, RemovedPattern, Rendering, RenderingRequest,
-    ResetRequest, Session, SessionList, SessionPlays, SessionRequest, SessionStarted, Status, Terms,
-    TokenCreated, TokenInfo, TokenList, TokenRequest,
+    PatternPreview, PinHeights, PlanCheck, PlayAccepted, Receipt, RemovedPattern, Rendering,
+    RenderingRequest, ResetRequest, Session, SessionList, SessionPlays, SessionRequest, SessionStarted,
+    Status, Terms, TokenCreated, TokenInfo, TokenList, TokenRequest,
 };
 use meissner_input::document::keys_of;
 use serde_json::{Map, Value, json};
@@ -41,6 +41,7 @@ use utoipa::OpenApi;
     PatternDetails,
     PatternList,
     PatternPreview,
+    PinHeights,
     PlanCheck,
     PlayAccepted,
     PlayAnswer,

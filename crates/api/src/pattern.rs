@@ -31,10 +31,8 @@ pub struct PatternSummary {
     pub sha256: String,
     /// When the last whole stroke of one run ends, ms; null: the pattern has no end, or no stroke.
     pub compiled_ms: Option<f64>,
-    /// The smallest amplitude that a drive reaches, peak to peak, µm; null without drives.
-    pub reached_min_um: Option<f64>,
-    /// The largest amplitude that a drive reaches, peak to peak, µm; null without drives.
-    pub reached_max_um: Option<f64>,
+    /// The greatest height of a pin above rest, as in the pattern's details, µm; 0: no pin moves.
+    pub highest_um: f64,
 }
 
 /// The amplitude of a drive, as ordered and as an ideal motor reaches it.
@@ -104,7 +102,7 @@ pub struct RailLoad {
     "patterns": [{
         "name": "edge-45", "array": "tula35-6x4", "library": true, "duration_s": null, "drives": 12, "drives_moving": 12, "motions": 0,
         "sha256": "9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08",
-        "compiled_ms": null, "reached_min_um": 69.2, "reached_max_um": 69.2
+        "compiled_ms": null, "highest_um": 69.2
     }],
     "errors": ["/var/lib/meissner/patterns/draft.toml:2: unknown key `nane`: did you mean `name`?"]
 })))]
@@ -128,6 +126,7 @@ pub struct PatternList {
     "drives": [
         {"drive": 1, "motor": 9, "ordered_um": 40.0, "reached_um": 39.9, "surplus_um": 0.0, "strokes": 30}
     ],
+    "highest_um": [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 39.9],
     "rails": [
         {"rail": 0, "most_at_once": 0, "mean_at_once": 0.0, "most_ma": 0.0, "mean_ma": 0.0},
         {"rail": 1, "most_at_once": 1, "mean_at_once": 0.2, "most_ma": 30.6, "mean_ma": 6.2},
@@ -149,6 +148,9 @@ pub struct PatternDetails {
     /// What each drive reaches in one run.
     #[schema(max_items = 4096)]
     pub drives: Vec<ReachedDrive>,
+    /// By motor, the greatest height above rest in one run, µm: as drives reach it, and as motions ask it. 0: the pin does not move.
+    #[schema(max_items = 64)]
+    pub highest_um: Vec<f64>,
     /// What each rail draws.
     #[schema(max_items = 64)]
     pub rails: Vec<RailLoad>,

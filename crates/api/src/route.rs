@@ -332,6 +332,19 @@ routes! {
         answer: STATUS,
         ..Operation::get("/v1/status")
     };
+    Heights => status::handlers::heights, Operation {
+        summary: "Show what each pin did in the last 250 ms",
+        description: "To draw the pins, whatever moves them: a client that asks every 100 ms for what came since the `tick` of the answer \
+                      before gets all of it. The newest height is at most 50 ms old. What a stop did is exact once the device has \
+                      reported it, milliseconds later.",
+        queries: &[Query::Number {
+            name: "since_tick",
+            most: 9_007_199_254_740_991.0,
+            about: "The heights after this tick alone. If it is to come, the device has started again: all",
+        }],
+        answer: Answer::Json("PinHeights"),
+        ..Operation::get("/v1/heights")
+    };
     Array => status::handlers::array, Operation {
         summary: "Show the array: where its pins stand, its carrier, wiring and motors",
         description: "It is the description that the daemon was started with. It does not change while the daemon runs.",

@@ -94,6 +94,25 @@ pub struct PinMovement {
     pub hz: f64,
 }
 
+/// What every pin did lately, as the daemon has ordered it: heights 1 ms apart, the last at `tick`. Position control corrects what a pin
+/// really does, and the motor smooths it. Small moves that bring pins back to rest (`home`) count as none.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+#[schema(examples(json!({"tick": 6442450944_u64, "tick_hz": 85000, "step_ms": 1.0, "heights_um": [[0.0], [0.0, 11.5, 23.1]]})))]
+pub struct PinHeights {
+    /// The tick of the last height.
+    pub tick: u64,
+    /// Nominal rate of the device's clock, Hz.
+    #[schema(minimum = 20000, maximum = 200000)]
+    pub tick_hz: u32,
+    /// From one height to the next, ms.
+    #[schema(minimum = 1.0, maximum = 1.0)]
+    pub step_ms: f64,
+    /// By motor, oldest first, µm above rest; of a pin that kept its height one value. After an emergency stop a pin stands where it was.
+    /// Empty if nothing is known: without a device, or while the position of the pins is unknown.
+    #[schema(max_items = 64)]
+    pub heights_um: Vec<Vec<f32>>,
+}
+
 /// Pins that an emergency stop, a fault, a lost link or a restart of the device has left above rest. A device that knows where its
 /// pins are returns them at the next `reset` or `arm`.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
@@ -212,10 +231,12 @@ pub struct ParticipantStatus {
 
 /// For whom the motors are armed, and whose silence disarms them.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
-#[schema(examples(json!({"by": "ada (uid 1000, pid 4711)", "silence_s": 10.0, "left_s": 7.4})))]
+#[schema(examples(json!({"by": "ada (uid 1000, pid 4711)", "for_s": 312.5, "silence_s": 10.0, "left_s": 7.4})))]
 pub struct ArmedStatus {
     /// The client that armed last.
     pub by: String,
+    /// For how long they are armed by it, s.
+    pub for_s: f64,
     /// The daemon stops and disarms when it has heard nothing for so long, s; null: never, the client allows that.
     #[schema(minimum = 1.0)]
     pub silence_s: Option<f64>,
@@ -224,10 +245,14 @@ pub struct ArmedStatus {
 }
 
 /// The emergency stops.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct EStopStatus {
     /// How many orders have come since the daemon began. Clients send one by two ways at once, and both count.
     pub orders: u64,
+    /// The client that ordered the last one; null: none was ordered, or it is not known.
+    pub by: Option<String>,
+    /// How long ago that was, s; null: none was ordered.
+    pub age_s: Option<f64>,
     /// By when the device had confirmed the last one, ms after its order: all lines were off by then. Null: it has confirmed none.
     pub off_ms: Option<f64>,
 }
@@ -295,8 +320,8 @@ pub struct DaemonStatus {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 #[schema(examples(json!({
     "state": "armed", "cause": "request", "position": "known",
-    "armed": {"by": "ada (uid 1000, pid 4711)", "silence_s": 10.0, "left_s": 7.4}, "standing": null,
-    "estop": {"orders": 0, "off_ms": null},
+    "armed": {"by": "ada (uid 1000, pid 4711)", "for_s": 312.5, "silence_s": 10.0, "left_s": 7.4}, "standing": null,
+    "estop": {"orders": 0, "by": null, "age_s": null, "off_ms": null},
     "device": {
         "kind": "mock", "firmware": "0.1.0", "build": "6d656973", "boot": 305419896, "simulated": true, "telemetry": true, "trigger_input": true
     },

@@ -63,7 +63,7 @@ fn tell_owner(app: &App, caller: &Caller, name: &str) {
 /// Orders the stop before it reads the body, which may hold anything.
 pub(in crate::daemon) async fn estop(Call { app, by }: Call, body: Body) -> Answer<Json<Status>> {
     let logged = LoggedRequest::of(&app.engine, "estop", &by);
-    let result = app.engine.estop(Origin::of(by.peer())).await;
+    let result = app.engine.estop(by.peer()).await;
     // Read the body only now, so that a client that sends it separately does not find the connection closed.
     let _ = tokio::time::timeout(ESTOP_BODY, body::read_command(body)).await;
     logged.result(result.map(|()| Json(report::status(&app.engine, Some(&by)))).map_err(ErrorResponse::from))

@@ -44,6 +44,8 @@ struct Holder {
     /// How long it may be silent; none: without limit.
     silence: Option<Duration>,
     heard: HostInstant,
+    /// Since when it is the last one to have armed.
+    since: HostInstant,
 }
 
 /// The silence that a client states when it arms.
@@ -74,11 +76,13 @@ impl Armed {
             Silence::Unattended => None,
         };
         let (number, heard) = (self.next(), HostInstant::now());
+        let armed_last = self.holders.last().filter(|last| last.caller.is_same(&caller));
+        let since = armed_last.map_or(heard, |last| last.since);
         self.forget(&caller);
         if self.holders.len() == MOST {
             self.holders.remove(0);
         }
-        self.holders.push(Holder { number, caller, name, silence, heard });
+        self.holders.push(Holder { number, caller, name, silence, heard, since });
         (self.mover, self.was_silent) = (None, false);
         number
     }
@@ -168,6 +172,7 @@ impl Armed {
         let holder = self.holders.last()?;
         Some(ArmedStatus {
             by: holder.name.clone(),
+            for_s: HostInstant::now().since(holder.since).as_secs_f64(),
             silence_s: holder.silence.map(|silence| silence.as_secs_f64()),
             left_s: self.left(holder).map(|left| left.as_secs_f64()),
         })
@@ -219,7 +224,9 @@ mod tests {
     /// Puts the last sign of life so far into the past.
     fn wait(armed: &mut Armed, seconds: u64) {
         for holder in &mut armed.holders {
-            holder.heard = HostInstant::from_ns(holder.heard.as_ns().saturating_sub(seconds * 1_000_000_000));
+            for at in [&mut holder.heard, &mut holder.since] {
+                *at = HostInstant::from_ns(at.as_ns().saturating_sub(seconds * 1_000_000_000));
+            }
         }
     }
 
@@ -255,8 +262,12 @@ mod tests {
         assert!(armed.until_silent(watch).is_some() && armed.until_silent(next).is_some());
         armed.hold(process(10), "a".to_owned(), Silence::Default);
         assert!(armed.until_silent(watch).is_none());
+        wait(&mut armed, 3);
         armed.hold(process(13), "b".to_owned(), Silence::Unattended);
-        wait(&mut armed, 1_000_000);
+        assert_eq!(armed.status().unwrap().for_s.round(), 0.0, "another one had armed last");
+        wait(&mut armed, 4);
+        armed.hold(process(13), "b".to_owned(), Silence::Unattended);
+        assert_eq!(armed.status().unwrap().for_s.round(), 4.0, "armed again, it is armed since then");
         let status = armed.status().unwrap();
         assert_eq!((status.by.as_str(), status.silence_s, status.left_s), ("b", None, None));
     }

@@ -27,7 +27,7 @@ use crate::record::{Peer, Record, Users};
 use axum::body::Bytes;
 use meissner_api::{Code, Problem, Realtime};
 use meissner_stream::device::mock::TruePositions;
-use meissner_stream::queues::{Command, CommandError, CommandQueue};
+use meissner_stream::queues::{Command, CommandError, CommandQueue, Heights};
 use meissner_stream::time::HostInstant;
 use meissner_stream::{Settings, longest_homing_s};
 use std::path::PathBuf;
@@ -65,6 +65,8 @@ pub(in crate::daemon) struct Engine {
     pub(in crate::daemon) gate: Arc<Gate>,
     pub(in crate::daemon) names: Names,
     pub(in crate::daemon) estops: Arc<EStops>,
+    /// What the pins did lately.
+    pub(in crate::daemon) heights: Heights,
     /// Held while the file of the calibration and the calibration in use change.
     pub(in crate::daemon) calibration_file: Mutex<()>,
     /// Held from the decision about a play until the streamer has it.
@@ -86,6 +88,7 @@ impl Engine {
         calibration: Option<PathBuf>,
     ) -> Self {
         let estops = Arc::new(EStops::new(commands.estop_switch()));
+        let heights = commands.heights();
         let state = State {
             commands: Commands::new(commands, estops.switch.clone()),
             plays: Plays::new(settings.array),
@@ -98,6 +101,7 @@ impl Engine {
             live: LivePlays::default(),
             rights: Rights::default(),
             armed: Armed::default(),
+            last_estop: None,
             settings,
         };
         Self {
@@ -110,6 +114,7 @@ impl Engine {
             gate: Arc::new(Gate::new(None, None, TokenStore::open(None))),
             names: Names::default(),
             estops,
+            heights,
             calibration_file: Mutex::default(),
             orders: tokio::sync::Mutex::default(),
             state: Mutex::new(state),
@@ -190,13 +195,19 @@ impl Engine {
     }
 
     /// Orders an emergency stop and waits for the device's answer.
-    pub(in crate::daemon) async fn estop(&self, origin: Origin) -> Result<(), Problem> {
-        self.estop_answer(self.estops.request(origin)).await
+    pub(in crate::daemon) async fn estop(&self, peer: Peer) -> Result<(), Problem> {
+        self.estop_answer(self.estops.request(Origin::of(peer)), peer).await
     }
 
-    /// Waits for the answer to the emergency stop of this number.
-    pub(in crate::daemon) async fn estop_answer(&self, number: u64) -> Result<(), Problem> {
-        let reply = self.lock().commands.wait_for_estop(number);
+    /// Waits for the answer to the emergency stop of this number, which this client has ordered.
+    pub(in crate::daemon) async fn estop_answer(&self, number: u64, by: Peer) -> Result<(), Problem> {
+        let reply = {
+            let mut state = self.lock();
+            if state.last_estop.is_none_or(|(newest, _)| newest < number) {
+                state.last_estop = Some((number, by));
+            }
+            state.commands.wait_for_estop(number)
+        };
         // The event with the answer may be lost; the switch keeps the answer.
         let waited = answer(reply, TIMEOUT).await;
         match self.estops.switch.answer(number) {

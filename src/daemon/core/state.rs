@@ -32,6 +32,7 @@ use crate::daemon::sessions::caller::{Asker, Caller};
 use crate::daemon::sessions::rights::Rights;
 use crate::daemon::sessions::state::Sessions;
 use crate::receipts::refusal;
+use crate::record::Peer;
 use meissner_api::{EndCause, Event, ItemState, MAX_ITEMS_LISTED, Problem};
 use meissner_array::per_motor::PerMotor;
 use meissner_array::strokes::Surplus;
@@ -55,6 +56,8 @@ pub(in crate::daemon) struct State {
     pub(in crate::daemon) live: LivePlays,
     pub(in crate::daemon) rights: Rights,
     pub(in crate::daemon) armed: Armed,
+    /// The number of the newest emergency stop that was noted, and who has ordered it.
+    pub(in crate::daemon) last_estop: Option<(u64, Peer)>,
 }
 
 impl State {

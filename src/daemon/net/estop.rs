@@ -77,7 +77,8 @@ impl Asked {
         let answer = match ordered {
             Ok(number) => {
                 let logged = LoggedRequest::new(&engine, "estop", peer);
-                let answer = logged.result(engine.estop_answer(number).await.map_err(ErrorResponse::from));
+                let answer =
+                    logged.result(engine.estop_answer(number, peer).await.map_err(ErrorResponse::from));
                 let token = peer.network.and_then(|network| network.token);
                 let caller = Caller::new(peer, token, None, None);
                 let by = Asker { caller, access: Route::EStop.access(), breaks: 0 };

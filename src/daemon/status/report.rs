@@ -35,6 +35,7 @@ pub(in crate::daemon) fn status(engine: &Engine, by: Option<&Asker>) -> Status {
         }
     };
     let settings = &daemon.settings;
+    let orders = engine.estops.switch.newest();
     let at_link = snapshot.filter(|at| at.connected);
     let record = &daemon.publisher.record;
     Status {
@@ -44,7 +45,12 @@ pub(in crate::daemon) fn status(engine: &Engine, by: Option<&Asker>) -> Status {
         armed: daemon.armed.status(),
         standing: snapshot.and_then(|at| standing(at, now)),
         estop: EStopStatus {
-            orders: engine.estops.switch.newest(),
+            orders,
+            by: daemon
+                .last_estop
+                .filter(|(number, _)| *number == orders)
+                .map(|(_, by)| engine.names.client(by)),
+            age_s: engine.estops.switch.newest_at().map(|at| now.since(at).as_secs_f64()),
             off_ms: engine.estops.switch.confirmed_after().map(|after| after.as_secs_f64() * 1e3),
         },
         device: receipts.device(),

@@ -57,6 +57,7 @@ fn row(route: Route) -> Row {
         Route::PlayCheck
         | Route::Status
         | Route::Array
+        | Route::Heights
         | Route::Doctor
         | Route::Receipt
         | Route::Events

@@ -118,7 +118,7 @@ export class Patterns {
     const { name } = item.dataset;
     const pattern = this.#byName.get(name);
     const length = pattern.duration_s === null ? "without end" : `${pattern.duration_s} s`;
-    const drives = pattern.drives_moving ? `${pattern.drives_moving} drives, up to ${pattern.reached_max_um.toFixed(0)} µm` : "";
+    const drives = pattern.drives_moving ? `${pattern.drives_moving} drives, up to ${pattern.highest_um.toFixed(0)} µm` : "";
     const moves = [drives, pattern.motions ? `${pattern.motions} motions` : ""].filter(Boolean).join(", ") || "no pin moves";
     const choose = element("button", "", { type: "button", className: "choose" });
     choose.append(
