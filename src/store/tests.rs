@@ -211,6 +211,10 @@ fn the_library_is_what_it_says() {
         let (name, run) = (stored.pattern.name(), stored.run());
         assert!(run.empty().is_none(), "{name}");
         assert_eq!(run.warnings, Vec::<String>::new(), "{name}");
+        assert!(stored.entry().highest_um > 0.0, "{name}");
+        let shown: serde_json::Value = serde_json::from_slice(&stored.json()).unwrap();
+        let likeness = &shown["pattern"]["provenance"]["likeness"];
+        assert_eq!(likeness["press"].is_f64(), name.ends_with("-rendered"), "{name}: {likeness}");
     }
 }
 
