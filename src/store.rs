@@ -437,7 +437,7 @@ fn highest_um(pattern: &Pattern, drives: &[ReachedDrive]) -> Vec<f64> {
         drives.iter().filter(|drive| drive.strokes != Some(0)).map(|drive| (drive.motor, drive.reached_um));
     for (motor, um) in drives.chain(motion_heights(pattern)) {
         let highest_um = &mut highest_um[usize::from(motor)];
-        *highest_um = highest_um.max((10.0 * um).round() / 10.0);
+        *highest_um = highest_um.max(um);
     }
     highest_um
 }
