@@ -26,6 +26,8 @@ export class Stage {
   // What is shown in place of the present: `{ take, ms, text }`, or null.
   #moment = null;
   #chosen = null;
+  // What the last frame shows: one that shows the same is not drawn.
+  #frame = "";
   #pins = make("svg", { class: "finger-pins", "aria-hidden": "true" });
   #calm = matchMedia("(prefers-reduced-motion: reduce)");
 
@@ -42,6 +44,7 @@ export class Stage {
   // A place for each pin takes clicks, and has its number.
   #arrange() {
     const { places, radius } = layout(1);
+    this.#frame = "";
     this.#pins.setAttribute("viewBox", frame().join(" "));
     this.#pins.replaceChildren(...places.map(([cx, cy], motor) => {
       const pin = make("g", { "data-motor": motor });
@@ -89,8 +92,11 @@ export class Stage {
     const canvas = this.#canvas;
     const heights = this.#heights();
     canvas.drawn = heights;
-    const ratio = devicePixelRatio;
-    const [wide, high] = [canvas.clientWidth, canvas.clientHeight].map((px) => Math.round(px * ratio));
+    const [wide, high] = [canvas.clientWidth, canvas.clientHeight].map((px) => Math.round(px * devicePixelRatio));
+    const faults = this.#moment ? [] : (known()?.motors.map((motor) => motor.sensor_fault) ?? []);
+    const shown = [wide, high, this.#chosen, this.#colour("--ink"), ...heights.map((um) => um?.toFixed(0)), ...faults].join();
+    if (shown === this.#frame) return;
+    this.#frame = shown;
     if (canvas.width !== wide || canvas.height !== high) [canvas.width, canvas.height] = [wide, high];
     const [x, y, width, height] = frame();
     const scale = Math.min(wide / width, high / height);
@@ -101,7 +107,6 @@ export class Stage {
     this.#drawSkin(context, heights.some((um) => um !== null));
     const { places, radius } = layout(1);
     const lift = Math.min(LIFT_MM, LIFT * array().pitch_mm);
-    const faults = this.#moment ? [] : (known()?.motors.map((motor) => motor.sensor_fault) ?? []);
     // Pins further down stand before those further up.
     const rows = places.map((_, motor) => motor).sort((a, b) => places[a][1] - places[b][1]);
     for (const motor of rows) {
