@@ -212,7 +212,7 @@ fn the_library_is_what_it_says() {
         assert!(run.empty().is_none(), "{name}");
         assert_eq!(run.warnings, Vec::<String>::new(), "{name}");
         assert!(stored.entry().highest_um > 0.0, "{name}");
-        let shown: serde_json::Value = serde_json::from_slice(&stored.json()).unwrap();
+        let shown: Value = serde_json::from_slice(&stored.json()).unwrap();
         let likeness = &shown["pattern"]["provenance"]["likeness"];
         assert_eq!(likeness["press"].is_f64(), name.ends_with("-rendered"), "{name}: {likeness}");
     }
@@ -229,7 +229,7 @@ fn a_list_tells_what_drives_reach_and_how_long_whole_strokes_last() {
     assert!((entry.compiled_ms.unwrap() - over_ms).abs() < 0.02, "{entry:?}");
     assert!((68.0..70.0).contains(&entry.highest_um), "{entry:?}");
     let shown = &store.get("my-edge").unwrap().json();
-    let shown: serde_json::Value = serde_json::from_slice(shown).unwrap();
+    let shown: Value = serde_json::from_slice(shown).unwrap();
     let highest_um = shown["highest_um"].as_array().unwrap();
     assert_eq!((highest_um.len(), &highest_um[0]), (24, &0.0.into()), "pin 0 does not move");
     assert_eq!(highest_um[9], entry.highest_um);
