@@ -139,7 +139,7 @@ fn heights_show_each_millisecond_and_of_a_still_pin_one() {
 
 #[test]
 fn the_status_says_who_has_armed_and_stopped_and_when() {
-    let daemon = Bench::start();
+    let daemon = Bench::with("listen = \"127.0.0.1:8765\"");
     let client = daemon.client();
     let status = || client.get::<Status>("/v1/status").unwrap();
     let none = status().estop;

@@ -92,11 +92,11 @@ impl Heights {
         (before.is_multiple_of(2) && version.load(Ordering::Relaxed) == before).then_some(copy)
     }
 
-    /// For the thread: whether to write at `now`. What is no longer `known` is to be written at once.
+    /// For the thread: whether to write at `now`. That heights are `known`, or no longer, is to be written at once.
     pub(crate) fn is_due(&self, now: HostInstant, known: bool) -> bool {
         let Block { wanted, at, steps, .. } = &*self.0;
         let outdated = || now.since(HostInstant::from_ns(at.load(Ordering::Relaxed))) >= WRITE_EVERY;
-        (!known && steps.load(Ordering::Relaxed) > 0) || wanted.load(Ordering::Relaxed) && outdated()
+        known != (steps.load(Ordering::Relaxed) > 0) || wanted.load(Ordering::Relaxed) && outdated()
     }
 
     /// For the thread: writes so many steps that end at `tick`; `fill` is called with each motor's places, oldest first.

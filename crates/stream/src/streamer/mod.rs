@@ -231,9 +231,9 @@ impl Streamer {
         let moves = moved || self.homing.is_moving() || self.state() == State::Returning;
         let playing = moves || !self.plays.is_empty();
         let every = if playing { SNAPSHOT_EVERY } else { IDLE_PING };
-        let heights_known = connected && self.known.status.is_some_and(|(status, _)| status.position_known);
-        if let Some(heights) = emit.heights().filter(|heights| heights.is_due(now, heights_known)) {
-            let tick = self.tick_at(now).filter(|_| heights_known);
+        let known = connected && self.known.status.is_some_and(|(status, _)| status.position_known);
+        let tick = self.tick_at(now).filter(|_| known);
+        if let Some(heights) = emit.heights().filter(|heights| heights.is_due(now, tick.is_some())) {
             let stands = |(status, _): (Status, Tick)| {
                 matches!(status.state, State::Disarmed | State::Faulted) && status.outstanding > 0
             };
