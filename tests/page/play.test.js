@@ -291,6 +291,31 @@ test("patterns come from files and become files", async () => {
   await assert.rejects(page.evaluate(async () => (await import("/page/toml.js")).toml({ seed: 2 ** 60 })), /cannot hold the number/);
 });
 
+test("from the open page to what is felt it is one click and one dialog, which arms", async () => {
+  const daemon = await new Daemon().start();
+  const page = await open(daemon);
+  await shows(page, "state-text", "Disarmed");
+  const play = (name) => `li[data-name="${name}"] button`;
+  await page.waitForSelector(play("press-hold"));
+  // What cannot be played asks for nothing.
+  await press(page, play("pin-60"));
+  await answers(page, play("pin-60"), "has no end");
+  assert.equal(await page.$eval("#arm-dialog", (dialog) => dialog.open), false);
+  await press(page, play("press-hold"));
+  await shows(page, "arm-yes", "Arm and feel");
+  await press(page, '#arm-dialog button[value="cancel"]');
+  // Arm alone plays nothing.
+  await press(page, "#arm");
+  await shows(page, "arm-yes", "Arm");
+  await press(page, '#arm-dialog button[value="cancel"]');
+  assert.deepEqual([(await daemon.status()).state, (await daemon.status()).newest.play], ["disarmed", null]);
+  await press(page, play("press-hold"));
+  await press(page, "#arm-checked");
+  await page.type("#arm-name", "a test");
+  await press(page, "#arm-yes");
+  await shows(page, "receipt-summary", "Play 1, press-hold: done");
+});
+
 test("the list plays one run without seconds, and the receipt becomes a file", async () => {
   const daemon = await new Daemon().start();
   const page = await open(daemon);

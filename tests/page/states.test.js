@@ -176,18 +176,18 @@ test("a refusal goes when the state that it was about has changed, and not befor
   const daemon = await new Daemon().start();
   const page = await open(daemon);
   const play = (name) => `li[data-name="${name}"] button`;
-  await page.waitForSelector(play("edge-45"));
+  await page.waitForSelector(play("pin-60"));
   await shows(page, "state-text", "Disarmed");
   // Not because of the state: it stays.
   await press(page, play("pin-60"));
   await answers(page, play("pin-60"), "has no end");
-  await press(page, play("edge-45"));
-  await answers(page, play("edge-45"), "press Arm");
+  await press(page, "#pin-play");
+  await answers(page, "#pin-play", "press Arm");
   // Two more states of the same kind.
   for (let states = 0; states < 2; states += 1) await page.evaluate(() => meissner.poll());
-  await answers(page, play("edge-45"), "press Arm");
+  await answers(page, "#pin-play", "press Arm");
   await arm(page);
-  await page.waitForFunction(() => document.querySelector('li[data-name="edge-45"] .say').hidden, WAIT);
+  await page.waitForFunction(() => document.getElementById("pin-play").closest(".row").nextElementSibling.hidden, WAIT);
   await answers(page, play("pin-60"), "has no end");
 });
 

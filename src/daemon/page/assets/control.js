@@ -188,8 +188,10 @@ function silence(line) {
   delete line.dataset.state;
 }
 
-// Binds a button that orders something, and returns what its click does. `order`: orders it. An order that takes long says so.
-export function orders(button, order) {
+// Binds a button that orders something, and returns what its click does once the motors are armed. `order`: orders it. An order that takes
+// long says so. `ready`: throws if it cannot be ordered as it is, or is false if that was said; with it, the button asks to arm first if the
+// motors are off.
+export function orders(button, order, ready) {
   const run = async () => {
     const wait = setTimeout(() => say(button, "The daemon prepares the play …", "wait"), SLOW_MS);
     try {
@@ -201,8 +203,30 @@ export function orders(button, order) {
       clearTimeout(wait);
     }
   };
-  button.addEventListener("click", run);
+  button.addEventListener("click", () => {
+    try {
+      if (ready?.() === false) return undefined;
+    } catch (error) {
+      return refuse(button, error);
+    }
+    return ready && known()?.state === "disarmed" ? askToArm(run) : run();
+  });
   return run;
+}
+
+// What follows once the motors are armed, if anything.
+let then = null;
+function askToArm(next = null) {
+  const { position, standing } = last();
+  const isKnown = position === "known";
+  then = next;
+  for (const id of ["arm-title", "arm-yes"]) $(id).textContent = next ? "Arm and feel" : "Arm";
+  $("arm-text").textContent = isKnown
+    ? `${standing ? `Pins stand up to ${Math.ceil(standing.height_um)} µm above rest: the device returns them first.` : "The device knows where its pins are."} Take the finger off the pins.`
+    : "The device does not know where its pins are. Look at them: all must be at rest.";
+  $("arm-rest").hidden = $("arm-who").hidden = isKnown;
+  $("arm-checked").required = $("arm-name").required = !isKnown;
+  open($("arm-dialog"));
 }
 
 // The second click of a double click and a key that is held down order nothing: each would be another play. `api.js` sends no request
@@ -234,27 +258,20 @@ export function bindControls() {
   const alive = new Worker(new URL("./alive.js", import.meta.url));
   document.addEventListener("visibilitychange", () => alive.postMessage(document.hidden ? headers() : null));
   // The header shows a success as the new state.
-  const command = (id, body, ms) => call("POST", `/v1/${id}`, body, ms).then(() => say($(id), ""), (error) => refuse($(id), error)).finally(poll);
+  const command = (id, body, ms) => call("POST", `/v1/${id}`, body, ms).then(() => (say($(id), ""), true), (error) => refuse($(id), error)).finally(poll);
   const button = (id, run) => $(id).addEventListener("click", run);
   button("disarm", () => command("disarm"));
   button("stop", () => command("stop"));
   button("home", () => command("home", undefined, HOME_MS));
-  button("arm", () => {
-    const { position, standing } = last();
-    const isKnown = position === "known";
-    $("arm-text").textContent = isKnown
-      ? `${standing ? `Pins stand up to ${Math.ceil(standing.height_um)} µm above rest: the device returns them first.` : "The device knows where its pins are."} Take the finger off the pins.`
-      : "The device does not know where its pins are. Look at them: all must be at rest.";
-    $("arm-rest").hidden = $("arm-who").hidden = isKnown;
-    $("arm-checked").required = $("arm-name").required = !isKnown;
-    open($("arm-dialog"));
-  });
-  $("arm-dialog").addEventListener("close", () => {
+  button("arm", () => askToArm());
+  $("arm-dialog").addEventListener("close", async () => {
+    const next = then;
+    then = null;
     if ($("arm-dialog").returnValue !== "arm") return;
     // Send what the person has read: if the position is no longer known, the daemon refuses.
     const checked = $("arm-rest").hidden ? {} : { assume_rest: true, checked: $("arm-name").value };
-    command("arm", { ...checked, silence_s: SILENCE_S }, HOME_MS);
     $("arm-checked").checked = false;
+    if (await command("arm", { ...checked, silence_s: SILENCE_S }, HOME_MS)) next?.();
   });
   button("reset", () => {
     $("reset-why").textContent = `Cause: ${last().cause}.`;

@@ -133,7 +133,7 @@ export class Patterns {
 
   #player(name) {
     const play = operates(element("button", "Play", { type: "button", ariaLabel: `Play ${name}` }));
-    orders(play, () => this.#play(this.#byName.get(name)));
+    orders(play, () => this.#play(this.#byName.get(name)), () => this.#ready(this.#byName.get(name)));
     return play;
   }
 
@@ -156,10 +156,15 @@ export class Patterns {
     item.querySelector(".choose")?.setAttribute("aria-pressed", chosen);
   }
 
-  async #play(pattern) {
-    if (!right("seconds", "scale")) return;
+  // Throws if the pattern cannot be played as the fields say; a wrong field says so itself.
+  #ready(pattern) {
+    if (!right("seconds", "scale")) return false;
     checkArray(pattern);
     if (pattern.duration_s === null && optional("seconds") === undefined) throw new Error(`“${pattern.name}” has no end: enter its seconds.`);
+    return true;
+  }
+
+  async #play(pattern) {
     const body = { pattern: pattern.name, pattern_sha256: pattern.sha256, seconds: optional("seconds"), scale: number("scale") };
     try {
       await this.#check(pattern);

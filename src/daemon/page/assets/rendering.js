@@ -32,7 +32,7 @@ export class Rendering {
   constructor(changed) {
     this.#changed = changed;
     for (const event of ["pointerdown", "keydown"]) document.addEventListener(event, () => (this.#atOnce = false), { capture: true });
-    this.#feel = orders($("thing-feel"), () => order("/v1/play", { pattern: `rendering:${this.#rendering.id}`, replace: true }));
+    this.#feel = orders($("thing-feel"), () => order("/v1/play", { pattern: `rendering:${this.#rendering.id}`, replace: true }), () => {});
     $("thing-cancel").addEventListener("click", () => {
       this.#wanted = null;
       if (this.#rendering?.state === "running") this.#cancel(this.#rendering.id);
