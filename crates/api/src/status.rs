@@ -97,7 +97,7 @@ pub struct PinMovement {
 /// What every pin did lately, as the daemon has ordered it: heights 1 ms apart, the last at `tick`. Position control corrects what a pin
 /// really does, and the motor smooths it. Small moves that bring pins back to rest (`home`) count as none.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
-#[schema(examples(json!({"tick": 6442450944_u64, "tick_hz": 85000, "step_ms": 1.0, "heights_um": [[0.0], [0.0, 11.5, 23.1]]})))]
+#[schema(examples(json!({"tick": 6442450944_u64, "tick_hz": 85000, "step_ms": 1.0, "heights_um": [[0.0], [0.0, 12.1, 23.6]]})))]
 pub struct PinHeights {
     /// The tick of the last height.
     pub tick: u64,

@@ -73,8 +73,6 @@ pub(super) struct PositionControl {
     end_stop_um: f32,
     /// The device sends telemetry: a sample may still be on its way.
     telemetry: bool,
-    /// When the last cut was, at the latest.
-    cut_at: Tick,
     /// A cut or its return may move pins until then.
     cut_until: Tick,
     /// Strokes that the device has been asked to withdraw.
@@ -102,7 +100,6 @@ impl PositionControl {
             limited: settings.is_limited(),
             end_stop_um: settings.end_stop_um,
             telemetry: true,
-            cut_at: Tick(0),
             cut_until: Tick(0),
             replacement: Replacement::new(array),
             motors: array.numbers().map(|_| BurstController::new(array, &Gains::default())).collect(),
@@ -140,7 +137,7 @@ impl PositionControl {
         }
         let cut_at = now.map_or(begun_by, |now| now.min(begun_by));
         self.motors.iter_mut().for_each(|motor| motor.cut(cut_at));
-        self.cut_at = cut_at;
+        self.stood.cut_at = cut_at;
         self.cut_until = cut_at + u64::from(self.array.motor().most_pulses);
         self.replacement.clear();
         (self.last_sample, self.advanced_to) = (None, Tick(0));
@@ -270,7 +267,7 @@ impl PositionControl {
     /// A device was connected, which sends telemetry or not. Its clock may have begun again.
     pub(super) fn connected(&mut self, telemetry: bool) {
         self.telemetry = telemetry;
-        (self.cut_at, self.cut_until) = (Tick(0), Tick(0));
+        self.cut_until = Tick(0);
         self.stood = Stood::default();
         self.motors.iter_mut().for_each(BurstController::forget_trail);
     }
@@ -622,7 +619,7 @@ impl PositionControl {
         let before = move |ms| Some(Tick(tick.0.checked_sub(rate.of_ms(ms as u64))?));
         let steps = (0..most).take_while(|ms| before(*ms).is_some()).count();
         // Until the device has said when it cut, they stand since then at the latest.
-        let since = self.stood.since.or(stands.then_some(self.cut_at));
+        let since = self.stood.since.or(stands.then_some(self.stood.cut_at));
         heights.write(now, tick, steps, self.motors.len(), |motor, places| {
             let mut places = places.iter();
             self.motors[motor].course((0..steps).rev().filter_map(before), |tick, moved| {

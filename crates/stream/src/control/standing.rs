@@ -110,6 +110,8 @@ const SPELLS: usize = 4;
 /// When pins stood that cuts had left above rest.
 #[derive(Debug, Default)]
 pub(super) struct Stood {
+    /// When the last cut was, at the latest.
+    pub(super) cut_at: Tick,
     /// When the device cut what left them so; none: it has not said so, or none stands.
     pub(super) since: Option<Tick>,
     spells: heapless::Deque<Spell, SPELLS>,
