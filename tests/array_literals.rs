@@ -32,7 +32,6 @@ const OTHERS: &[(&str, &str, &str)] = &[
     ("src/cli/arguments.rs", "24", "hours of a day"),
     ("src/cli/motor/amplitude.rs", "23", "frequencies of a measurement"),
     ("src/daemon/arm/estop.rs", "24", "a bit of an address"),
-    ("src/daemon/page/assets/finger.js", "24", "the edge of the drawing"),
     ("python/src/meissner/_live.py", "24", "messages without an answer"),
     ("crates/array/src/samples/wav.rs", "24", "as above"),
 ];
