@@ -177,6 +177,15 @@ test("a picture that is dropped is a height map", async () => {
   const coloured = await rendered(page, daemon, ({ rendered }) => rendered.object.file === "colours.npy");
   assert.deepEqual(coloured.rendered.response.real_s, grey.rendered.response.real_s);
   await shows(page, "picture-note", "Its brightness counts");
+  // A photograph is scaled to what the daemon takes.
+  const { size, note } = await page.evaluate(async () => {
+    const canvas = Object.assign(document.createElement("canvas"), { width: 4000, height: 3000 });
+    canvas.getContext("2d").fillRect(0, 0, 2000, 3000);
+    const blob = await new Promise((done) => canvas.toBlob(done, "image/jpeg"));
+    const { picture } = await import("/page/picture.js");
+    return picture(new File([blob], "photo.jpg"));
+  });
+  assert.ok(size[0] * size[1] <= 1.5e6 && size[0] * size[1] > 1e6 && note.includes(`scaled from 4000 × 3000 to ${size.join(" × ")} pixels`), `${size}: ${note}`);
   // What is no picture says so, and the one before stays.
   await drop(page, "letter.txt", Buffer.from("no picture"));
   await answers(page, "#shape", "letter.txt is no image that this browser can read");
@@ -272,6 +281,12 @@ test("a rendering takes the place of another one", async () => {
   for (const width of ["1", "2", "3"]) await enter(page, "width", width);
   await rendered(page, daemon, ({ rendered: { object } }) => object.width_mm === 3);
   assert.equal((await get(daemon, `/v1/renderings/${rendering.id}`)).state, "cancelled");
+  // A long one says its time, and can be cancelled.
+  await enter(page, "hold", "20000");
+  await shows(page, "thing-note", " s …");
+  await press(page, "#thing-cancel");
+  await shows(page, "thing-note", "Cancelled.");
+  assert.equal((await get(daemon, "/v1/renderings/last")).state, "cancelled");
   assert.deepEqual(faults(page), []);
 });
 

@@ -112,6 +112,10 @@ test("the finger shows what the daemon says that pins do: sequences and live pla
   await drawn(page, "(all) => all.some((um) => um > 1)");
   await page.click("#now");
   await drawn(page, only, []);
+  await page.click("#slowly");
+  await page.waitForFunction(() => Number(document.getElementById("at").value) > 20, WAIT);
+  await page.click("#slowly");
+  await drawn(page, only, []);
   assert.deepEqual(quiet(page), []);
 });
 

@@ -67,20 +67,22 @@ test("each view has an address, the browser goes back and forward, and only the 
   });
 });
 
-// The words beside E-STOP are as long as they may be, and longer.
+// States, how the band looks in each, and what the status has then. The words beside E-STOP are as long as they may be, and longer.
 const LONG = "a cause of many words that tells about all motors and rails of the array, and about what to look at before anybody touches a pin; ".repeat(4);
 const SESSION = { participant: "P".repeat(40), owner: "somebody with a long name on another machine", mine: false, exclusive: true, released: false };
 const STATES = [
-  ["disarmed", { state: "disarmed", position: "known" }], ["nobody has looked", { state: "disarmed", position: "unknown" }], ["armed", { state: "armed" }],
-  ["armed by a long name", { state: "armed", armed: { by: LONG, for_s: 1234567 } }], ["playing", { state: "armed", play: { id: 1, name: "a".repeat(64), played_s: 12345.6 } }],
-  ["waiting", { state: "armed", play: { id: 1, name: "b", played_s: 1 }, queued: [{ id: 2, name: "c" }] }], ["returning", { state: "returning" }],
-  ["e-stopped", { state: "faulted", cause: "estop", estop: { orders: 1, by: LONG, age_s: 7, off_ms: 1 } }], ["a fault", { state: "faulted", cause: LONG }], ["no device", { state: "no-device", device: null, clock: null }],
-  ["pins that stand", { state: "disarmed", position: "known", standing: { height_um: 400, age_s: 123456 } }], ["a state of a newer daemon", { state: "novel" }], ["another's session", { state: "armed", session: SESSION }], ["an observer", { state: "armed", daemon: { role: "observe" } }],
+  ["disarmed", "safe", { state: "disarmed", position: "known" }], ["nobody has looked", "unknown", { state: "disarmed", position: "unknown" }], ["armed", "armed", { state: "armed" }],
+  ["armed by a long name", "armed", { state: "armed", armed: { by: LONG, for_s: 1234567 } }], ["playing", "moving", { state: "armed", play: { id: 1, name: "a".repeat(64), played_s: 12345.6 } }],
+  ["waiting", "moving", { state: "armed", play: { id: 1, name: "b", played_s: 1 }, queued: [{ id: 2, name: "c" }] }], ["returning", "moving", { state: "returning" }],
+  ["e-stopped", "stopped", { state: "faulted", cause: "estop", estop: { orders: 1, by: LONG, age_s: 7, off_ms: 1 } }], ["a fault", "stopped", { state: "faulted", cause: LONG }], ["no device", "unknown", { state: "no-device", device: null, clock: null }],
+  ["pins that stand", "armed", { state: "disarmed", position: "known", standing: { height_um: 400, age_s: 123456 } }], ["a state of a newer daemon", "unknown", { state: "novel" }], ["another's session", "armed", { state: "armed", session: SESSION }], ["an observer", "armed", { state: "armed", daemon: { role: "observe" } }],
 ];
 
 test("E-STOP is the same rectangle in all states, whatever stands beside it, and nothing lies over it (smoke)", async () => {
   const daemon = await new Daemon().start();
-  const real = await daemon.status();
+  let real;
+  do real = await daemon.status();
+  while (!real.clock);
   // What the daemon's status is: another one than the real one, an answer, or none.
   let answer = (response) => response.end(JSON.stringify(real));
   await proxied(daemon, (request, response, forward) => (request.url === "/v1/status" ? answer(response) : request.url === "/v1/estop" ? response.destroy() : forward()), async (url) => {
@@ -111,10 +113,11 @@ test("E-STOP is the same rectangle in all states, whatever stands beside it, and
         assert.ok(left >= 0 && top >= 0 && right <= width && bottom <= height && right - left >= 120 && bottom - top >= 60, `${look}: ${box}`);
       }
     };
-    for (const [what, more] of STATES) {
+    for (const [what, look, more] of STATES) {
       answer = (response) => response.end(JSON.stringify({ ...real, ...more }));
       // The state that the page has is this one.
       await page.waitForFunction((more) => Object.entries(more).every(([key, value]) => JSON.stringify(meissner.known()?.[key]) === JSON.stringify(value)), WAIT, more);
+      await page.waitForFunction((look) => document.getElementById("bar").dataset.look === look, WAIT, look);
       await measure(what);
     }
     for (const dialog of ["arm-dialog", "reset-dialog"]) {

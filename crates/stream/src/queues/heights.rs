@@ -1,7 +1,7 @@
 //! The heights of the pins lately: the thread writes them, readers copy them, and neither waits for the other.
 //!
 //! [`Heights::ask`] wants them; the thread then writes those of the last [`LATELY_MS`], in steps of 1 ms, with [`Heights::write`], and
-//! [`Heights::read`] returns a copy. Nobody who asks costs the thread one read of a flag per turn.
+//! [`Heights::read`] returns a copy. While nobody asks, the thread only reads a flag in each turn.
 //!
 //! Invariant: a copy is of one writing. `version` is odd while the one writer writes: a reader that finds it odd, or changed after it has
 //! copied, has no copy. The fence of the writer keeps its values behind the odd version, the last store (release) keeps them before the even
@@ -18,9 +18,9 @@ use std::time::Duration;
 /// So much of the past is written, in steps of 1 ms. The model checker has one step of one motor.
 pub const LATELY_MS: usize = if cfg!(loom) { 1 } else { 250 };
 const MOTORS: usize = if cfg!(loom) { 1 } else { MAX_MOTORS };
-/// The thread writes at most once in so long a time, whoever asks: it takes up to 0.1 ms.
+/// The shortest time between two writings, however many clients ask.
 const WRITE_EVERY: Duration = Duration::from_millis(50);
-/// A reader tries so often: a writing is over in 0.1 ms, and the next one comes later than a copy takes.
+/// A reader tries so often: after a writing the next one comes later than a copy takes.
 const TRIES: usize = 3;
 
 /// See the module.

@@ -64,8 +64,10 @@ export async function picture(file) {
   const bytes = new Uint8Array(await file.arrayBuffer());
   const isLarge = file.size > MOST_BYTES;
   const name = file.name.replace(/[^\w.-]/g, "-").slice(-MOST_NAME);
-  if (/\.npy$/i.test(name) && isLarge) throw new Error(`${file.name} has ${(file.size / 1e6).toFixed(1)} MB: at most ${MOST_BYTES / 1e6} MB, make it smaller`);
-  if (/\.npy$/i.test(name)) return { name, data: await base64(bytes), size: shape(bytes), levels: 1, cells: null, note: "" };
+  if (/\.npy$/i.test(name)) {
+    if (isLarge) throw new Error(`${file.name} has ${(file.size / 1e6).toFixed(1)} MB: at most ${MOST_BYTES / 1e6} MB, make it smaller`);
+    return { name, data: await base64(bytes), size: shape(bytes), levels: 1, cells: null, note: "" };
+  }
   let image;
   try {
     image = await createImageBitmap(new Blob([bytes]));
