@@ -50,8 +50,15 @@ class Network:
             server.close()
 
     def block_estop(self) -> None:
-        """Closes the port for emergency stops, as a firewall does."""
-        self._loop.call_soon_threadsafe(self._servers[1].close)
+        """Closes the port for emergency stops, as a firewall does. It returns when the port is closed."""
+
+        async def close() -> None:
+            # asyncio leaves a connection open that it has accepted and not yet begun to serve: these turns begin it.
+            for _ in range(3):
+                await asyncio.sleep(0)
+            self._servers[1].close()
+
+        self._run(close())
 
     def __exit__(self, *_: object) -> None:
         async def end() -> None:
